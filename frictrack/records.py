@@ -1,0 +1,205 @@
+"""The frozen types that flow between the rooms: SI units declared per field, checked once when built.
+
+Every record of the measuring chain is a table: one row per frame, columns that are numpy arrays of the same
+length, read-only once inside. ``field(metadata={"unit": "m"})`` names the unit, which `store` writes beside
+the numbers. A column is checked by its metadata: ``nan=True`` lets NaN mean "not measured in this frame".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import gather
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def column(unit: str, *, nan: bool = False, kind: Any = np.float64, **options: Any) -> Any:
+    """Declare an array field of a record: one value per frame, with its unit."""
+    return field(metadata={"unit": unit, "nan": nan, "column": True, "kind": kind}, **options)
+
+
+def scalar(unit: str, **options: Any) -> Any:
+    """Declare a number field of a record, with its unit."""
+    return field(metadata={"unit": unit}, **options)
+
+
+class Table:
+    """Shared border check of the records: same length, finite unless allowed, time rising, read-only."""
+
+    min_rows: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        faults: list[str] = []
+        n = len(np.atleast_1d(np.asarray(self.t)))  # type: ignore[attr-defined]
+        if n < self.min_rows:
+            faults.append(f"expected at least {self.min_rows} frames but got {n}")
+        for f in fields(self):  # type: ignore[arg-type]
+            if f.metadata.get("column"):
+                faults += self._check_column(f.name, f.metadata, n)
+        t = self.t  # type: ignore[attr-defined]
+        if not faults and np.any(np.diff(t) <= 0):
+            i = int(np.argmax(np.diff(t) <= 0))
+            faults.append(f"expected rising time but got t[{i + 1}] = {t[i + 1]:g} s after t[{i}] = {t[i]:g} s")
+        gather(faults, type(self).__name__)
+
+    def _check_column(self, name: str, meta: Any, n: int) -> list[str]:
+        value = getattr(self, name)
+        if value is None:
+            return []
+        array = np.array(value, dtype=meta["kind"])
+        if array.shape != (n,):
+            return [f"expected {name} of shape ({n},) but got {array.shape}"]
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        if array.dtype.kind == "f" and not meta["nan"] and not np.all(np.isfinite(array)):
+            bad = int(np.argmin(np.isfinite(array)))
+            return [f"expected finite {name} but got {array[bad]} at row {bad}"]
+        return []
+
+    def __len__(self) -> int:
+        return len(self.t)  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, eq=False)
+class Track(Table):
+    """Where the target is in every frame, in pixels of the picture (pixel centres are integers, y down).
+
+    A frame in which the target was not found holds NaN and a reason; a found frame has the reason "".
+    """
+
+    t: Array = column("s")
+    x_px: Array = column("px", nan=True)
+    y_px: Array = column("px", nan=True)
+    angle: Array = column("rad", nan=True)
+    sigma_px: Array = column("px", nan=True)
+    sigma_y_px: Array = column("px", nan=True)
+    score: Array = column("1", nan=True)
+    reason: NDArray[np.str_] = column("", kind=np.str_)
+    name: str = "target"
+    target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in the first frame, px
+    notes: tuple[str, ...] = ()  # measurement findings, in words
+
+    @property
+    def found(self) -> Mask:
+        """Frames in which the target was found."""
+        return np.isfinite(self.x_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement(Table):
+    """Unfiltered displacement along the course (x) and across it (y, up), with its standard deviation."""
+
+    t: Array = column("s")
+    x: Array = column("m", nan=True)
+    y: Array = column("m", nan=True)
+    angle: Array = column("rad", nan=True)
+    sigma_x: Array = column("m", nan=True)
+    sigma_y: Array = column("m", nan=True)
+    valid: Mask = column("", kind=np.bool_)
+    pixel_pitch: float | None = scalar("m", default=None)
+    relative_scale_error: float = scalar("1", default=0.0)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered(Table):
+    """Low-passed displacement; what `differentiate` needs to state standard deviations comes with it."""
+
+    t: Array = column("s")
+    x: Array = column("m")
+    y: Array = column("m", nan=True)
+    sigma_x: Array = column("m")  # of the unfiltered input, inf where a frame was missing (filled by the filter)
+    sigma_y: Array = column("m", nan=True)
+    cutoff: float = scalar("Hz", default=float("nan"))
+    cutoff_y: float = scalar("Hz", default=float("nan"))
+    reason: str = ""  # why this cut-off
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Table):
+    """Smoothed displacement, velocity and acceleration with their standard deviations."""
+
+    t: Array = column("s")
+    x: Array = column("m")
+    v: Array = column("m/s")
+    a: Array = column("m/s^2")
+    a_y: Array = column("m/s^2", nan=True)
+    sigma_x: Array = column("m")
+    sigma_v: Array = column("m/s")
+    sigma_a: Array = column("m/s^2")
+    sigma_a_y: Array = column("m/s^2", nan=True)
+    guard: int = 0  # frames at either end, and round a jump, that the filter smears
+    cutoff: float = scalar("Hz", default=float("nan"))
+
+
+@dataclass(frozen=True, eq=False)
+class Friction(Table):
+    """Friction force F = D - m a (F > 0 resists motion toward +x) and the free section it is judged on."""
+
+    t: Array = column("s")
+    F: Array = column("N")
+    sigma_F: Array = column("N")
+    free: Mask = column("", kind=np.bool_)
+    reason: str = ""  # why the free section begins and ends where it does
+
+
+GRAVITY = 9.80665  # m/s^2, standard
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One recorded slide: its motion and what is known of the slider.
+
+    `drive` and `friction_N` are given at the frames of `displacement`. `free` overrides the free section.
+    `pixel_pitch` (m) belongs to the displacement. Without `mass`, only measured friction can be identified.
+    """
+
+    displacement: Displacement
+    motion: Motion
+    mass: float | None = scalar("kg", default=None)
+    name: str = "run"
+    sigma_mass: float = scalar("kg", default=0.0)
+    incline: float = scalar("rad", default=0.0)
+    normal_load: float | None = scalar("N", default=None)
+    drive: Array | None = None  # N, at displacement.t
+    friction_N: Array | None = None  # N, at displacement.t
+    free: tuple[float, float] | None = None  # s
+    role: str = "fit"  # or "validation"
+    group: str = ""
+    has_incline: bool = False  # gravity drives the run: the free section starts where motion starts
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
+            faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
+        if self.mass is None and self.friction_N is None:
+            faults.append("expected a mass but got none; only runs with measured friction (friction_N) do without")
+        if len(self.displacement) != len(self.motion):
+            faults.append(
+                f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}"
+            )
+        for name in ("drive", "friction_N"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != (len(self.displacement),):
+                faults.append(f"expected {name} at {len(self.displacement)} frames but got {np.shape(value)}")
+        if self.role not in ("fit", "validation"):
+            faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
+        gather(faults, f'run "{self.name}"')
+
+    @property
+    def pixel_pitch(self) -> float | None:
+        """Metres per pixel, when a camera is known."""
+        return self.displacement.pixel_pitch
+
+    @property
+    def load(self) -> float | None:
+        """Normal load in N: given, else m g cos(incline)."""
+        if self.normal_load is not None:
+            return self.normal_load
+        return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))
