@@ -203,3 +203,24 @@ class Run:
         if self.normal_load is not None:
             return self.normal_load
         return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))
+
+
+@dataclass(frozen=True, eq=False)
+class Curve(Table):
+    """One run's measurement beside the fitted model, over the frames that were fitted (or predicted)."""
+
+    t: Array = column("s")
+    x: Array = column("m")  # measured displacement
+    sigma_x: Array = column("m")
+    x_model: Array = column("m")  # fitted displacement, measurement effects included
+    v_model: Array = column("m/s")
+    a_model: Array = column("m/s^2")
+    F_model: Array = column("N")
+    run: str = "run"
+    role: str = "fit"
+    parts: dict[str, Array] = field(default_factory=dict)  # force of each effect, N
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus modelled displacement, m."""
+        return self.x - self.x_model
