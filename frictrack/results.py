@@ -1,0 +1,104 @@
+"""What a whole study has come to: the one thing that `report`, `plots` and `export` are given.
+
+`flow` fills it from the store; nothing here computes or opens a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import (
+    Array,
+    Curve,
+    Displacement,
+    Filtered,
+    Friction,
+    Motion,
+    Table,
+    Track,
+    column,
+    scalar,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Film(Table):
+    """What stays of a recording once it is tracked: its clock, its identity and its first picture."""
+
+    t: Array = column("s")
+    path: str = ""  # as the study file names it
+    fps: float = scalar("Hz", default=float("nan"))
+    n_frames: int = 0
+    bit_depth: int = 8
+    hash: str = ""  # sha256 of the file, or of the files of a folder
+    picture: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0)))  # first frame, grey values
+    notes: tuple[str, ...] = ()  # findings about the time base, in words
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors(Table):
+    """What was measured beside the motion, resampled to the frames of the displacement."""
+
+    t: Array = column("s")
+    drive: Array | None = column("N", default=None)
+    a: Array | None = column("m/s^2", default=None)
+    friction_N: Array | None = column("N", default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """One run, every stage that has been done. `film`, `track` are None for a table, `sensors` for a film."""
+
+    name: str
+    source: str  # path of the film or the table, as the study file names it
+    displacement: Displacement
+    filtered: Filtered
+    motion: Motion
+    friction: Friction | None = None  # None without a mass and without measured friction
+    film: Film | None = None
+    track: Track | None = None
+    tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
+    sensors: Sensors | None = None
+    role: str = "fit"
+    group: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)  # the run's keys in the study file, inherited ones too
+    hashes: dict[str, str] = field(default_factory=dict)  # stage -> key of what it was made from
+    notes: tuple[str, ...] = ()  # findings of all stages, in words, no doubles
+
+
+@dataclass(frozen=True, eq=False)
+class ModelResults:
+    """One model that was tried."""
+
+    name: str  # "1_tustin", the group's name in the store
+    equation: str  # the printed model
+    summary: dict[str, Any]  # JSON of `frictrack fit`
+    curves: tuple[Curve, ...]
+    current: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A study: its runs, the models tried in order, and what the comparison and the diagnosis say."""
+
+    name: str
+    path: Path  # the study file
+    output: Path  # the folder of the results
+    version: str  # of frictrack
+    runs: tuple[RunResults, ...]
+    models: tuple[ModelResults, ...] = ()
+    comparison: dict[str, Any] | None = None  # JSON of `frictrack compare`
+    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose`
+    figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of the diagnosis
+    papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
+    notes: tuple[str, ...] = ()  # what could not be done, in words
+
+    @property
+    def current(self) -> ModelResults | None:
+        """The model in force: the last one tried."""
+        return next((m for m in reversed(self.models) if m.current), None)
