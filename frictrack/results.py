@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009 - `column` and `scalar` are dataclasses.field with a unit
 """What a whole study has come to: the one thing that `report`, `plots` and `export` are given.
 
 `flow` fills it from the store; nothing here computes or opens a file.
@@ -66,7 +67,7 @@ class RunResults:
     sensors: Sensors | None = None
     role: str = "fit"
     group: str = ""
-    settings: dict[str, Any] = field(default_factory=dict)  # the run's keys in the study file, inherited ones too
+    settings: dict[str, Any] = field(default_factory=dict)  # the run's keys, inherited ones too
     hashes: dict[str, str] = field(default_factory=dict)  # stage -> key of what it was made from
     notes: tuple[str, ...] = ()  # findings of all stages, in words, no doubles
 
