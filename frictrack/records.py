@@ -181,9 +181,7 @@ class Run:
         if self.mass is None and self.friction_N is None:
             faults.append("expected a mass but got none; only runs with measured friction (friction_N) do without")
         if len(self.displacement) != len(self.motion):
-            faults.append(
-                f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}"
-            )
+            faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
         for name in ("drive", "friction_N"):
             value = getattr(self, name)
             if value is not None and np.shape(value) != (len(self.displacement),):

@@ -1,0 +1,80 @@
+"""The library of physical effects: one cause per file, one line of the table each."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from frictrack.effects.asymmetry import asymmetry
+from frictrack.effects.atm2 import atm2
+from frictrack.effects.base import Effect, Parameter, Path, Span
+from frictrack.effects.camera_shake import camera_shake
+from frictrack.effects.collision import collision
+from frictrack.effects.coulomb import coulomb
+from frictrack.effects.drag import drag
+from frictrack.effects.lens import lens
+from frictrack.effects.load_modulation import load_modulation
+from frictrack.effects.patch import patch
+from frictrack.effects.peak_locking import peak_locking
+from frictrack.effects.slope import slope
+from frictrack.effects.spring import spring
+from frictrack.effects.stribeck import stribeck
+from frictrack.effects.texture import texture
+from frictrack.effects.vibration import vibration
+from frictrack.effects.viscous import viscous
+from frictrack.errors import FrictrackError
+
+__all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue", "get"]
+
+LIBRARY: dict[str, Effect] = {
+    e.name: e
+    for e in (
+        *(coulomb, stribeck, viscous, drag, vibration, texture, patch, spring, collision),
+        *(asymmetry, slope, load_modulation, lens, peak_locking, camera_shake),
+    )
+}
+
+
+def get(name: str) -> Effect:
+    """The effect of that name: `texture`, a further instance `vibration:2`, or `atm2:2` (order 2).
+
+    Raises FrictrackError (usage) for an unknown name, naming the nearest right one.
+    """
+    kind, _, suffix = name.partition(":")
+    if suffix and not (suffix.isdigit() and int(suffix) >= 1):
+        raise FrictrackError(f'expected a number after the colon but got "{name}"', usage=True)
+    if kind == "atm2":
+        return atm2(int(suffix or 2))
+    if kind not in LIBRARY:
+        near = difflib.get_close_matches(kind, [*LIBRARY, "atm2"], 1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(LIBRARY)}, atm2"
+        raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
+    return LIBRARY[kind].called(name) if suffix else LIBRARY[kind]
+
+
+def catalogue() -> list[dict[str, Any]]:
+    """Every effect of the library as the command `effects` prints it."""
+    return [_entry(e) for e in (*LIBRARY.values(), atm2(2))]
+
+
+def _entry(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "acts_on": effect.acts_on,
+        "equation": effect.equation,
+        "parameters": [
+            {
+                "name": p.name,
+                "unit": p.unit,
+                "linear": p.linear,
+                "bounds": [float(b) if abs(b) < float("inf") else None for b in p.bounds],
+                "per_run": p.per_run,
+            }
+            for p in effect.parameters
+        ],
+        "what": effect.what,
+        "looks_like": effect.looks_like,
+        "mistaken_for": effect.mistaken_for,
+        "confirm": effect.confirm,
+        "source": effect.source,
+    }

@@ -1,0 +1,136 @@
+"""What an effect is: one physical cause with a name, a function that returns columns, and named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from frictrack.records import Array
+
+Nonlinear = Mapping[str, float]
+Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
+
+
+@dataclass(frozen=True)
+class Path:
+    """The motion of one run along which columns are evaluated, and what is known of that run.
+
+    All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
+    that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
+    friction level; `mass_ratio` the mass over its reference.
+    """
+
+    t: Array  # s since release
+    x: Array  # m
+    v: Array  # m/s
+    s: Array
+    load: float = 1.0
+    mass_ratio: float = 1.0
+    pixel_pitch: float | None = None  # m
+    drive: Array | None = None  # N
+
+    @property
+    def speed(self) -> Array:
+        """|v| along the direction of motion, never below zero."""
+        return np.maximum(self.s * self.v, 0.0)
+
+
+@dataclass(frozen=True)
+class Span:
+    """How far the recorded runs reach: what a scan can hope to see."""
+
+    duration: float  # s, of the longest run
+    x_min: float  # m
+    x_max: float
+    v_min: float  # m/s, slowest speed seen
+    v_max: float
+    fps: float  # Hz
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named number of an effect, with unit and bounds.
+
+    `linear` ones are the coefficients of the effect's columns, in order. The others are non-linear: `scan`
+    gives the grid on which they are first looked for. A `phase` is never scanned: its two quadratures are.
+    A `depth` scales what a modifier changes; it is scanned as if it were a coefficient.
+    `per_run` parameters have one value in every run.
+    """
+
+    name: str
+    unit: str
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    linear: bool = False
+    per_run: bool = False
+    role: Literal["", "phase", "depth", "amplitude"] = ""
+    scan: Callable[[Span], Array] | None = None
+    fixed: float | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical cause: what it adds to the friction force (N) or to the picture of it (m)."""
+
+    name: str
+    acts_on: Literal["force", "measurement"]
+    equation: str
+    parameters: tuple[Parameter, ...]
+    columns: Columns
+    modifies: frozenset[str] = frozenset()
+    replaces: frozenset[str] = frozenset()
+    scales_with: str = "nothing"  # what carries its size from one run to another: load, mass, nothing
+    what: str = ""  # what it is physically
+    looks_like: str = ""
+    mistaken_for: str = ""
+    confirm: str = ""
+    source: str = ""
+    needs: tuple[str, ...] = ()  # what a run must know: pixel_pitch, drive
+    quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
+
+    @property
+    def kind(self) -> str:
+        """The library name: `vibration` of the instance `vibration:2`."""
+        return self.name if self.name.startswith("atm2") else self.name.split(":")[0]
+
+    @property
+    def linear(self) -> tuple[Parameter, ...]:
+        """Coefficients of the columns, in order."""
+        return tuple(p for p in self.parameters if p.linear)
+
+    @property
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        """What the columns themselves depend on."""
+        return tuple(p for p in self.parameters if not p.linear)
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def called(self, name: str) -> Effect:
+        """The same cause as another instance."""
+        return replace(self, name=name)
+
+    def adjusted(self, **changes: dict[str, Any]) -> Effect:
+        """A copy whose named parameters have the given fields changed: ``adjusted(phase={"per_run": False})``."""
+        parameters = tuple(replace(p, **changes.get(p.name, {})) for p in self.parameters)
+        return replace(self, parameters=parameters)
+
+
+def wave(cycles: Array, phase: float) -> Array:
+    """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
+    return np.sin(2 * np.pi * cycles + phase)[:, None]
+
+
+def frequencies(span: Span) -> Array:
+    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart, at least one period in the longest run."""
+    lowest = max(1.0 / span.duration, 2.0)
+    highest = max(min(0.2 * span.fps, 600.0), 2 * lowest)
+    return np.arange(lowest, highest, 0.25 / span.duration)
+
+
+def log_grid(low: float, high: float, per_decade: int) -> Array:
+    """Logarithmic scan from low to high with about so many points per decade."""
+    return np.geomspace(low, high, max(2, round(per_decade * np.log10(high / low)) + 1))

@@ -1,0 +1,42 @@
+"""Collision: a short blow that takes (or gives) momentum at one moment of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Pulse of unit area at `time`, standard deviation `width`, shape (n, 1): N per N s of J."""
+    z = (path.t - nonlinear["time"]) / nonlinear["width"]
+    return (np.exp(-(z**2) / 2) / (np.sqrt(2 * np.pi) * nonlinear["width"]))[:, None]
+
+
+def times(span: Span) -> Array:
+    """Moments worth trying, s since release."""
+    return np.arange(2.0 / span.fps, span.duration, max(2.0 / span.fps, span.duration / 120))
+
+
+def widths(span: Span) -> Array:
+    """Durations worth trying, s: below a few frames the film cannot tell them apart."""
+    return np.array([2.0, 6.0]) / span.fps
+
+
+collision = Effect(
+    name="collision",
+    acts_on="force",
+    equation="J exp(-((t - time)/width)^2/2)/(width sqrt(2 pi))",
+    parameters=(
+        Parameter("J", "N s", linear=True, per_run=True),
+        Parameter("time", "s", (0.0, np.inf), per_run=True, scan=times),
+        Parameter("width", "s", (5e-5, 0.01), scan=widths),
+    ),
+    columns=columns,
+    what="The mass strikes a joint, an edge or the course itself.",
+    looks_like="a kink in displacement, a step in velocity, a spike in force",
+    mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",
+    confirm="Look at the frames round that moment; change the speed: a joint stays at its place.",
+    source="Hunt & Crossley 1975 for the shape inside; second paper for the cause",
+)

@@ -1,0 +1,28 @@
+"""Coulomb friction: dry friction that does not depend on speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """L s, shape (n, 1): N per N of F_c."""
+    return path.load * path.s[:, None]
+
+
+coulomb = Effect(
+    name="coulomb",
+    acts_on="force",
+    equation="F_c L s",
+    parameters=(Parameter("F_c", "N", (0.0, np.inf), linear=True),),
+    columns=columns,
+    scales_with="load",
+    what="Dry friction of the sliding pair at its steady level.",
+    looks_like="a constant deceleration; a parabola in displacement",
+    mistaken_for="slope (in one direction), a wrong mass",
+    confirm="Film the same course in both directions: dry friction turns round with the motion, a slope does not.",
+    source="Coulomb 1785; first paper, Eq. 1",
+)

@@ -1,0 +1,31 @@
+"""Peak locking: the tracker pulls positions toward whole pixels."""
+
+from __future__ import annotations
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, wave
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Pitch sin(2 pi x/pitch + phase), shape (n, 1): m per px of amplitude."""
+    pitch = path.pixel_pitch
+    assert pitch is not None
+    return pitch * wave(path.x / pitch, nonlinear["phase"])
+
+
+peak_locking = Effect(
+    name="peak_locking",
+    acts_on="measurement",
+    equation="y: amplitude pitch sin(2 pi x/pitch + phase)",
+    parameters=(
+        Parameter("amplitude", "px", linear=True, role="amplitude"),
+        Parameter("phase", "rad", role="phase"),
+    ),
+    columns=columns,
+    what="Sub-pixel interpolation favours some positions between pixels.",
+    looks_like="ripples of one pixel period; a slow false force where the mass moves a whole number of px per frame",
+    mistaken_for="texture with a very short period",
+    confirm="Change the zoom: the period follows the pixel, not the course.",
+    source="Raffel et al., Particle Image Velocimetry; anchors: Sensors 20:6596",
+    needs=("pixel_pitch",),
+)
