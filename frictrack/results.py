@@ -103,3 +103,16 @@ class Results:
     def current(self) -> ModelResults | None:
         """The model in force: the last one tried."""
         return next((m for m in reversed(self.models) if m.current), None)
+
+
+def plain(value: Any) -> Any:
+    """The same value in what JSON knows: numpy becomes Python, what is not finite becomes None."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, tuple | list):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

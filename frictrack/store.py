@@ -1,0 +1,237 @@
+"""The only door to HDF5: records and plain dictionaries in, the same out, a file replaced whole or not at all.
+
+Layout, readable by h5py, HDFView or MATLAB without us: a record is a group; its columns are datasets with the
+attribute `unit`, its numbers and strings are attributes, its tuples are attributes in JSON, a dictionary is a
+subgroup. Every group that a stage wrote carries the attributes of its `Stamp`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frictrack import __version__
+from frictrack.errors import FrictrackError
+from frictrack.results import plain
+
+NO_LINKS: Mapping[str, str] = {}
+SCHEMA = 1  # of the layout; a file with a higher number was written by a later frictrack
+_STRING = h5py.string_dtype()
+_LONG = 16_000  # characters; HDF5 keeps an attribute below 64 kB
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """Where a group comes from: it is current as long as the same `key` would be made today."""
+
+    key: str = ""
+    input_hash: str = ""
+    settings: str = "{}"  # JSON
+    version: str = __version__
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """What goes into one group: a record, or a dictionary of arrays, numbers, strings, records."""
+
+    content: Any
+    stamp: Stamp = Stamp()
+
+
+def write(
+    path: Path, groups: Mapping[str, Entry], *, remove: tuple[str, ...] = (), links: Mapping[str, str] = NO_LINKS
+) -> None:
+    """Put groups into the file at `path`, keeping all others, and replace the file in one step.
+
+    `groups` maps a group's name (``"track"``, ``"models/1_tustin"``) to what it holds; one that is there is
+    replaced. Those in `remove` are dropped. `links` maps a group's name to the file, in the same folder, that it
+    shows (an external link). Raises `FrictrackError` when the file that is there is not ours, or when the folder
+    cannot be written.
+    """
+    with _replacing(path) as file:
+        for name in (*remove, *groups, *links):
+            if file.get(name, getlink=True) is not None:
+                del file[name]
+        for name, entry in groups.items():
+            group = file.create_group(name)
+            _put(group, entry.content)
+            group.attrs.update(vars(entry.stamp))
+        for name, target in links.items():
+            file[name] = h5py.ExternalLink(target, "/")
+
+
+def read(path: Path, group: str, kind: Any = dict) -> Any:
+    """Read a group as the record type `kind`, or as a dictionary.
+
+    Raises `FrictrackError` when the file is not ours, is damaged, or has no such group.
+    """
+    with _reading(path) as file:
+        if group not in file:
+            raise FrictrackError(f'{path} holds no "{group}"; run the study again')
+        return _take(file[group]) if kind is dict else _record(file[group], kind)
+
+
+def stamp(path: Path, group: str) -> Stamp | None:
+    """Where a group comes from; None when there is no such file or group."""
+    if not path.exists():
+        return None
+    with _reading(path) as file:
+        if group not in file:
+            return None
+        attributes = file[group].attrs
+        return Stamp(**{f.name: str(attributes.get(f.name, "")) for f in fields(Stamp)})
+
+
+def names(path: Path, group: str = "/") -> list[str]:
+    """The groups inside a group, in the order they were written; none when there is no such file."""
+    if not path.exists():
+        return []
+    with _reading(path) as file:
+        return list(file[group]) if group in file else []
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[h5py.File]:
+    remedy = "delete it and run again, the recordings are untouched"
+    try:
+        with h5py.File(path, "r") as file:
+            if "schema" not in file.attrs:
+                raise FrictrackError(
+                    f"expected {path} to be a frictrack result but another program wrote it; move it away"
+                )
+            if file.attrs["schema"] > SCHEMA:
+                raise FrictrackError(
+                    f"{path} was written by frictrack {file.attrs['version']}, this is {__version__}; update it"
+                )
+            yield file
+    except FileNotFoundError as e:
+        raise FrictrackError(f"expected results in {path} but there is no such file; run the study") from e
+    except PermissionError as e:
+        raise FrictrackError(f"cannot read {path}: permission denied") from e
+    except FrictrackError:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as e:
+        raise FrictrackError(f"{path} is damaged or is not HDF5; {remedy}") from e
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[h5py.File]:
+    """A new file with the old one's groups, which takes the old one's place when the block ends well."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}_", suffix=".part", dir=path.parent)
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {path.parent}: {e.strerror}") from e
+    os.close(handle)
+    part = Path(name)
+    try:
+        with h5py.File(part, "w") as file:
+            file.attrs.update(schema=SCHEMA, version=__version__)
+            if path.exists():
+                with _reading(path) as old:
+                    _copy(old, file)
+            yield file
+        _commit(part, path)
+    except OSError as e:
+        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+
+
+def _commit(part: Path, path: Path) -> None:
+    """Move the finished file into place so that a power cut leaves the old one or the new one."""
+    part.chmod(0o644)
+    with part.open("rb") as f:
+        os.fsync(f.fileno())
+    part.replace(path)
+    with suppress(OSError):  # some systems cannot open a folder
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+
+
+def _copy(old: h5py.File, new: h5py.File) -> None:
+    for name in old:
+        link = old.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            new[name] = link
+        else:
+            old.copy(name, new)
+
+
+def _put(group: h5py.Group, content: Any) -> None:
+    if is_dataclass(content):
+        for f in fields(content):
+            _put_value(group, f.name, getattr(content, f.name), f.metadata.get("unit"))
+    else:
+        for name, value in content.items():
+            _put_value(group, name, value, None)
+
+
+def _put_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> None:
+    if value is None:
+        return
+    if isinstance(value, dict) or is_dataclass(value):
+        _put(group.create_group(name), value)
+    elif isinstance(value, np.ndarray):
+        _put_array(group, name, value).attrs["unit"] = unit or ""
+    elif isinstance(value, str) and len(value) > _LONG:
+        group.create_dataset(name, data=value, dtype=_STRING)
+    else:
+        group.attrs[name] = json.dumps(plain(value)) if isinstance(value, tuple | list) else value
+        if unit and isinstance(value, float):
+            group.attrs[f"{name}_unit"] = unit
+
+
+def _put_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5py.Dataset:
+    if value.dtype.kind in "UO":
+        return group.create_dataset(name, data=value.astype(object), dtype=_STRING)
+    if value.ndim == 0 or value.size == 0:
+        return group.create_dataset(name, data=value)
+    return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
+
+
+def _array(dataset: h5py.Dataset) -> Any:
+    if h5py.check_string_dtype(dataset.dtype) is None:
+        return dataset[()]
+    text = dataset.asstr()[()]
+    return text if isinstance(text, str) else np.asarray(text, dtype=np.str_)
+
+
+def _take(group: h5py.Group) -> dict[str, Any]:
+    """Everything in a group as a dictionary, without the stamp."""
+    stamped = {f.name for f in fields(Stamp)}
+    content = {k: _number(v) for k, v in group.attrs.items() if k not in stamped}
+    for name, item in group.items():
+        content[name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
+    return content
+
+
+def _record(group: h5py.Group, kind: Any) -> Any:
+    values = {}
+    for f in fields(kind):
+        if f.name in group:
+            item = group[f.name]
+            values[f.name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
+        elif f.name in group.attrs:
+            raw = _number(group.attrs[f.name])
+            values[f.name] = _tuple(json.loads(raw)) if str(f.type).startswith("tuple") else raw
+    return kind(**values)
+
+
+def _number(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
