@@ -1,0 +1,36 @@
+"""Open a high-speed recording: frames on demand with true times, one file format per module."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.base import Frame, Header, Recording
+from frictrack.recording.folder import Folder
+from frictrack.recording.tiff import Tiff
+from frictrack.recording.video import Video
+
+__all__ = ["FORMATS", "Frame", "Header", "Recording", "open_recording"]
+
+FORMATS: tuple[type[Recording], ...] = (Video, Tiff)  # a new format is one file and its name here
+
+
+def open_recording(path: str | Path, fps: float | None = None) -> Recording:
+    """Open a film, a multi-page TIFF or a folder of pictures.
+
+    `fps` is the camera's frame rate, 1/s, and wins over what the file says. Raises `FrictrackError` when the
+    recording is missing, no film, truncated to nothing, one frame long, or when neither `fps` nor the file
+    gives a frame rate that can be believed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return Folder(path, fps)
+    if not path.exists():
+        raise FrictrackError(f"{path}: expected a recording but there is no such file; check the path")
+    if path.stat().st_size == 0:
+        raise FrictrackError(f"{path.name}: expected a film but the file is empty")
+    for kind in FORMATS:
+        if path.suffix.lower() in kind.suffixes:
+            return kind(path, fps)
+    known = ", ".join(s for kind in FORMATS for s in kind.suffixes)
+    raise FrictrackError(f'{path.name}: expected a film ({known}, or a folder of pictures) but got "{path.suffix}"')

@@ -1,0 +1,141 @@
+"""What every recording offers, whatever its file format: a format adds `_open` and `_read`."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+
+Frame = NDArray[np.unsignedinteger[Any]]  # (h, w) grey values, uint8 or uint16
+
+PLAYBACK_FPS = 60.0  # a container that says no more than this gives the speed of showing, not of filming
+_CHUNK = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a file
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a format knows of a recording before any frame is used.
+
+    `ticks` counts frame intervals since the first frame (None: 0, 1, 2, ...), so that gaps stay gaps.
+    """
+
+    n_frames: int
+    shape: tuple[int, int]
+    bit_depth: int
+    fps: float | None = None
+    ticks: NDArray[np.int64] | None = None
+    notes: tuple[str, ...] = ()
+
+
+class Recording(ABC):
+    """A high-speed recording: frames on demand with their true times, never all in memory.
+
+    Attributes: `path`, `fps` (1/s), `n_frames`, `shape` (h, w), `bit_depth`, `t` (n_frames,) in s from the
+    first frame, `notes` (findings about the file, in words).
+    """
+
+    suffixes: ClassVar[tuple[str, ...]]
+
+    def __init__(self, path: str | Path, fps: float | None = None) -> None:
+        self.path = Path(path)
+        header = self._open()
+        self._check(header)
+        self.fps = _true_rate(self.path.name, fps, header.fps)
+        self.n_frames, self.shape, self.bit_depth = header.n_frames, header.shape, header.bit_depth
+        ticks = np.arange(self.n_frames) if header.ticks is None else header.ticks
+        self.t = ticks / self.fps
+        self.notes = header.notes
+
+    @abstractmethod
+    def _open(self) -> Header:
+        """Look at the file; raise `FrictrackError` when it is not of this format."""
+
+    @abstractmethod
+    def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
+        """The frames of these rising indices, one by one; stop early where the file breaks off.
+
+        A single picture that cannot be decoded is returned black, the frames after it go on.
+        """
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[Frame]:
+        """Frames `start` to `stop` (exclusive) in order, each (h, w) uint8 or uint16."""
+        return self._read(range(self.n_frames)[start:stop:step])
+
+    def pick(self, indices: Iterable[int]) -> list[Frame]:
+        """The frames of these rising `indices`, in one pass over the file."""
+        return list(self._read(indices))
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i`, (h, w) uint8 or uint16; negative `i` counts from the end."""
+        if not -self.n_frames <= i < self.n_frames:
+            raise FrictrackError(f"{self.path.name}: expected a frame from 0 to {self.n_frames - 1} but got {i}")
+        for frame in self._read([i % self.n_frames]):
+            return frame
+        raise FrictrackError(
+            f"{self.path.name}: frame {i} cannot be read, the file breaks off before it; "
+            "copy the recording from the camera again"
+        )
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over names, sizes and the first, middle and last megabyte of the recording's files."""
+        digest = hashlib.sha256()
+        for file in self._files():
+            size = file.stat().st_size
+            digest.update(f"{file.name}:{size}\n".encode())
+            with file.open("rb") as stream:
+                for at in sorted({0, max(0, size // 2 - _CHUNK // 2), max(0, size - _CHUNK)}):
+                    stream.seek(at)
+                    digest.update(stream.read(_CHUNK))
+        return digest.hexdigest()
+
+    def _files(self) -> list[Path]:
+        return [self.path]
+
+    def _check(self, header: Header) -> None:
+        name = self.path.name
+        if header.n_frames == 1:
+            raise FrictrackError(
+                f"{name}: expected a recording of many frames but got one frame; motion needs at least two"
+            )
+        if min(header.shape) < 8:
+            h, w = header.shape
+            raise FrictrackError(f"{name}: expected pictures of at least 8x8 px but got {w}x{h} px")
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __repr__(self) -> str:
+        h, w = self.shape
+        return f"<{self.path.name}: {self.n_frames} frames {w}x{h} px, {self.bit_depth} bit, {self.fps:g} fps>"
+
+
+def _true_rate(name: str, given: float | None, header: float | None) -> float:
+    """The frame rate of the camera: given by the user, else by a header that can be believed."""
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
+        return float(given)
+    if header is not None and np.isfinite(header) and header > PLAYBACK_FPS:
+        return float(header)
+    says = f"says {header:.4g} fps, which is the speed of showing it" if header else "names no frame rate"
+    raise FrictrackError(
+        f"{name}: expected the camera's frame rate but the file {says}; give the true rate as fps "
+        "(friction goes with its square)"
+    )
+
+
+def grey(picture: NDArray[Any]) -> Frame:
+    """Grey values of a picture (h, w) or (h, w, 3 or 4) in R, G, B order: luma of ITU-R BT.601."""
+    if picture.ndim == 2:
+        return picture
+    luma = picture[..., :3] @ np.array([0.299, 0.587, 0.114])
+    return np.rint(luma).astype(picture.dtype)

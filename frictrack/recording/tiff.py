@@ -1,0 +1,96 @@
+"""Multi-page TIFF, page by page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import tifffile
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.base import Frame, Header, Recording, grey
+
+_MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
+
+
+class Tiff(Recording):
+    """A recording in one TIFF file (8, 12 or 16 bit); ImageJ's contiguous stacks included."""
+
+    suffixes: ClassVar[tuple[str, ...]] = (".tif", ".tiff")
+
+    def _open(self) -> Header:
+        try:
+            with tifffile.TiffFile(self.path) as tif:
+                return self._header(tif)
+        except (tifffile.TiffFileError, ValueError, IndexError, OSError) as error:
+            if isinstance(error, FrictrackError):
+                raise
+            raise FrictrackError(
+                f"{self.path.name}: expected a TIFF film but the file cannot be read as one"
+            ) from error
+
+    def _header(self, tif: tifffile.TiffFile) -> Header:
+        page: Any = tif.pages[0]
+        if page.dtype not in (np.dtype(np.uint8), np.dtype(np.uint16)):
+            raise FrictrackError(
+                f"{self.path.name}: expected grey values of 8 to 16 bit but got {page.dtype}; "
+                "save the film as unsigned 8 or 16 bit"
+            )
+        shape = page.shape[:2]
+        frame_bytes = int(np.prod(page.shape)) * page.dtype.itemsize
+        self._contiguous = len(tif.pages) == 1 and tif.imagej_metadata is not None
+        self._at, self._kind = page.dataoffsets[0], page.dtype.newbyteorder(tif.byteorder)
+        promised = self._promised(tif)
+        in_file = self._pages_in_file(tif, frame_bytes)
+        notes: tuple[str, ...] = ()
+        if in_file < promised:
+            notes = (f"truncated film: {in_file} of {promised} promised frames are in the file",)
+        if in_file == 0:
+            raise FrictrackError(
+                f"{self.path.name}: truncated film: none of its {promised} frames is complete; "
+                "copy it from the camera again"
+            )
+        return Header(in_file, shape, _bit_depth(page), _rate(tif), notes=notes)
+
+    def _promised(self, tif: tifffile.TiffFile) -> int:
+        if self._contiguous:
+            return int((tif.imagej_metadata or {}).get("images", 1))
+        return len(tif.pages)
+
+    def _pages_in_file(self, tif: tifffile.TiffFile, frame_bytes: int) -> int:
+        """Pages whose data ends within the file."""
+        size = self.path.stat().st_size
+        if self._contiguous:
+            return min(self._promised(tif), (size - self._at) // frame_bytes)
+        count = len(tif.pages)
+        while count and _end(tif.pages[count - 1]) > size:
+            count -= 1
+        return count
+
+    def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
+        if self._contiguous:
+            stack = np.memmap(self.path, self._kind, "r", self._at, (self.n_frames, *self.shape))
+            for index in indices:
+                yield stack[index].astype(self._kind.newbyteorder("="))
+            return
+        with tifffile.TiffFile(self.path) as tif:
+            for index in indices:
+                yield grey(tif.pages[index].asarray())
+
+
+def _end(page: Any) -> int:
+    return max(a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True))
+
+
+def _bit_depth(page: Any) -> int:
+    tag = page.tags.get(_MAX_SAMPLE_VALUE)
+    if tag is not None:
+        return max(1, int(np.max(tag.value)).bit_length())
+    return int(page.bitspersample)
+
+
+def _rate(tif: tifffile.TiffFile) -> float | None:
+    """Frames per second from ImageJ's frame interval, where there is one."""
+    interval = (tif.imagej_metadata or {}).get("finterval")
+    return 1 / float(interval) if interval else None

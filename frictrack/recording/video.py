@@ -1,0 +1,76 @@
+"""AVI, MP4 and other video containers, decoded in order by OpenCV's FFmpeg.
+
+Positions in a container are never trusted: seeking returns other frames than asked for (opencv#9053), so
+going back means opening again. The number of frames is that of the packets in the file, not the header's.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from typing import ClassVar, cast
+
+import cv2
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.base import Frame, Header, Recording
+
+# What FFmpeg and OpenCV would say on stderr about broken files, `Recording` says in words.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+if "OPENCV_LOG_LEVEL" not in os.environ:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+
+# Pixel formats whose first plane is the luma itself: read as it was stored, without a turn through BGR.
+_LUMA_FIRST = {b"Y800": 8, b"I420": 8, b"Y42B": 8, b"Y1\x00\x10": 16}
+
+
+class Video(Recording):
+    """A recording in a video container (8 bit, or 16 bit grey)."""
+
+    suffixes: ClassVar[tuple[str, ...]] = (".avi", ".mp4", ".mov", ".mkv", ".m4v")
+
+    def _open(self) -> Header:
+        capture = self._capture()
+        promised, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
+        good, first = capture.read()
+        if not good:
+            raise FrictrackError(
+                f"{self.path.name}: expected a film but no frame of it can be read; it is damaged or empty, "
+                "copy it from the camera again"
+            )
+        packets = self._count_packets()
+        notes: tuple[str, ...] = ()
+        if packets < promised:
+            notes = (f"truncated film: {packets} of {promised} promised frames are in the file",)
+        depth = 16 if first.dtype == np.uint16 else 8
+        return Header(packets, first.shape[:2], depth, fps if fps > 0 else None, notes=notes)
+
+    def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
+        capture, at = self._capture(), -1
+        for index in indices:
+            while at < index:
+                if not capture.grab():
+                    return
+                at += 1
+            good, frame = capture.retrieve()
+            if not good:
+                return
+            yield cast(Frame, frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
+
+    def _capture(self) -> cv2.VideoCapture:
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not capture.isOpened():
+            raise FrictrackError(f"{self.path.name}: expected a film but the file cannot be read as one")
+        code = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little")
+        if code in _LUMA_FIRST:
+            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        return capture
+
+    def _count_packets(self) -> int:
+        """Frames that are in the file, counted without decoding."""
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+        count = 0
+        while capture.grab():
+            count += 1
+        return count

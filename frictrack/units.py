@@ -1,0 +1,91 @@
+"""Text with a unit and an uncertainty -> numbers in SI: ``"0.350 +/- 0.002 kg"`` -> (0.350, 0.002)."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_QUANTITY = re.compile(
+    rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
+)
+
+
+def quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
+    """Value and standard deviation of `text`, both in `unit`.
+
+    A number (or a text without a unit) is taken as SI, that is, as already in `unit`. A text may carry a
+    unit and an uncertainty: ``"0.35 kg"``, ``"350 +/- 2 g"``, ``"(350 ± 2) g"``, ``"0.35 +/- 1% kg"``.
+
+    `unit` is the unit wanted, as pint writes it (``"kg"``, ``"m/px"``, ``"rad"``), `what` the thing's name
+    for the message (``"mass"``). Raises `FrictrackError` for what is no quantity, an unknown unit, the unit
+    of something else, or a negative uncertainty.
+    """
+    if isinstance(text, str):
+        value, std = _parse(text, unit, what)
+    elif isinstance(text, (int, float, np.number)) and not isinstance(text, bool):
+        value, std = float(text), 0.0
+    else:
+        raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
+    if not np.isfinite(value):
+        raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
+    return value, std
+
+
+def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
+    match = _QUANTITY.match(text)
+    if match is None:
+        raise FrictrackError(_expected(unit, what) + f' but got "{text}"')
+    value, std = float(match["value"]), float(match["std"] or 0.0)
+    if match["percent"]:
+        std *= abs(value) / 100
+    if std < 0:
+        raise FrictrackError(f'expected an uncertainty of {what} above 0 but got "{text}"')
+    if not match["unit"]:
+        return value, std
+    low, high = _convert(np.array([value, value + std]), match["unit"], unit, what)
+    return float(low), float(high - low)
+
+
+def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
+    """`values` from unit `source` to unit `target`."""
+    import pint  # noqa: PLC0415 - half a second that only texts with units need to pay
+
+    try:
+        return _registry().Quantity(values, _spell(source)).to(_spell(target)).magnitude
+    except pint.UndefinedUnitError as error:
+        raise FrictrackError(
+            f'{_expected(target, what)} but got the unknown unit "{source}"; write it like "{_example(target)}"'
+        ) from error
+    except pint.DimensionalityError as error:
+        raise FrictrackError(
+            f'{_expected(target, what)} but got "{source}", which measures something else; '
+            f'write it like "{_example(target)}"'
+        ) from error
+    except Exception as error:  # pint's parser raises whatever Python's tokenizer does
+        raise FrictrackError(f'{_expected(target, what)} but got "{source}" as its unit') from error
+
+
+@cache
+def _registry() -> Any:
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+def _spell(unit: str) -> str:
+    """Pint's own ``px`` is the 1/96 inch of style sheets; a camera's pixel is ``pixel``."""
+    return re.sub(r"\bpx\b", "pixel", unit)
+
+
+def _expected(unit: str, what: str) -> str:
+    return f"expected {what} as a quantity in {unit}"
+
+
+def _example(unit: str) -> str:
+    return {"m/px": "0.5 mm/px", "m": "100 mm", "kg": "0.350 +/- 0.002 kg"}.get(unit, f"1.5 {unit}")
