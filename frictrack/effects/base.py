@@ -88,6 +88,7 @@ class Effect:
     confirm: str = ""
     source: str = ""
     needs: tuple[str, ...] = ()  # what a run must know: pixel_pitch, drive
+    fine: int = 1  # integration panels per frame that its columns need
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
     @property

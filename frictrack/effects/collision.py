@@ -38,5 +38,6 @@ collision = Effect(
     looks_like="a kink in displacement, a step in velocity, a spike in force",
     mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",
     confirm="Look at the frames round that moment; change the speed: a joint stays at its place.",
+    fine=3,
     source="Hunt & Crossley 1975 for the shape inside; second paper for the cause",
 )

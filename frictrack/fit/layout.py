@@ -1,0 +1,154 @@
+"""Where every unknown stands in the parameter vector: shared, per run, or the run's own friction level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from frictrack.effects import Effect, Span
+from frictrack.models import Model
+from frictrack.records import Array
+
+LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One unknown: a parameter of an effect, shared (run is None) or of one run (its index)."""
+
+    effect: str
+    parameter: str
+    run: int | None
+    linear: bool
+    bounds: tuple[float, float]
+    unit: str
+
+    def name(self, runs: Sequence[str]) -> str:
+        """Address: `vibration.frequency`, `vibration.phase[v3]`."""
+        where = "" if self.run is None else f"[{runs[self.run]}]"
+        return f"{self.effect}.{self.parameter}{where}"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The unknowns of a model over some runs.
+
+    `absent` holds pairs (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
+    """
+
+    model: Model
+    run_names: tuple[str, ...]
+    span: Span
+    absent: frozenset[tuple[str, int]] = frozenset()
+    slots: tuple[Slot, ...] = field(init=False)
+    fixed: dict[tuple[str, str], float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        slots: list[Slot] = []
+        fixed: dict[tuple[str, str], float] = {}
+        for effect in self.model.effects:
+            for p in effect.parameters:
+                if p.fixed is not None:
+                    fixed[effect.name, p.name] = p.fixed
+                    continue
+                for run in self._runs_of(effect, p.per_run):
+                    bounds = reach(effect, p.name, self.span)
+                    slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
+        if len(self.run_names) > 1 and self.scales:
+            slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
+        object.__setattr__(self, "slots", tuple(slots))
+        object.__setattr__(self, "fixed", fixed)
+
+    def _runs_of(self, effect: Effect, per_run: bool) -> list[int | None]:
+        if not per_run:
+            return [None]
+        return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
+
+    @property
+    def scales(self) -> bool:
+        """Whether any effect follows the run's friction level."""
+        return any(e.scales_with == "load" for e in self.model.effects)
+
+    @property
+    def names(self) -> list[str]:
+        """Addresses of all unknowns, in order."""
+        return [s.name(self.run_names) for s in self.slots]
+
+    @property
+    def levels(self) -> list[int]:
+        """Positions of the friction levels."""
+        return [i for i, s in enumerate(self.slots) if s.effect == LEVEL]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds, each (P,)."""
+        low, high = np.array([s.bounds for s in self.slots]).reshape(-1, 2).T
+        return low, high
+
+    def active(self, run: int) -> list[int]:
+        """Positions of the unknowns that touch one run."""
+        return [i for i, s in enumerate(self.slots) if s.run in (None, run)]
+
+    def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
+        """Values of every parameter in one run, and the run's friction level."""
+        out: dict[str, dict[str, float]] = {e.name: {} for e in self.model.effects}
+        for (effect, name), value in self.fixed.items():
+            out[effect][name] = value
+        level = 1.0
+        for i in self.active(run):
+            slot = self.slots[i]
+            if slot.effect == LEVEL:
+                level = float(p[i])
+            else:
+                out[slot.effect][slot.parameter] = float(p[i])
+        for effect in self.model.effects:  # a cause that this run does not show
+            if (effect.name, run) in self.absent:
+                out[effect.name] |= {q.name: 0.0 if q.linear else 1.0 for q in effect.parameters if q.per_run}
+        return out, level
+
+    def index(self, effect: str, parameter: str, run: int | None = None) -> int:
+        """Position of one unknown."""
+        for i, s in enumerate(self.slots):
+            if (s.effect, s.parameter, s.run) == (effect, parameter, run):
+                return i
+        raise KeyError((effect, parameter, run))
+
+
+def reach(effect: Effect, name: str, span: Span) -> tuple[float, float]:
+    """Bounds of a parameter for these runs: its own, and for scanned ones not far beyond the scan."""
+    p = effect.parameter(name)
+    low, high = p.bounds
+    if p.scan is not None:
+        grid = p.scan(span)
+        margin = max(float(np.ptp(grid)) * 0.1, 0.0)
+        low = max(low, float(grid.min()) - margin) if np.isfinite(low) else float(grid.min()) - margin
+        high = min(high, float(grid.max()) + margin)
+        if p.bounds[0] >= 0:
+            low = max(low, p.bounds[0], float(grid.min()) / 4)
+    return low, high
+
+
+def settle(layout: Layout, p: Array) -> Array:
+    """The same law in its plain form: amplitudes positive, phases between -pi and pi."""
+    p = np.array(p, dtype=float)
+    for effect in layout.model.effects:
+        phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
+        sizes = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _SIZES]
+        if len(phases) and len(sizes) == 1 and p[sizes[0]] < 0:
+            p[sizes[0]] *= -1
+            p[phases] += np.pi
+        elif len(phases) and len(sizes) == len(phases):
+            flip = p[sizes] < 0
+            p[sizes] = np.abs(p[sizes])
+            p[phases] += np.pi * flip
+        p[phases] = (p[phases] + np.pi) % (2 * np.pi) - np.pi
+    return p
+
+
+_SIZES = ("amplitude", "depth")
+
+
+def _role(effect: Effect, slot: Slot) -> str:
+    return effect.parameter(slot.parameter).role

@@ -1,0 +1,314 @@
+"""Runs turned into what is fitted: pieces of one direction, their simulated motion, residuals and sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from frictrack.effects import Path, Span
+from frictrack.errors import FrictrackError
+from frictrack.fit.layout import Layout
+from frictrack.friction import moving_sections, release_time
+from frictrack.models import Model
+from frictrack.motion import noise_level
+from frictrack.records import GRAVITY, Array, Mask, Run
+from frictrack.simulate.dynamics import Linear, Motion6, Panels, solve
+
+MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One stretch of a run without a stop or reversal: measured displacement and what drives it.
+
+    t counts from release. Shapes: (n,) at the frames, (3 p,) at the nodes of `panels`.
+    """
+
+    run: int
+    frames: Array  # row of each frame in the run's tables
+    t: Array
+    y: Array
+    sigma: Array
+    panels: Panels
+    per_frame: int  # panels between frames
+    x_hat: Array  # smoothed motion at the nodes: the first guess
+    v_hat: Array
+    a_hat: Array
+    known: Array  # acceleration by drive and incline at the nodes, m/s^2
+    path: Path  # what is known of the run; its arrays are replaced by the motion at hand
+    mass: float
+
+    def along(self, x: Array, v: Array, level: float) -> Path:
+        """The path at the nodes for a given motion and friction level."""
+        return replace(self.path, x=x, v=v, load=self.path.load * level)
+
+    def at_frames(self, x: Array, v: Array, level: float) -> Path:
+        """The path at the frames."""
+        s = np.full_like(x, self.path.s[0])
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, drive=None)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Mass and normal load at which newtons are quoted."""
+
+    mass: float
+    load: float
+
+
+def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
+    """The reference: the study's mass, else the first run's, and the load that goes with it."""
+    first = runs[0]
+    if first.mass is None:
+        return Reference(1.0, 1.0)
+    mass = mass or first.mass
+    load = first.normal_load or mass * GRAVITY * float(np.cos(first.incline))
+    return Reference(mass, load)
+
+
+def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame: int = 1) -> list[Piece]:
+    """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
+
+    Raises FrictrackError when the run has no mass or no usable stretch.
+    """
+    if run.mass is None:
+        raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
+    disp = run.displacement
+    noise = relative_noise(disp.sigma_x, free & disp.valid)
+    noise = noise * noise_level(disp.x / noise, free & disp.valid)[0]
+    release = release_time(run)
+    made = []
+    for section in moving_sections(run):
+        rows = np.arange(len(disp))[section]
+        rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
+        if len(rows) >= MIN_FRAMES:
+            made.append(_piece(run, index, rows, noise, (release, reference, per_frame)))
+    if not made:
+        raise FrictrackError(
+            f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
+            "look at its velocity, or give free = [t0, t1]"
+        )
+    return made
+
+
+def relative_noise(sigma: Array, use: Mask) -> Array:
+    """Tracker's standard deviations as relative weights: 1 in the typical frame, 1 where not stated."""
+    known = np.isfinite(sigma) & (sigma > 0) & use
+    if not known.any():
+        return np.ones(len(sigma))
+    relative = np.ones(len(sigma))
+    relative[known] = sigma[known] / np.median(sigma[known])
+    return relative
+
+
+def _piece(run: Run, index: int, rows: Array, noise: Array, how: tuple[float, Reference, int]) -> Piece:
+    release, reference, per_frame = how
+    mass = float(run.mass or 1.0)
+    t = run.displacement.t[rows] - release
+    edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
+    panels = Panels(edges)
+    nodes = panels.t
+    motion = run.motion
+    v_of = CubicSpline(motion.t - release, motion.v)
+    direction = np.sign(np.median(motion.v[rows]))
+    drive = None if run.drive is None else np.interp(nodes, motion.t - release, run.drive)
+    known = np.full(len(nodes), -GRAVITY * np.sin(run.incline))
+    if drive is not None:
+        known = known + drive / mass
+    path = Path(
+        t=nodes,
+        x=np.zeros_like(nodes),
+        v=np.zeros_like(nodes),
+        s=np.full(len(nodes), direction),
+        load=(run.load or 1.0) / reference.load,
+        mass_ratio=mass / reference.mass,
+        pixel_pitch=run.pixel_pitch,
+        drive=drive,
+    )
+    return Piece(
+        run=index,
+        frames=rows,
+        t=t,
+        y=run.displacement.x[rows],
+        sigma=noise[rows],
+        panels=panels,
+        per_frame=per_frame,
+        x_hat=CubicSpline(motion.t - release, motion.x)(nodes),
+        v_hat=v_of(nodes),
+        a_hat=np.interp(nodes, motion.t - release, motion.a),
+        known=known,
+        path=path,
+        mass=mass,
+    )
+
+
+@dataclass(frozen=True)
+class Response:
+    """One piece under a model: its motion, whitened residual and sensitivities, start position and speed removed.
+
+    r (n,), jac (n, A) for the `active` unknowns, start (n, 2) for x0 and v0; `q`, `t` their QR factors.
+    """
+
+    piece: Piece
+    motion: Motion6
+    linear: Linear
+    active: list[int]
+    model_y: Array
+    shift_slope: Array  # d(o)/dx at the frames
+    r: Array
+    jac: Array
+    q: Array
+    upper: Array
+    on_start: Array  # the part of the sensitivities that a change of start explains, (2, A)
+    r_full: Array
+
+    @property
+    def base_force(self) -> Array:
+        """Acceleration balance at the nodes turned into friction force, N."""
+        return self.piece.mass * (self.piece.known - self.motion.a)
+
+    def start_step(self, step: Array) -> Array:
+        """Change of (x0, v0) that goes with a step of the active unknowns."""
+        out: Array = np.linalg.solve(self.upper, self.q.T @ self.r_full - self.on_start @ step)
+        return out
+
+
+class Problem:
+    """A model over some runs: evaluates every piece for given unknowns and starts."""
+
+    def __init__(self, model: Model, layout: Layout, pieces: Sequence[Piece]) -> None:
+        self.model, self.layout, self.pieces = model, layout, list(pieces)
+        self._guess = [piece.a_hat for piece in self.pieces]
+
+    @property
+    def n_frames(self) -> int:
+        """Frames over all pieces."""
+        return sum(len(p.t) for p in self.pieces)
+
+    def first_starts(self) -> list[Array]:
+        """Start position and speed of every piece, read off the smoothed motion."""
+        return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
+
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[Response]:
+        """Simulate every piece and linearise it about the unknowns p (P,) and the starts [(2,)]."""
+        return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
+
+    def _respond(self, i: int, p: Array, start: Array) -> Response:
+        piece, layout = self.pieces[i], self.layout
+        motion, linear = self._simulate(i, p, start)
+        active = layout.active(piece.run)
+        g = self._inputs(piece, p, motion, active)
+        _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
+        x_sens = edges[:: piece.per_frame, 0, :]
+        shift, slope, direct = self._picture(piece, p, motion, active)
+        x_sens = (1 + slope)[:, None] * x_sens
+        x_sens[:, :-2] += direct
+        model_y = motion.x_edge[:: piece.per_frame] + shift
+        weighted = x_sens / piece.sigma[:, None]
+        residual = (piece.y - model_y) / piece.sigma
+        q, upper = np.linalg.qr(weighted[:, -2:])
+        on_start = q.T @ weighted[:, :-2]
+        return Response(
+            piece=piece,
+            motion=motion,
+            linear=linear,
+            active=active,
+            model_y=model_y,
+            shift_slope=slope,
+            r=residual - q @ (q.T @ residual),
+            jac=weighted[:, :-2] - q @ on_start,
+            q=q,
+            upper=upper,
+            on_start=on_start,
+            r_full=residual,
+        )
+
+    def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Linear]:
+        piece = self.pieces[i]
+        values, level = self.layout.values(p, piece.run)
+
+        def acceleration(x: Array, v: Array, t: Array) -> Array:
+            return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+
+        motion, linear = solve(acceleration, piece.panels, (float(start[0]), float(start[1])), self._guess[i])
+        self._guess[i] = motion.a
+        return motion, linear
+
+    def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
+        """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
+        values, level = self.layout.values(p, piece.run)
+        path = piece.along(motion.x, motion.v, level)
+        columns = self.model.force_columns(path, values)
+        base = self.model.force(path, values)
+        g = np.zeros((len(path.t), len(active)))
+        for j, i in enumerate(active):
+            slot = self.layout.slots[i]
+            if slot.linear and slot.effect in columns:
+                g[:, j] = columns[slot.effect][:, self._column(slot.effect, slot.parameter)]
+            elif not slot.linear:
+                step = _step(p[i], slot.bounds)
+                values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
+                moved = self.model.force(piece.along(motion.x, motion.v, level_i), values_i)
+                g[:, j] = (moved - base) / step
+        return -g / piece.mass
+
+    def _column(self, effect: str, parameter: str) -> int:
+        of = next(e for e in self.model.effects if e.name == effect)
+        return [q.name for q in of.linear].index(parameter)
+
+    def _picture(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> tuple[Array, Array, Array]:
+        """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown."""
+        x = motion.x_edge[:: piece.per_frame]
+        v = motion.v_edge[:: piece.per_frame]
+        shift, slope, direct = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), len(active)))
+        if all(e.acts_on == "force" for e in self.model.effects):
+            return shift, slope, direct
+
+        def total(p_: Array, x_: Array) -> Array:
+            values, level = self.layout.values(p_, piece.run)
+            blocks = self.model.measurement_columns(piece.at_frames(x_, v, level), values)
+            return np.sum([b @ self.model.coefficients(n, values) for n, b in blocks.items()], axis=0)
+
+        shift = total(p, x)
+        h = 1e-7 * max(float(np.ptp(x)), 1e-3)
+        slope = (total(p, x + h) - total(p, x - h)) / (2 * h)
+        pictures = {e.name for e in self.model.effects if e.acts_on == "measurement"}
+        for j, i in enumerate(active):
+            slot = self.layout.slots[i]
+            if slot.effect in pictures:
+                step = 1.0 if slot.linear else _step(p[i], slot.bounds)
+                direct[:, j] = (total(_moved(p, i, step), x) - shift) / step
+        return shift, slope, direct
+
+
+def _unit_starts(n: int) -> Array:
+    start = np.zeros((2, n + 2))
+    start[0, n] = start[1, n + 1] = 1.0
+    return start
+
+
+def _step(value: float, bounds: tuple[float, float]) -> float:
+    width = bounds[1] - bounds[0]
+    return 1e-6 * max(abs(value), 1e-3 * width if np.isfinite(width) else 1.0)
+
+
+def _moved(p: Array, i: int, step: float) -> Array:
+    out = p.copy()
+    out[i] += step
+    return out
+
+
+def span_of(pieces: Sequence[Piece], fps: float) -> Span:
+    """How far the pieces reach in time, place and speed."""
+    speeds = np.concatenate([np.abs(p.v_hat) for p in pieces])
+    return Span(
+        duration=max(float(p.t[-1] - p.t[0]) for p in pieces),
+        x_min=min(float(p.y.min()) for p in pieces),
+        x_max=max(float(p.y.max()) for p in pieces),
+        v_min=float(speeds.min()),
+        v_max=float(speeds.max()),
+        fps=fps,
+    )

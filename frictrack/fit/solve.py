@@ -1,0 +1,149 @@
+"""Output-error Gauss-Newton: re-simulate, linearise, step, until the law stops moving."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.layout import settle
+from frictrack.fit.problem import Problem, Response
+from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
+from frictrack.records import Array
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where Gauss-Newton came to rest: unknowns p (P,), starts, spread tau, and the model linearised there."""
+
+    problem: Problem
+    p: Array
+    starts: list[Array]
+    tau: float
+    responses: list[Response]
+    objective: float
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(sum(r.r @ r.r for r in self.responses))
+
+    @property
+    def jac(self) -> Array:
+        """Whitened Jacobian of all frames, starts removed, (N, P)."""
+        return stacked(self.responses, len(self.p))
+
+    @property
+    def residual(self) -> Array:
+        """Whitened residual of all frames, starts removed, (N,)."""
+        return np.concatenate([r.r for r in self.responses])
+
+    @property
+    def basis(self) -> Basis:
+        """Orthonormal basis of the linearised model."""
+        return basis_of(self.jac, self.problem.layout.levels)
+
+    def unlevelled(self) -> Array:
+        """Residual with the fitted departures of the levels from one put back: data of the random effect, (N,)."""
+        levels = self.problem.layout.levels
+        return self.residual + self.jac[:, levels] @ (self.p[levels] - 1)
+
+
+def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
+    """Jacobians of all pieces one under the other, in the full set of unknowns."""
+    blocks = []
+    for r in responses:
+        full = np.zeros((len(r.r), n_unknowns))
+        full[:, r.active] = r.jac
+        blocks.append(full)
+    return np.concatenate(blocks)
+
+
+def refine(
+    problem: Problem, p: Array, starts: Sequence[Array], *, tau: float = 0.03, max_steps: int = 40
+) -> Solution:
+    """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels."""
+    low, high = problem.layout.bounds
+    state = _state(problem, np.clip(p, low, high), list(starts), tau)
+    damping = 1e-4
+    for _ in range(max_steps):
+        step, gain = _step(state, damping, (low, high))
+        if gain < 1e-5:
+            break
+        try:
+            new_starts = [s + r.start_step(step[r.active]) for s, r in zip(state.starts, state.responses, strict=True)]
+            trial = _state(problem, np.clip(state.p + step, low, high), new_starts, tau)
+        except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
+            damping *= 10
+            continue
+        if trial.objective < state.objective:
+            improved = state.objective - trial.objective
+            state, damping = trial, max(damping * 0.1, 1e-9)
+            if improved < 1e-5:
+                break
+        else:
+            damping *= 10
+            if damping > 1e8:
+                break
+    return state
+
+
+def _state(problem: Problem, p: Array, starts: list[Array], tau: float) -> Solution:
+    p = settle(problem.layout, p)
+    responses = problem.evaluate(p, starts)
+    held = restraint(p[problem.layout.levels], tau)
+    objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(held @ held)
+    return Solution(problem, p, starts, tau, responses, objective)
+
+
+def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple[Array, float]:
+    """Bounded damped least-squares step of the unknowns, and the fall of the objective that it promises."""
+    n = len(state.p)
+    levels = state.problem.layout.levels
+    rows, right = _compressed(state.responses, n)
+    rows = np.vstack([rows, restraint_rows(n, levels, state.tau)])
+    right = np.concatenate([right, -restraint(state.p[levels], state.tau)])
+    norm = np.linalg.norm(rows, axis=0)
+    norm[norm == 0] = 1.0
+    damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(n)])
+    target = np.concatenate([right, np.zeros(n)])
+    low, high = (bounds[0] - state.p) * norm, (bounds[1] - state.p) * norm
+    z = np.linalg.lstsq(damped, target, rcond=1e-13)[0]
+    if np.any(z < low) or np.any(z > high):
+        wall = 1e-12 * (1 + np.abs(state.p)) * norm
+        z = lsq_linear(damped, target, bounds=(np.minimum(low, -wall), np.maximum(high, wall)), method="bvls").x
+    # what a change of the starts alone would gain counts too: r_full against r
+    waste = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
+    gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + waste
+    return z / norm, gain
+
+
+def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
+    """The same least-squares problem in few rows: R factors of every piece's (Jacobian, residual)."""
+    rows, right = [], []
+    for r in responses:
+        k = len(r.active)
+        upper = np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r")
+        block = np.zeros((len(upper), n))
+        block[:, r.active] = upper[:, :k]
+        rows.append(block)
+        right.append(upper[:, k])
+    return np.vstack(rows), np.concatenate(right)
+
+
+def settle_scatter(problem: Problem, p: Array, starts: Sequence[Array], tau: float = 0.03) -> Solution:
+    """Refine the law and the spread of the levels in turn until the spread stays."""
+    for _ in range(6):
+        solution = refine(problem, p, starts, tau=tau)
+        basis = solution.basis
+        if not basis.random:
+            return solution
+        data = solution.unlevelled()
+        new = basis.spread(basis.u.T @ data, float(data @ data))
+        p, starts, old, tau = solution.p, solution.starts, tau, new
+        if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
+            break
+    return refine(problem, p, starts, tau=tau)

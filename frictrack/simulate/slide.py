@@ -1,0 +1,167 @@
+"""Trajectories of the slider under any sum of effects: m x'' = D - F, with sticking, release and reversal.
+
+Between stops the direction of motion s is held fixed, so the law is smooth and the shared collocation integrator
+keeps its order. At v = 0 the mass sticks while the drive lies between the friction of starting backward and that
+of starting forward, both of which the model itself gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import brentq
+
+from frictrack.effects import Path
+from frictrack.models import Model, Values
+from frictrack.records import GRAVITY, Array
+from frictrack.simulate.dynamics import NODES, Panels, solve
+
+WINDOW = 64  # panels solved at once
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What holds in one simulated run: mass kg, load and mass over their references, pitch m, incline rad."""
+
+    mass: float
+    load: float = 1.0
+    mass_ratio: float = 1.0
+    pixel_pitch: float | None = None
+    incline: float = 0.0
+    drive: Callable[[Array], Array] | None = None  # t (n,) -> N
+
+
+@dataclass(frozen=True)
+class Slide:
+    """True motion at the frames: t s, x m, v m/s, a m/s^2, F N, and the picture's shift o m; each (n,)."""
+
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    F: Array
+    shift: Array
+
+
+@dataclass
+class _Walk:
+    """The law bound to its conditions, and the states collected on the way."""
+
+    model: Model
+    values: Values
+    conditions: Conditions
+    states: dict[float, tuple[float, float, float]] = field(default_factory=dict)  # t -> x, v, s
+
+    def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
+        c = self.conditions
+        drive = None if c.drive is None else c.drive(t)
+        return Path(t, x, v, np.full(np.shape(t), s), c.load, c.mass_ratio, c.pixel_pitch, drive)
+
+    def push(self, t: Array) -> Array:
+        """Drive and gravity along the course, N."""
+        c = self.conditions
+        drive = np.zeros_like(t) if c.drive is None else c.drive(t)
+        return drive - c.mass * GRAVITY * np.sin(c.incline)
+
+    def acceleration(self, s: float) -> Callable[[Array, Array, Array], Array]:
+        def law(x: Array, v: Array, t: Array) -> Array:
+            return (self.push(t) - self.model.force(self.path(x, v, t, s), self.values)) / self.conditions.mass
+
+        return law
+
+    def excess(self, x: float, t: Array, s: float) -> Array:
+        """Push beyond the friction of starting in direction s from rest at x, N, positive when it starts."""
+        zero = np.zeros_like(t)
+        return s * (self.push(t) - self.model.force(self.path(zero + x, zero, t, s), self.values))
+
+
+def simulate(
+    model: Model,
+    values: Values,
+    conditions: Conditions,
+    t: Array,
+    start: tuple[float, float],
+    *,
+    per_frame: int = 2,
+) -> Slide:
+    """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release."""
+    walk = _Walk(model, values, conditions)
+    edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
+    now, x, v = float(edges[0]), float(start[0]), float(start[1])
+    while now < edges[-1] - 1e-12:
+        ahead = np.concatenate([[now], edges[edges > now + 1e-12]])
+        s = np.sign(v) if v else _starts(walk, x, now)
+        now, x, v = _slide(walk, ahead, (x, v), float(s)) if s else _rest(walk, ahead, x)
+    return _collect(walk, t)
+
+
+def _starts(walk: _Walk, x: float, now: float) -> float:
+    """Direction in which the mass sets off from rest, 0 when it sticks."""
+    for s in (1.0, -1.0):
+        if walk.excess(x, np.array([now]), s)[0] > 1e-9:
+            return s
+    return 0.0
+
+
+def _rest(walk: _Walk, ahead: Array, x: float) -> tuple[float, float, float]:
+    """Stick until the push overcomes friction in either direction, or to the end."""
+    for i, t in enumerate(ahead):
+        free = [s for s in (1.0, -1.0) if walk.excess(x, np.array([t]), s)[0] > 1e-9]
+        if free and i > 0:
+            gap = lambda tau, s=free[0]: float(walk.excess(x, np.array([tau]), s)[0]) - 1e-9  # noqa: E731
+            return float(brentq(gap, ahead[i - 1], t)) + 1e-9, x, 0.0
+        walk.states[float(t)] = (x, 0.0, 0.0)
+    return float(ahead[-1]), x, 0.0
+
+
+def _slide(walk: _Walk, ahead: Array, start: tuple[float, float], s: float) -> tuple[float, float, float]:
+    """Slide in direction s through at most `WINDOW` panels, or to the stop."""
+    panels = Panels(ahead[: WINDOW + 1])
+    law = walk.acceleration(s)
+    first = float(law(np.array([start[0]]), np.array([start[1]]), panels.edges[:1])[0])
+    motion, _ = solve(law, panels, start, np.full(len(panels.t), first))
+    stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
+    last = int(stopped[0]) + 1 if len(stopped) else len(panels.edges)  # edges before the stop
+    for k in range(last):
+        walk.states[float(panels.edges[k])] = (float(motion.x_edge[k]), float(motion.v_edge[k]), s)
+    if not len(stopped):
+        return float(panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
+    return _stop(law, panels, (motion.x_edge[last - 1], motion.v_edge[last - 1]), motion.a, last - 1)
+
+
+def _stop(
+    law: Callable[[Array, Array, Array], Array], panels: Panels, state: tuple[float, float], a: Array, k: int
+) -> tuple[float, float, float]:
+    """Time and place of the stop inside panel k."""
+    h, begin = panels.h[k], panels.edges[k]
+    curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a.reshape(-1, 3)[k], 2)[::-1]).integ(k=float(state[1]))
+    tau = float(brentq(curve, 0.0, h)) if curve(0.0) * curve(h) < 0 else h
+    if tau < 1e-12:
+        return float(begin) + 1e-9, float(state[0]), 0.0
+    piece = Panels(np.array([begin, begin + tau]))
+    motion, _ = solve(law, piece, (float(state[0]), float(state[1])), np.full(3, float(a[3 * k])))
+    return float(begin) + tau, float(motion.x_edge[-1]), 0.0
+
+
+def _collect(walk: _Walk, t: Array) -> Slide:
+    known = np.array(sorted(walk.states))
+    nearest = known[np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)]
+    x, v, s = np.array([walk.states[k] for k in nearest]).T
+    a, force = np.zeros_like(x), np.zeros_like(x)
+    for direction in (-1.0, 0.0, 1.0):
+        here = s == direction
+        if not here.any():
+            continue
+        push = walk.push(t[here])
+        if direction:
+            force[here] = walk.model.force(walk.path(x[here], v[here], t[here], direction), walk.values)
+            a[here] = (push - force[here]) / walk.conditions.mass
+        else:
+            force[here] = push
+    blocks = walk.model.measurement_columns(walk.path(x, v, t, 1.0), walk.values)
+    shift = np.zeros_like(x)
+    for name, block in blocks.items():
+        shift += block @ walk.model.coefficients(name, walk.values)
+    return Slide(t, x, v, a, force, shift)
