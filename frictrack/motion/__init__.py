@@ -1,0 +1,7 @@
+"""Displacement -> low-pass -> displacement, velocity and acceleration with their standard deviations."""
+
+from frictrack.motion.derivative import differentiate
+from frictrack.motion.filter import low_pass
+from frictrack.motion.noise import lag1, noise_level
+
+__all__ = ["differentiate", "lag1", "low_pass", "noise_level"]

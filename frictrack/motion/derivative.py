@@ -1,0 +1,80 @@
+"""The stage low-passed displacement -> velocity and acceleration, with standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.motion.grid import Grid, frame_grid
+from frictrack.motion.smoother import deviations, penalty, smooth, weights
+from frictrack.records import Array, Filtered, Motion
+
+NODES = 6  # frames a derivative stencil may take
+
+
+def differentiate(filtered: Filtered) -> Motion:
+    """Velocity and acceleration of a low-passed displacement by central differences.
+
+    Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout.
+    The standard deviations are those of the stencils under the covariance of the smoother,
+    sigma^2 (W + lambda D'D)^-1. `guard` counts the end frames in which sigma_a exceeds twice its median.
+    """
+    grid = frame_grid(filtered.t)
+    x, v, a = _derive(filtered.x, filtered.sigma_x, filtered.cutoff, grid)
+    a_y = np.full((2, len(filtered)), np.nan)
+    if np.isfinite(filtered.cutoff_y):
+        a_y = _derive(filtered.y, filtered.sigma_y, filtered.cutoff_y, grid)[2]
+    return Motion(
+        t=filtered.t,
+        x=x[0],
+        v=v[0],
+        a=a[0],
+        a_y=a_y[0],
+        sigma_x=x[1],
+        sigma_v=v[1],
+        sigma_a=a[1],
+        sigma_a_y=a_y[1],
+        guard=_guard(a[1][np.isfinite(filtered.sigma_x)]),
+        cutoff=filtered.cutoff,
+    )
+
+
+def _derive(x: Array, sigma: Array, cutoff: float, grid: Grid) -> Array:
+    """Derivatives of order 0, 1, 2 of the rows, with their standard deviations (3, 2, n)."""
+    known = np.isfinite(sigma)
+    w = grid.spread(weights(sigma, known))
+    noise = np.mean(sigma[known] ** -2.0) ** -0.5  # of a frame of weight 1
+    start, stencils = _stencils(grid)
+    values = np.sum(stencils * _whole(x, grid)[start[:, None] + np.arange(NODES)], axis=-1)
+    spread = noise * deviations(w, penalty(cutoff, grid.interval), start, stencils)
+    return np.stack([values, spread], axis=1)[:, :, grid.frames]
+
+
+def _whole(x: Array, grid: Grid) -> Array:
+    """Smoothed rows on the grid; frames without a row are bridged with the least third differences."""
+    if grid.n == len(x):
+        return x
+    w = grid.spread(np.full(len(x), 1e6))  # so much that the rows, smooth as they are, stay in place
+    return smooth(grid.spread(x), w, 1.0)
+
+
+def _stencils(grid: Grid) -> tuple[NDArray[np.int64], Array]:
+    """First frame (n,) and weights (3, n, NODES) of the stencils of order 0, 1, 2 of every frame of the grid."""
+    frame = np.arange(grid.n)
+    start = np.clip(frame - 2, 0, grid.n - NODES)
+    place = frame - start
+    table = np.array([[_stencil(p, order) for p in range(NODES)] for order in range(3)])
+    return start, table[:, place] / grid.interval ** np.arange(3.0)[:, None, None]
+
+
+def _stencil(place: int, order: int) -> Array:
+    """Weights (NODES,) of the derivative at node `place`; five nodes where these lie symmetric about it."""
+    m = NODES - 1 if place == 2 else NODES
+    powers = np.vander(np.arange(m) - float(place), increasing=True).T
+    wanted = np.array([1.0, 1.0, 2.0])[order] * (np.arange(m) == order)
+    return np.pad(np.linalg.solve(powers, wanted), (0, NODES - m))
+
+
+def _guard(sigma_a: Array) -> int:
+    good = np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a))
+    return int(max(good[0], len(sigma_a) - 1 - good[-1]))
