@@ -1,0 +1,200 @@
+"""study.toml -> `Study`: every fault found at once, each with the table and the line it stands in."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from frictrack.errors import FrictrackError
+from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, nearest
+
+TABLES: dict[str, type[Keys]] = {
+    "study": StudyTable,
+    "camera": CameraTable,
+    "run": RunTable,
+    "effect": EffectTable,
+}
+MANY = ("run", "effect")  # written with two brackets
+RUN_NAME = re.compile(r"(?!study$)[^\W_](?:[\w .,+=()#-]*[\w)+])?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file, read and checked."""
+
+    path: Path
+    name: str
+    model: str | tuple[str, ...]  # the first model
+    output: Path  # folder of the results
+    runs: tuple[RunTable, ...]
+    effects: tuple[EffectTable, ...] = ()
+    mass: Value | None = None  # of [study]: the load at which newtons are quoted
+
+    @property
+    def folder(self) -> Path:
+        """What paths in the study file are relative to."""
+        return self.path.parent
+
+
+def load(path: str | Path) -> Study:
+    """Read a study file, or the ``study.toml`` of a folder.
+
+    Raises `FrictrackError` (usage) with all faults in one sentence each: what was expected, what came, where.
+    """
+    path = Path(path)
+    path = path / "study.toml" if path.is_dir() else path
+    text = _read(path)
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
+    reader = _Reader(text, {"folder": path.parent})
+    study = reader.study(path, raw)
+    if reader.faults or study is None:
+        raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
+    return study
+
+
+def _read(path: Path) -> str:
+    if path.exists() and path.suffix != ".toml":
+        way = f"frictrack run {path.name} --mass 0.35kg --scale 0.5mm/px --fps 4000"
+        raise FrictrackError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one", usage=True)
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as e:
+        raise FrictrackError(
+            f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8", usage=True
+        ) from e
+    except OSError as e:
+        there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        hint = nearest(path.name, there) if there else f"`frictrack init {path.parent}` writes one"
+        raise FrictrackError(f"expected a study file {path} but cannot read it; {hint}", usage=True) from e
+
+
+class _Reader:
+    """Gathers faults while the tables are read one after the other."""
+
+    def __init__(self, text: str, context: dict[str, Any]) -> None:
+        self.lines = text.splitlines()
+        self.context = context
+        self.faults: list[str] = []
+
+    def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
+        for name, value in raw.items():
+            self._check_table(name, value)
+        head = self._table("study", 0, raw.get("study", {}))
+        camera = self._table("camera", 0, raw.get("camera", {}))
+        runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
+        effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
+        if not raw.get("run"):
+            self.faults.append("expected at least one [[run]] but got none; `frictrack init FOLDER` shows how")
+        if self.faults:
+            return None
+        merged = tuple(self._merged(i, run, head, camera) for i, run in enumerate(runs))
+        self._check_names(merged)
+        return Study(
+            path=path,
+            name=head.name or path.resolve().parent.name,
+            model=head.model if isinstance(head.model, str) else tuple(head.model),
+            output=path.parent / (head.output or f"{path.stem}_results"),
+            runs=merged,
+            effects=tuple(effects),
+            mass=None if head.mass == "fit" else head.mass,
+        )
+
+    def _check_table(self, name: str, value: Any) -> None:
+        if name not in TABLES:
+            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {nearest(name, TABLES)}')
+        elif not isinstance(value, list if name in MANY else dict):
+            brackets = f"[[{name}]]" if name in MANY else f"[{name}]"
+            self.faults.append(f'expected "{name}" as a table {brackets} ({self._line(name, 0, "")})')
+
+    def _table(self, table: str, index: int, raw: Any) -> Any:
+        try:
+            return TABLES[table].model_validate(raw, context=self.context)
+        except ValidationError as e:
+            seen: set[Any] = set()
+            for fault in e.errors(include_url=False):
+                key = fault["loc"][0] if fault["loc"] else ""
+                if key not in seen:
+                    self.faults.append(self._sentence(table, index, raw, fault))
+                seen.add(key)
+            return None
+
+    def _sentence(self, table: str, index: int, raw: Any, fault: Any) -> str:
+        key = str(fault["loc"][0]) if fault["loc"] else ""
+        where = f"{_title(table, index, raw)}, {self._line(table, index, key)}"
+        if fault["type"] == "extra_forbidden":
+            home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
+            hint = f"it belongs in [{home}]" if home else nearest(key, TABLES[table].model_fields)
+            return f'{where}: unknown key "{key}"; {hint}'
+        if fault["type"] == "value_error":
+            said = str(fault["ctx"]["error"])
+            return f"{where}: {said}" if key in said else f"{where}: {key}: {said}"
+        said = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
+        return f"{where}: {key}: {said[0].lower()}{said[1:]} but got {fault['input']!r}"
+
+    def _merged(self, index: int, run: RunTable, head: StudyTable, camera: CameraTable) -> RunTable:
+        where = f"{_title('run', index, run.model_dump())}, {self._line('run', index, '')}"
+        if (run.video is None) == (run.table is None):
+            came = "neither" if run.video is None else "both"
+            self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
+            return run
+        inherited = {"mass": head.mass, "fps": camera.fps, "scale": camera.scale}
+        update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
+        run = run.model_copy(update={**update, "name": run.name or run.source.stem})
+        self.faults += [f"{where}: {fault}" for fault in _run_faults(run)]
+        return run
+
+    def _check_names(self, runs: tuple[RunTable, ...]) -> None:
+        names = [run.name.casefold() for run in runs]
+        for i, run in enumerate(runs):
+            if run.name.casefold() in names[:i]:
+                line = self._line("run", i, "name")
+                self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
+
+    def _line(self, table: str, index: int, key: str) -> str:
+        """Where a key stands: `line 12`; the table's header when the key is not found."""
+        header = re.compile(r"\s*\[+\s*(\w+)")
+        at, count, inside = 0, -1, not table
+        for number, line in enumerate(self.lines, 1):
+            if opened := header.match(line):
+                count += opened[1] == table
+                inside = opened[1] == (table or key) and (count == index or not table)
+                at = number if inside and not at else at
+            if inside and key and re.match(rf'\s*["\']?{re.escape(key)}["\']?\s*[.=]', line):
+                return f"line {number}"
+        return f"line {at or 1}"
+
+
+def _tables(raw: dict[str, Any], name: str) -> list[Any]:
+    value = raw.get(name, [])
+    return value if isinstance(value, list) else []
+
+
+def _title(table: str, index: int, raw: Any) -> str:
+    if table not in MANY:
+        return f"[{table}]"
+    name = (raw.get("name") or raw.get("effect")) if isinstance(raw, dict) else None
+    return f'[[{table}]] "{name}"' if name else f"[[{table}]] number {index + 1}"
+
+
+def _run_faults(run: RunTable) -> list[str]:
+    """What the keys of one run must be to each other."""
+    faults = []
+    if not RUN_NAME.fullmatch(run.name):
+        faults.append(f'expected a name that can be a file name (letters, digits, spaces, .-_) but got "{run.name}"')
+    if run.video and run.scale is None:
+        faults.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')
+    if run.video and run.mass is None:
+        faults.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
+    if run.mass == "fit" and not (run.drive or run.table):
+        faults.append('expected a measured drive beside mass = "fit" but got none; give drive = "drive.csv"')
+    if run.columns and run.video:
+        faults.append("expected columns only beside a table")
+    return faults

@@ -1,0 +1,194 @@
+"""The keys of a study file, each with its type and unit: DESIGN section 4 as a table.
+
+Values are checked here one by one; what they must be to each other is checked by `load`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationInfo
+
+from frictrack.units import quantity
+
+Value = tuple[float, float]  # SI, with its standard deviation
+Pair = tuple[float, float]
+COLUMNS = {
+    "t": ("t_s", "s"),
+    "x": ("x_m", "m"),
+    "sigma": ("sigma_m", "m"),
+    "y": ("y_m", "m"),
+    "drive": ("drive_N", "N"),
+    "a": ("a_m_s2", "m/s^2"),
+    "friction": ("friction_N", "N"),
+}  # short name in `columns` -> header and unit in the table
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """What to try instead of a wrong word: the nearest right one, or all of them."""
+    known = list(known)
+    near = difflib.get_close_matches(word, known, 1)
+    return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+
+
+def si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = math.inf) -> Value:
+    """A number in `unit`, or a text with a unit and perhaps an uncertainty, as (value, std)."""
+    value, std = quantity(raw, unit, what)
+    if not above < value < below:
+        span = f"above {above:g} {unit}" if below == math.inf else f"between {above:.3g} and {below:.3g} {unit}"
+        raise ValueError(f"expected {what} {span} but got {raw!r}")
+    return value, std
+
+
+def _number(unit: str, **limits: float) -> BeforeValidator:
+    """A physical value without its standard deviation."""
+    return BeforeValidator(lambda raw, info: si(raw, unit, str(info.field_name), **limits)[0])
+
+
+def _span(unit: str) -> BeforeValidator:
+    """Two values, the first below the second."""
+
+    def check(raw: Any, info: ValidationInfo) -> Pair:
+        if not isinstance(raw, list) or len(raw) != 2:
+            raise ValueError(f"expected [start, end] in {unit} but got {raw!r}")
+        start, end = (si(part, unit, str(info.field_name))[0] for part in raw)
+        if start >= end:
+            raise ValueError(f"expected an end after the start but got {raw!r}")
+        return start, end
+
+    return BeforeValidator(check)
+
+
+def _mass(raw: Any) -> Any:
+    return raw if raw == "fit" else si(raw, "kg", "mass", above=0.0)
+
+
+def _path(raw: Any, info: ValidationInfo) -> Path:
+    """A file or folder that is there, relative to the study file."""
+    if not isinstance(raw, str) or not raw:
+        raise ValueError(f"expected the path of a file but got {raw!r}")
+    path: Path = (info.context or {})["folder"] / raw
+    if not path.exists():
+        there = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+        near = difflib.get_close_matches(path.name, there, 1)
+        hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
+        raise ValueError(f'expected a file "{raw}" but there is none{hint}')
+    return path
+
+
+def _rectangle(raw: Any) -> Any:
+    numbers = isinstance(raw, list) and len(raw) == 4 and all(isinstance(v, int | float) for v in raw)
+    if not numbers or min(raw[2:]) <= 0:
+        raise ValueError(f"expected a rectangle [x, y, width, height] in px but got {raw!r}")
+    return raw
+
+
+def _columns(raw: Any) -> Any:
+    for key in raw if isinstance(raw, dict) else ():
+        if key not in COLUMNS:
+            raise ValueError(f'expected one of {", ".join(COLUMNS)} but got "{key}"; {nearest(key, COLUMNS)}')
+    return raw
+
+
+def _model(raw: Any) -> Any:
+    if isinstance(raw, str) or (isinstance(raw, list) and all(isinstance(name, str) for name in raw)):
+        return raw
+    raise ValueError(f"expected the name of a model or a list of effects but got {raw!r}")
+
+
+def _scale(raw: Any) -> Any:
+    if isinstance(raw, str | int | float) and not isinstance(raw, bool):
+        return raw
+    if isinstance(raw, dict) and set(raw) == {"points", "length"}:
+        return raw
+    wanted = '"0.5 mm/px" or {points = [[x, y], [x, y]], length = "100 mm"}'
+    raise ValueError(f"expected {wanted} but got {raw!r}")
+
+
+Rectangle = Annotated[tuple[float, float, float, float], BeforeValidator(_rectangle)]
+Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
+Scale = Annotated[Any, BeforeValidator(_scale)]
+File = Annotated[Path, BeforeValidator(_path)]
+Frequency = Annotated[float, _number("Hz", above=0.0)]
+Place = Annotated[float, _number("m")]
+Length = Annotated[float, _number("m", above=0.0)]
+Load = Annotated[float, _number("N", above=0.0)]
+Energy = Annotated[float, _number("J", above=0.0)]
+Angle = Annotated[float, _number("rad", above=-math.pi / 2, below=math.pi / 2)]
+Times = Annotated[Pair, _span("s")]
+
+
+class Keys(BaseModel):
+    """A table of the study file: nothing but the keys that are named here."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class StudyTable(Keys):
+    """`[study]`."""
+
+    name: str = ""
+    mass: Mass | None = None
+    model: Annotated[Any, BeforeValidator(_model)] = "tustin"
+    output: str = ""
+
+
+class CameraTable(Keys):
+    """`[camera]`; for a table, `scale` is the pixel pitch."""
+
+    fps: Frequency | None = None
+    scale: Scale | None = None
+
+
+class RunTable(Keys):
+    """`[[run]]`, with what it inherits from `[study]` and `[camera]` once `load` has put them together."""
+
+    name: str = ""
+    video: File | None = None
+    table: File | None = None
+    mass: Mass | None = None
+    fps: Frequency | None = None
+    scale: Scale | None = None
+    target: Rectangle | None = None
+    reference: Rectangle | None = None
+    targets: dict[str, Rectangle] = {}
+    clamp_x: Place | None = None
+    beam_length: Length | None = None
+    template: File | None = None
+    axis: Pair | None = None
+    origin_px: Pair | None = None
+    x_offset: Place = 0.0
+    free: Times | None = None
+    cutoff: Frequency | None = None
+    incline: Angle | None = None
+    normal_load: Load | None = None
+    drive: File | None = None
+    sensor: File | None = None
+    columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
+    impact_energy: Energy | None = None
+    group: str = ""
+    role: Literal["fit", "validation"] = "fit"
+    note: str = ""
+
+    @property
+    def source(self) -> Path:
+        """The film or the table."""
+        path = self.video or self.table
+        assert path is not None  # `load` has seen to it
+        return path
+
+
+class EffectTable(Keys):
+    """`[[effect]]`: settings of one effect, or with `formula` a new one."""
+
+    effect: str
+    fix: dict[str, float] = {}
+    bounds: dict[str, Pair] = {}
+    prior: dict[str, Pair] = {}  # mean and standard deviation
+    tie: dict[str, str] = {}
+    per_run: list[str] = []
+    formula: str | None = None

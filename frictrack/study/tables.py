@@ -1,0 +1,150 @@
+"""Runs that come as tables: CSV or Excel -> columns in SI units, checked at the border."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError, gather
+from frictrack.records import Array
+from frictrack.study.schema import COLUMNS, nearest
+from frictrack.units import quantity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
+NO_COLUMNS: Mapping[str, str] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class TableData:
+    """The columns of a table in SI units, each of shape (n,); None for one that is not there."""
+
+    t: Array
+    x: Array | None = None
+    sigma: Array | None = None
+    y: Array | None = None
+    drive: Array | None = None
+    a: Array | None = None
+    friction: Array | None = None
+
+
+def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
+    """Read a run: columns t_s and x_m, and of sigma_m, y_m, drive_N, a_m_s2, friction_N those that are there.
+
+    `columns` names other headers: ``{"t": "Time (ms)", "friction": "-F (uN)"}``; the unit is read from the
+    parentheses (SI without), a leading minus flips the sign. Raises `FrictrackError` that lists all faults:
+    a missing column, a value that is no number, time that does not rise, fewer than two rows.
+    """
+    return _read(path, columns, required=("t", "x"))
+
+
+def read_clocked(path: Path, wanted: Sequence[str]) -> TableData:
+    """Read a sensor with its own clock: t_s and at least one of the `wanted` columns."""
+    data = _read(path, NO_COLUMNS, required=("t",))
+    if all(getattr(data, name) is None for name in wanted):
+        headers = " or ".join(COLUMNS[name][0] for name in wanted)
+        raise FrictrackError(f"{path.name}: expected a column {headers} beside t_s but got none")
+    return data
+
+
+def resample(t: Array, clock: Array, values: Array, what: str) -> Array:
+    """Values measured on another clock at the times `t`, by linear interpolation.
+
+    Raises `FrictrackError` when the sensor was not running over the whole of `t` (half a sample may lack).
+    """
+    slack = 0.5 * max(float(np.max(np.diff(t))), float(np.max(np.diff(clock))))
+    if t[0] < clock[0] - slack or t[-1] > clock[-1] + slack:
+        raise FrictrackError(
+            f"{what}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
+            f"but got {clock[0]:g} to {clock[-1]:g} s; shift its t_s to the clock of the run"
+        )
+    return np.interp(t, clock, values)
+
+
+def _read(path: Path, columns: Mapping[str, str], required: Sequence[str]) -> TableData:
+    frame = _frame(path)
+    present = [str(header).strip() for header in frame.columns]
+    frame.columns = present
+    faults: list[str] = []
+    values: dict[str, Any] = {}
+    for name, (standard, unit) in COLUMNS.items():
+        header, sign = _header(columns.get(name, standard), present)
+        if header in present:
+            values[name], found = _column(frame[header], sign * _factor(header, standard, unit))
+            faults += found
+        elif name in required or name in columns:
+            faults.append(f'expected a column "{header}" but got {", ".join(present)}; {_hint(header, present)}')
+    if not faults:
+        faults += _time_faults(values["t"])
+    gather(faults, path.name)
+    return TableData(**values)
+
+
+def _hint(header: str, present: list[str]) -> str:
+    return f'{nearest(header, present)} Map it with columns = {{t = "Time (ms)", x = "pos (mm)"}}'
+
+
+def _header(written: str, present: list[str]) -> tuple[str, float]:
+    """The header that is meant, and its sign."""
+    if written.startswith("-") and written not in present:
+        return written[1:].strip(), -1.0
+    return written, 1.0
+
+
+def _factor(header: str, standard: str, unit: str) -> float:
+    """SI units per unit of the column."""
+    named = UNIT.search(header)
+    return quantity(f"1 {named[1]}", unit, header)[0] if named and header != standard else 1.0
+
+
+def _column(series: pd.Series[Any], factor: float) -> tuple[Array, list[str]]:
+    import pandas as pd  # noqa: PLC0415 - half a second that `--help` need not wait for
+
+    values = np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad) == 0:
+        return values * factor, []
+    came = series.iloc[int(bad[0])]
+    more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
+    return values, [f'expected numbers in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
+
+
+def _time_faults(t: Array) -> list[str]:
+    if len(t) < 2:
+        return [f"expected at least two rows but got {len(t)}"]
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back):
+        i = int(back[0])
+        return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
+    return []
+
+
+def _frame(path: Path) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415
+
+    try:
+        if path.suffix.lower() in (".xlsx", ".xls"):
+            return pd.read_excel(path)
+        return pd.read_csv(path, comment="#", encoding="utf-8-sig", **_dialect(path))
+    except ImportError as e:
+        raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
+    except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
+        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
+        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
+
+
+def _dialect(path: Path) -> dict[str, Any]:
+    """Separator and decimal sign as the first two lines show them."""
+    with path.open(encoding="utf-8-sig") as file:
+        lines = [line for line in file.readlines(20_000) if line.strip() and not line.startswith("#")][:2]
+    header = lines[0] if lines else ""
+    separator = max("\t;,", key=header.count)
+    german = separator != "," and len(lines) == 2 and "," in lines[1]
+    return {"sep": separator, "decimal": "," if german else "."}

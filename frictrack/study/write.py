@@ -1,0 +1,105 @@
+"""A study file made from recordings: for `run a.avi b.avi`, and commented for a newcomer by `init FOLDER`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from frictrack.errors import FrictrackError
+
+TABLES = (".csv", ".xlsx")
+FILMS = (".avi", ".mp4", ".mov", ".mkv", ".tif", ".tiff", ".mraw", ".cine", ".cihx")
+PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
+
+INTRO = """A study of frictrack: which runs were filmed, and what is known of them.
+Every length, mass and time is SI, or a text with its unit: 0.35 or "350 g" or "0.350 +/- 0.002 kg".
+Paths are relative to this file. Lines that begin with # are switched off.
+`frictrack run {name}` does everything and writes a report."""
+STUDY = {
+    "mass": ("0.350 +/- 0.002 kg", "the mass that slides; weigh it, friction goes with it"),
+    "model": ("tustin", "the first model: tustin, atm1:2, or a list such as ['coulomb', 'viscous']"),
+}
+CAMERA = {
+    "fps": (4000, "frames per second while filming (not what the file plays at); friction goes with its square"),
+    "scale": ("0.5 mm/px", "how large one pixel is on the course"),
+}
+RUN = """Keys that a run may have of its own:
+mass = "0.70 kg"            another mass than [study] says
+target = [410, 232, 96, 64] where the slider is in the first frame, when it is not found by itself (x, y, w, h)
+incline = "22 deg"          the course rises toward +x; negative where it falls
+free = ["0.01 s", "0.2 s"]  the part of the run that is judged, when the one found is wrong
+role = "validation"         not fitted, only predicted"""
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """Films, tables and folders of pictures in a folder, by name."""
+    if not folder.is_dir():
+        raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
+    found = [p for p in folder.iterdir() if _is_recording(p)]
+    if not found:
+        known = ", ".join((*FILMS, *TABLES))
+        raise FrictrackError(f"expected recordings in {folder} but found none (looked for {known}, picture folders)")
+    return sorted(found)
+
+
+def write_study(
+    path: Path, recordings: Sequence[Path], keys: Mapping[str, Any] | None = None, *, commented: bool = False
+) -> Path:
+    """Write the study file of some recordings.
+
+    `keys` are those of [study] and [camera] that are known (mass, model, fps, scale); with `commented` the
+    unknown ones stand there switched off, with a word on each. Raises `FrictrackError` (usage) where a study
+    file is already.
+    """
+    if path.exists():
+        raise FrictrackError(f"{path} is already there; `frictrack run {path}` uses it, or move it away", usage=True)
+    known = {key: value for key, value in (keys or {}).items() if value is not None}
+    document = tomlkit.document()
+    for line in INTRO.format(name=path.name).splitlines() if commented else ():
+        document.add(tomlkit.comment(line))
+    document["study"] = _section({"name": path.resolve().parent.name} | known, ("name", *STUDY), STUDY, commented)
+    document["camera"] = _section(known, tuple(CAMERA), CAMERA, commented)
+    runs = tomlkit.aot()
+    for recording, name in zip(recordings, _names(recordings), strict=True):
+        table = tomlkit.table()
+        table["name"] = name
+        kind = "table" if recording.suffix.lower() in TABLES else "video"
+        table[kind] = Path(os.path.relpath(recording, path.parent)).as_posix()
+        runs.append(table)
+    document["run"] = runs
+    text = tomlkit.dumps(document)
+    text += "".join(f"\n# {line}" for line in RUN.splitlines()) + "\n" if commented else ""
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _is_recording(path: Path) -> bool:
+    if path.is_dir():
+        pictures = [p for p in path.iterdir() if p.suffix.lower() in PICTURES]
+        return len(pictures) > 1 and not path.name.endswith("_results")
+    return path.suffix.lower() in (*FILMS, *TABLES) and not path.name.startswith(".")
+
+
+def _section(
+    known: Mapping[str, Any], keys: Sequence[str], words: Mapping[str, tuple[Any, str]], commented: bool
+) -> Any:
+    table = tomlkit.table()
+    for key in keys:
+        example, why = words.get(key, ("", ""))
+        if commented and why:
+            table.add(tomlkit.comment(why))
+        if key in known:
+            table[key] = known[key]
+        elif commented:
+            table.add(tomlkit.comment(f"{key} = {tomlkit.item(example).as_string()}"))
+    return table
+
+
+def _names(recordings: Sequence[Path]) -> list[str]:
+    """The stems, or the whole names where two stems are the same."""
+    stems = [p.stem.casefold() for p in recordings]
+    return [p.stem if stems.count(p.stem.casefold()) == 1 else p.name for p in recordings]
