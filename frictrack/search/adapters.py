@@ -14,6 +14,7 @@ from frictrack.records import Array
 from frictrack.search.ledger import Ledger
 
 ENDLESS = 10**9  # iterations: the ledger's budget decides
+DIFFERENCE = 1e-8  # of the box, the step of a forward difference
 
 
 @dataclass(frozen=True)
@@ -52,28 +53,42 @@ class DE:
 class DA:
     """Dual annealing (Tsallis & Stariolo 1996; Xiang et al. 1997) by SciPy, with its local searches (L-BFGS-B).
 
-    It asks for one point at a time, so it gains nothing from a vectorised cost. A generation is 2 d evaluations, the
-    length of one of its Markov chains.
+    It asks for single points, except that the local searches take their differences from one vectorised call. A
+    generation is about 2 d evaluations, the length of one of its Markov chains.
     """
 
     temperature: float = 5230.0
     visit: float = 2.62
-    local_search: bool = True
 
     def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
         """Search until the ledger stops it."""
+        box = _unit_box(ledger)
+        chain, closed = 2 * ledger.dimension, 0
 
-        def one(unit: Array) -> float:
-            if ledger.evaluations % (2 * ledger.dimension) == 0:
+        def cost(unit: Array) -> float:
+            nonlocal closed
+            if ledger.evaluations >= closed + chain:
+                closed = ledger.evaluations
                 ledger.close()
             return float(ledger(np.clip(unit, 0.0, 1.0)[None])[0])
 
+        def gradient(unit: Array) -> Array:
+            step = np.where(unit < 0.5, DIFFERENCE, -DIFFERENCE)
+            costs = ledger(np.vstack([unit, unit + np.diag(step)]))
+            return (costs[1:] - costs[0]) / step
+
+        local: Any = {
+            "method": "L-BFGS-B",
+            "jac": gradient,
+            "bounds": box,
+            "options": {"maxiter": max(100, 6 * ledger.dimension)},  # SciPy's own limit
+        }
         dual_annealing(
-            one,
-            _unit_box(ledger),
+            cost,
+            box,
+            minimizer_kwargs=local,
             initial_temp=self.temperature,
             visit=self.visit,
-            no_local_search=not self.local_search,
             maxiter=ENDLESS,
             maxfun=ENDLESS,
             rng=rng,

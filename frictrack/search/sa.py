@@ -22,8 +22,8 @@ class SA:
     1987). One generation is one move of every chain.
     """
 
-    chains: int = 20
-    temperature: float = 1.0  # T_0 over (median - minimum) of the first population's costs
+    chains: int = 8
+    temperature: float = 0.1  # T_0 over (median - minimum) of the first population's costs
     final: float = 1e-6  # T at the end of the budget over T_0
 
     def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
