@@ -42,6 +42,7 @@ class Layout:
     run_names: tuple[str, ...]
     span: Span
     absent: frozenset[tuple[str, int]] = frozenset()
+    levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
 

@@ -45,6 +45,19 @@ class Piece:
         """The path at the nodes for a given motion and friction level."""
         return replace(self.path, x=x, v=v, load=self.path.load * level)
 
+    def refined(self, per_frame: int) -> Piece:
+        """The same piece with more panels per frame."""
+        edges = np.interp(np.arange((len(self.t) - 1) * per_frame + 1) / per_frame, np.arange(len(self.t)), self.t)
+        panels = Panels(edges)
+        old, new = self.panels.t, panels.t
+        moved = {
+            name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")
+        }
+        drive = None if self.path.drive is None else np.interp(new, old, self.path.drive)
+        still = np.zeros_like(new)
+        path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
+        return replace(self, panels=panels, per_frame=per_frame, path=path, **moved)
+
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
         s = np.full_like(x, self.path.s[0])
@@ -247,7 +260,7 @@ class Problem:
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
             if slot.linear and slot.effect in columns:
-                g[:, j] = columns[slot.effect][:, self._column(slot.effect, slot.parameter)]
+                g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
             elif not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
@@ -255,7 +268,8 @@ class Problem:
                 g[:, j] = (moved - base) / step
         return -g / piece.mass
 
-    def _column(self, effect: str, parameter: str) -> int:
+    def column(self, effect: str, parameter: str) -> int:
+        """Which column of an effect a linear parameter multiplies."""
         of = next(e for e in self.model.effects if e.name == effect)
         return [q.name for q in of.linear].index(parameter)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from frictrack.fit.layout import Layout
 from frictrack.records import Array
 
 TAU = (1e-4, 0.5)  # where the relative spread of the level is looked for
@@ -72,19 +73,19 @@ def basis_of(jac: Array, levels: list[int]) -> Basis:
     return Basis(u[:, keep], seen.T @ seen, len(levels), random)
 
 
-def restraint(level: Array, tau: float) -> Array:
-    """Rows that hold the levels: (level - 1)/tau each, or their mean at one when there are too few runs."""
-    if len(level) >= MIN_RUNS:
-        return (level - 1) / tau
-    return np.array([(level.mean() - 1) * 1e4]) if len(level) else np.zeros(0)
-
-
-def restraint_rows(n_unknowns: int, levels: list[int], tau: float) -> Array:
-    """Derivative of `restraint` in the unknowns, (rows, P)."""
-    if not levels:
-        return np.zeros((0, n_unknowns))
-    pick = np.zeros((len(levels), n_unknowns))
+def restraint_rows(layout: Layout, tau: float) -> Array:
+    """Rows (m, P) that hold the levels about one: each to within tau, or their mean when there are too few runs."""
+    levels = layout.levels
+    pick = np.zeros((len(levels), len(layout.slots)))
     pick[np.arange(len(levels)), levels] = 1.0
-    if len(levels) >= MIN_RUNS:
-        return pick / tau
-    return pick.mean(axis=0, keepdims=True) * 1e4
+    if layout.levels_free or not levels:
+        return pick[:0]
+    return pick / tau if len(levels) >= MIN_RUNS else pick.mean(axis=0, keepdims=True) * 1e4
+
+
+def restraint(layout: Layout, p: Array, tau: float) -> Array:
+    """Departure of the levels from one, as `restraint_rows` weighs it, (m,)."""
+    at_one = np.zeros(len(p))
+    at_one[layout.levels] = 1.0
+    departure: Array = restraint_rows(layout, tau) @ (p - at_one)
+    return departure

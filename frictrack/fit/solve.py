@@ -68,24 +68,24 @@ def refine(
     """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels."""
     low, high = problem.layout.bounds
     state = _state(problem, np.clip(p, low, high), list(starts), tau)
-    damping = 1e-4
+    damping = 1e-8
     for _ in range(max_steps):
         step, gain = _step(state, damping, (low, high))
-        if gain < 1e-5:
+        if gain < 1e-4:
             break
         try:
             new_starts = [s + r.start_step(step[r.active]) for s, r in zip(state.starts, state.responses, strict=True)]
             trial = _state(problem, np.clip(state.p + step, low, high), new_starts, tau)
         except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
-            damping *= 10
+            damping *= 100
             continue
         if trial.objective < state.objective:
             improved = state.objective - trial.objective
-            state, damping = trial, max(damping * 0.1, 1e-9)
-            if improved < 1e-5:
+            state, damping = trial, max(damping * 0.1, 1e-12)
+            if improved < 1e-4:
                 break
         else:
-            damping *= 10
+            damping *= 100
             if damping > 1e8:
                 break
     return state
@@ -94,7 +94,7 @@ def refine(
 def _state(problem: Problem, p: Array, starts: list[Array], tau: float) -> Solution:
     p = settle(problem.layout, p)
     responses = problem.evaluate(p, starts)
-    held = restraint(p[problem.layout.levels], tau)
+    held = restraint(problem.layout, p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(held @ held)
     return Solution(problem, p, starts, tau, responses, objective)
 
@@ -102,10 +102,10 @@ def _state(problem: Problem, p: Array, starts: list[Array], tau: float) -> Solut
 def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple[Array, float]:
     """Bounded damped least-squares step of the unknowns, and the fall of the objective that it promises."""
     n = len(state.p)
-    levels = state.problem.layout.levels
+    layout = state.problem.layout
     rows, right = _compressed(state.responses, n)
-    rows = np.vstack([rows, restraint_rows(n, levels, state.tau)])
-    right = np.concatenate([right, -restraint(state.p[levels], state.tau)])
+    rows = np.vstack([rows, restraint_rows(layout, state.tau)])
+    right = np.concatenate([right, -restraint(layout, state.p, state.tau)])
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
     damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(n)])
@@ -139,7 +139,7 @@ def settle_scatter(problem: Problem, p: Array, starts: Sequence[Array], tau: flo
     for _ in range(6):
         solution = refine(problem, p, starts, tau=tau)
         basis = solution.basis
-        if not basis.random:
+        if not basis.random or problem.layout.levels_free:
             return solution
         data = solution.unlevelled()
         new = basis.spread(basis.u.T @ data, float(data @ data))

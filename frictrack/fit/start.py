@@ -1,0 +1,195 @@
+"""From nothing to a law: linear effects first, then one non-linear effect after the other where its scan is best."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.layout import Layout
+from frictrack.fit.problem import Piece, Problem, span_of
+from frictrack.fit.scan import Family, families, per_run_coefficients
+from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.models import Model
+from frictrack.records import Array
+
+PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
+TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at this level
+
+
+def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model from scratch.
+
+    Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
+    """
+    span = span_of(pieces, fps)
+    plain = tuple(e for e in model.effects if not _needs_scan(e))
+    if not plain:
+        raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
+    layout = Layout(Model(plain), names, span)
+    problem = Problem(layout.model, layout, pieces)
+    solution = settle_scatter(problem, _first_guess(problem), problem.first_starts())
+    for effect in model.effects:
+        if _needs_scan(effect):
+            solution = grow(solution, effect)
+    return reordered(solution, model)
+
+
+def _needs_scan(effect: Effect) -> bool:
+    return any(p.fixed is None for p in effect.nonlinear)
+
+
+def _first_guess(problem: Problem) -> Array:
+    """Coefficients of a linear model by least squares on the smoothed acceleration."""
+    layout = problem.layout
+    rows, right = [], []
+    p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
+    linear = [i for i, s in enumerate(layout.slots) if s.linear and s.run is None]
+    for piece in problem.pieces:
+        values, level = layout.values(p, piece.run)
+        columns = problem.model.force_columns(piece.along(piece.x_hat, piece.v_hat, level), values)
+        block = [
+            columns[layout.slots[i].effect][:, problem.column(layout.slots[i].effect, layout.slots[i].parameter)]
+            if layout.slots[i].effect in columns
+            else np.zeros(len(piece.v_hat))
+            for i in linear
+        ]
+        rows.append(np.stack(block, axis=1) / piece.mass)
+        right.append(piece.known - piece.a_hat)
+    p[linear] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-8)[0]
+    return p
+
+
+def grow(solution: Solution, effect: Effect) -> Solution:
+    """Add an effect where its scan gains most, and refine everything.
+
+    One amplitude serves all runs unless that is significantly worse than an amplitude per run.
+    Raises FrictrackError when the runs lack what the effect needs.
+    """
+    basis = solution.basis
+    made = families(solution, effect, basis)
+    if not made:
+        raise FrictrackError(f"{effect.name} needs {', '.join(effect.needs)} of every run; give scale in [camera]")
+    data = solution.unlevelled()[:, None]
+    shrink = basis.shrink(solution.tau)
+    on_basis = basis.u.T @ data
+    picks = [_pick(f, data, on_basis, shrink) for f in made]
+    tied = _refined(solution, effect, _start_values(solution, effect, made, picks))
+    if not (per_run_coefficients(effect) and len(solution.problem.layout.run_names) > 1) or len(made) > 1:
+        return tied
+    return _loosened(solution, tied, effect, (made, picks))
+
+
+def _loosened(solution: Solution, tied: Solution, effect: Effect, scan: tuple[list[Family], list[Pick]]) -> Solution:
+    """The same effect with an amplitude per run, where one amplitude is significantly worse."""
+    sizes = {p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth")}
+    loose_effect = effect.adjusted(**sizes)
+    loose = _refined(solution, loose_effect, _start_values(solution, loose_effect, *scan))
+    freedom = len(solution.problem.layout.run_names) - 1
+    worse = tied.objective - loose.objective
+    return loose if worse > chi2_distribution.isf(TIE_ALPHA, freedom) else tied
+
+
+Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
+
+
+def _pick(family: Family, data: Array, on_basis: Array, shrink: Array) -> Pick:
+    """The best form whose coefficients keep their bounds."""
+    projected = family.project(data)
+    gains = family.gains(projected, on_basis, shrink)[:, 0]
+    low = np.array([p.bounds[0] for p in family.effect.linear])
+    for g in np.argsort(-gains)[:50]:
+        c = family.coefficients(int(g), projected, on_basis, shrink)
+        if len(c) != len(low) or np.all(c >= low):
+            return float(gains[g]), family.grid[g], c
+    g = int(np.argmax(gains))
+    return float(gains[g]), family.grid[g], np.maximum(family.coefficients(g, projected, on_basis, shrink), 1e-6)
+
+
+Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]
+
+
+def _start_values(solution: Solution, effect: Effect, made: list[Family], picks: list[Pick]) -> Start:
+    """Start values of the effect's parameters by (name, run), and the runs in which it is absent."""
+    runs = range(len(solution.problem.layout.run_names))
+    if len(made) > 1 or any(p.scan is not None and p.per_run for p in effect.nonlinear):
+        return _event_values(solution, effect, picks)
+    _, point, c = picks[0]
+    out: dict[tuple[str, int | None], float] = {}
+    for p in effect.parameters:
+        if p.scan is not None or p.fixed is not None:
+            out |= {(p.name, r): point[p.name] for r in (runs if p.per_run else [None])}
+    if not any(p.role == "phase" for p in effect.parameters):
+        return out | {(p.name, None): float(v) for p, v in zip(effect.linear, c, strict=True)}, frozenset()
+    size = np.hypot(*c.reshape(-1, 2).T)
+    phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
+    for p in effect.parameters:
+        if p.role == "phase":
+            out |= {(p.name, r): float(phase[r]) for r in runs} if p.per_run else {(p.name, None): float(phase[0])}
+        elif p.role in ("amplitude", "depth"):
+            own = {(p.name, r): float(size[r]) for r in runs}
+            out |= own if p.per_run else {(p.name, None): float(np.mean(size))}
+    return out, frozenset()
+
+
+def _event_values(solution: Solution, effect: Effect, picks: list[Pick]) -> Start:
+    """Events of single runs: kept where they gain more than their price, at least in the best run."""
+    price = PULSE_PRICE * np.log(solution.problem.n_frames)
+    gains = np.array([g for g, _, _ in picks])
+    kept = np.flatnonzero((gains > price) | (gains == gains.max()))
+    out: dict[tuple[str, int | None], float] = {}
+    for p in effect.parameters:
+        if p.linear:
+            out |= {(p.name, int(r)): float(picks[r][2][0]) for r in kept}
+        elif p.per_run:
+            out |= {(p.name, int(r)): picks[r][1][p.name] for r in kept}
+        else:
+            out[p.name, None] = picks[int(np.argmax(gains))][1][p.name]
+    absent = frozenset((effect.name, r) for r in range(len(picks)) if r not in kept)
+    return out, absent
+
+
+def _refined(solution: Solution, effect: Effect, start: Start) -> Solution:
+    """The model with the effect added, refined from the given start."""
+    values, absent = start
+    old = solution.problem.layout
+    layout = replace(old, model=old.model + effect, absent=old.absent | absent)
+    known = dict(zip(old.names, solution.p, strict=True))
+    p = [
+        known[name] if name in known else values[s.parameter, s.run]
+        for name, s in zip(layout.names, layout.slots, strict=True)
+    ]
+    problem = rebuilt(solution.problem, layout)
+    first = refine(problem, np.array(p), solution.starts, tau=solution.tau or 0.03)
+    return settle_scatter(problem, first.p, first.starts, solution.tau or 0.03)
+
+
+def rebuilt(problem: Problem, layout: Layout) -> Problem:
+    """The same pieces under another layout, with as many panels per frame as its effects need."""
+    fine = max(e.fine for e in layout.model.effects)
+    pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
+    return Problem(layout.model, layout, pieces)
+
+
+def reordered(solution: Solution, model: Model) -> Solution:
+    """The same solution with the effects in the order of `model`."""
+    old = solution.problem.layout
+    made = {e.name: e for e in old.model.effects}
+    layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
+    known = dict(zip(old.names, solution.p, strict=True))
+    p = np.array([known[n] for n in layout.names])
+    problem = Problem(layout.model, layout, solution.problem.pieces)
+    return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
+
+
+def without(solution: Solution, name: str) -> Solution:
+    """The model without one effect, refined from where it stands."""
+    old = solution.problem.layout
+    absent = frozenset(pair for pair in old.absent if pair[0] != name)
+    layout = replace(old, model=old.model - name, absent=absent)
+    known = dict(zip(old.names, solution.p, strict=True))
+    problem = Problem(layout.model, layout, solution.problem.pieces)
+    return settle_scatter(problem, np.array([known[n] for n in layout.names]), solution.starts, solution.tau or 0.03)
