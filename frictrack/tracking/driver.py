@@ -1,0 +1,125 @@
+"""The flow of tracking: find the target, search it coarsely, learn its template, refine every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array, Track
+from frictrack.recording import Recording
+from frictrack.tracking.find import locate
+from frictrack.tracking.findings import key_frame_jumps
+from frictrack.tracking.follow import Coarse, Rectangle, cut_out, follow
+from frictrack.tracking.learn import learn
+from frictrack.tracking.refine import Fine, Template, refine
+
+Progress = Callable[[int, int, str], None]
+
+LEAST_SCORE = 0.7
+CHUNK = 256  # cut-outs refined at once
+
+
+def track(  # noqa: PLR0913
+    recording: Recording,
+    target: Sequence[float] | None = None,
+    *,
+    template: int = 0,
+    name: str = "target",
+    progress: Progress | None = None,
+) -> Track:
+    """Position of the moving body in every frame, in pixels, with a standard deviation and a score.
+
+    `target` is its rectangle [x, y, w, h] px in frame number `template`; without it the body that moves
+    farthest is found by itself. Position is that of the rectangle's centre. A frame in which the target is
+    not found holds NaN and the reason. Raises `FrictrackError` for a rectangle that does not fit the
+    picture, a film without contrast, or one in which nothing moves.
+    """
+    if target is None:
+        rectangle, template = locate(recording)
+    else:
+        rectangle = _checked(target, recording)
+    coarse = follow(recording, rectangle, template, progress)
+    if not len(coarse.frame):
+        raise FrictrackError(f"{recording.path.name}: the target {list(rectangle)} was found in no frame")
+    first = recording.frame(template)
+    x, y, w, h = rectangle
+    model = learn(coarse, cut_out(first, np.array([x, y]), (h, w)))
+    fine = _refine_all(coarse, model, progress)
+    return _assemble(recording, coarse, fine, rectangle, name)
+
+
+def _checked(target: Sequence[float], recording: Recording) -> Rectangle:
+    """The rectangle in whole pixels, inside the picture."""
+    height, width = recording.shape
+    if len(target) != 4 or not np.all(np.isfinite(target)):
+        raise FrictrackError(f"expected a target [x, y, w, h] in px but got {list(target)}")
+    x, y, w, h = (int(round(v)) for v in target)
+    if w < 8 or h < 8:
+        raise FrictrackError(f"expected a target of at least 8x8 px but got {w}x{h} px")
+    if x < 0 or y < 0 or x + w > width or y + h > height:
+        raise FrictrackError(
+            f"expected a target inside the {width}x{height} px picture but got [{x}, {y}, {w}, {h}]"
+        )
+    return x, y, w, h
+
+
+def _refine_all(coarse: Coarse, template: Template, progress: Progress | None) -> Fine:
+    parts = []
+    start, total = coarse.start, len(coarse.frame)
+    for at in range(0, total, CHUNK):
+        part = slice(at, at + CHUNK)
+        parts.append(refine(np.asarray(coarse.patches[part]), start[part], template))
+        if progress:
+            progress(at, total, "refine")
+    return Fine(**{key: np.concatenate([getattr(p, key) for p in parts]) for key in vars(parts[0])})
+
+
+def _assemble(
+    recording: Recording, coarse: Coarse, fine: Fine, rectangle: Rectangle, name: str
+) -> Track:
+    """One row per frame: the fine position where it can be trusted, else NaN and the reason."""
+    _, _, w, h = rectangle
+    corner = coarse.origin + fine.at
+    n = recording.n_frames
+    reason = np.array(coarse.reason, dtype=object)
+    reason[coarse.frame] = _reasons(corner, fine, (h, w), recording.shape)
+    score = coarse.score.copy()
+    score[coarse.frame] = fine.score
+    kept = reason[coarse.frame] == ""
+
+    def column(values: Array) -> Array:
+        out = np.full(n, np.nan)
+        out[coarse.frame[kept]] = values[kept]
+        return out
+
+    x, y = column(corner[:, 0] + (w - 1) / 2), column(corner[:, 1] + (h - 1) / 2)
+    return Track(
+        t=recording.t,
+        x_px=x,
+        y_px=y,
+        angle=column(fine.angle),
+        sigma_px=column(fine.sigma[:, 0]),
+        sigma_y_px=column(fine.sigma[:, 1]),
+        score=score,
+        reason=reason.astype(str),
+        name=name,
+        target=tuple(float(v) for v in rectangle),
+        notes=(*recording.notes, *key_frame_jumps(x, y)),
+    )
+
+
+def _reasons(corner: Array, fine: Fine, size: tuple[int, int], shape: tuple[int, int]) -> list[str]:
+    """Why each cut-out's position cannot be trusted; "" where it can."""
+    room = np.array(shape[::-1]) - np.array(size[::-1])
+    out = np.any((corner < -0.5) | (corner > room + 0.5), axis=1)
+    reasons = []
+    for outside, settled, score in zip(out, fine.settled, fine.score, strict=True):
+        if outside:
+            reasons.append("target leaves the frame")
+        elif not score >= LEAST_SCORE:
+            reasons.append(f"match score {score:.2f} below {LEAST_SCORE}")
+        else:
+            reasons.append("" if settled else "sub-pixel search did not settle")
+    return reasons

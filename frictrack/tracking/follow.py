@@ -1,0 +1,195 @@
+"""Coarse search: where the target is to a fraction of a pixel in every frame, by normalised correlation.
+
+The position is predicted from the last frames and looked for near there; when that fails, everywhere. What
+later stages need of the film is kept on the way, so that it is decoded only once: a cut-out per frame (in a
+temporary file, memory stays bounded) and the still background.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from frictrack.records import Array, Mask
+from frictrack.recording import Frame, Recording
+from frictrack.tracking.resample import PAD, Patch
+
+Progress = Callable[[int, int, str], None]
+Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
+
+NEAR = 0.8  # share of the usual score that a find near the prediction needs
+ANYWHERE = 0.5  # least score of a find anywhere
+BACKGROUND_FRAMES = 25
+BACKGROUND_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """What the search leaves: one row per frame, and the cut-outs of the frames in which it found something."""
+
+    corner: Array  # (n, 2) px, upper left corner of the target, NaN where lost
+    score: Array  # (n,)
+    reason: list[str]
+    patches: Patch  # (m, h + 2 PAD, w + 2 PAD), on disk
+    frame: np.ndarray  # (m,) frame of each cut-out
+    origin: np.ndarray  # (m, 2) px, whole-pixel corner that each cut-out was taken at
+    background: Array  # (H, W)
+
+    @property
+    def start(self) -> Array:
+        """Where the target is on each cut-out (m, 2) px."""
+        return self.corner[self.frame] - self.origin
+
+
+@dataclass
+class Follower:
+    """Looks for one patch in frame after frame."""
+
+    patch: Frame
+    usual: float = 1.0  # score of the last finds
+    last: list[Array] = field(default_factory=list)  # up to two positions in successive frames
+    lost: int = 0
+
+    def find(self, frame: Frame) -> tuple[Array, float]:
+        """Corner (x, y) px of the best match in `frame`, and its score; near the prediction if that will do."""
+        near = self._near(frame)
+        if near is not None:
+            corner, score = _match(frame, self.patch, near)
+            if score >= max(ANYWHERE, NEAR * self.usual):
+                return corner, score
+        return _match(frame, self.patch, None)
+
+    def predicted(self) -> Array | None:
+        """Where the corner should be now, from the last two finds."""
+        if not self.last:
+            return None
+        return self.last[-1] + (self.lost + 1) * self._velocity()
+
+    def accept(self, corner: Array, score: float) -> None:
+        """Remember a find."""
+        self.last = [*self.last[-1:], corner] if not self.lost else [corner]
+        self.usual, self.lost = 0.8 * self.usual + 0.2 * score, 0
+
+    def _velocity(self) -> Array:
+        return self.last[-1] - self.last[-2] if len(self.last) == 2 else np.zeros(2)
+
+    def _near(self, frame: Frame) -> Rectangle | None:
+        """The part of the frame (x, y, w, h) to search first."""
+        centre = self.predicted()
+        if centre is None or self.lost:
+            return None
+        reach = 5 + np.ceil(0.5 * np.abs(self._velocity())) + (16 if len(self.last) < 2 else 0)
+        size = np.array(self.patch.shape[::-1])
+        low = np.clip(np.rint(centre) - reach, 0, np.array(frame.shape[::-1]) - size).astype(int)
+        high = np.clip(np.rint(centre) + reach + size, low + size, frame.shape[::-1]).astype(int)
+        return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+
+
+def follow(
+    recording: Recording, target: Rectangle, template: int = 0, progress: Progress | None = None
+) -> Coarse:
+    """Search the `target`, as it looks in frame number `template`, in every frame of `recording`."""
+    x, y, w, h = target
+    follower = Follower(recording.frame(template)[y : y + h, x : x + w].copy())
+    follower.last = [np.array([x, y], dtype=np.float64)] if template == 0 else []
+    n = recording.n_frames
+    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    reason = ["frame cannot be read"] * n
+    rows, origins, kept = [], [], []
+    stride = max(1, n // _background_frames(recording))
+    with tempfile.TemporaryFile() as spool:
+        for i, frame in enumerate(recording.frames()):
+            corner[i], score[i], reason[i] = _one(follower, frame)
+            if not reason[i]:
+                rows.append(i)
+                origins.append(np.rint(corner[i]).astype(int))
+                spool.write(cut_out(frame, origins[-1], (h, w)).tobytes())
+            if i % stride == 0:
+                kept.append(frame)
+            if progress and i % 50 == 0:
+                progress(i, n, "search")
+        spool.flush()
+        shape = (len(rows), h + 2 * PAD, w + 2 * PAD)
+        patches = np.memmap(spool, follower.patch.dtype, "r", shape=shape) if rows else np.empty(shape)
+    background = np.median(np.stack(kept), axis=0)
+    return Coarse(corner, score, reason, patches, np.array(rows, int), np.array(origins), background)
+
+
+def _one(follower: Follower, frame: Frame) -> tuple[Array, float, str]:
+    """Corner, score and reason ("" when found) in one frame."""
+    nowhere = np.full(2, np.nan)
+    if frame.min() == frame.max():
+        follower.lost += 1
+        return nowhere, np.nan, "picture without contrast"
+    corner, score = follower.find(frame)
+    if score >= max(ANYWHERE, 0.6 * follower.usual):
+        follower.accept(corner, score)
+        return corner, score, ""
+    reason = f"match score {score:.2f} below {max(ANYWHERE, 0.6 * follower.usual):.2f}"
+    if _outside(follower.predicted(), follower.patch.shape, frame.shape):
+        reason = "target leaves the frame"
+    follower.lost += 1
+    return nowhere, score, reason
+
+
+def _outside(corner: Array | None, size: tuple[int, ...], shape: tuple[int, ...]) -> bool:
+    """Would a rectangle at `corner` stick out of the frame, or touch its edge?"""
+    if corner is None:
+        return False
+    room = np.array(shape[::-1]) - np.array(size[::-1])
+    return bool(np.any(corner <= 0.5) or np.any(corner >= room - 0.5))
+
+
+def _match(frame: Frame, patch: Frame, part: Rectangle | None) -> tuple[Array, float]:
+    """Best zero-normalised correlation of `patch` in (a `part` of) `frame`: corner (x, y), score."""
+    x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
+    scores = correlate(frame[y : y + h, x : x + w], patch)
+    _, best, _, (i, j) = cv2.minMaxLoc(scores)
+    return np.array([x + i + _vertex(scores[j], i), y + j + _vertex(scores[:, i], j)]), float(best)
+
+
+def correlate(frame: Frame, patch: Frame) -> Array:
+    """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0."""
+    if frame.dtype != np.uint8:
+        frame, patch = frame.astype(np.float32), patch.astype(np.float32)
+    scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED)
+    # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
+    scores[~(np.abs(scores) <= 1.0001)] = 0
+    return scores
+
+
+def _vertex(scores: Array, i: int) -> float:
+    """Vertex of the parabola through the best score and its neighbours, px from `i`."""
+    if i in (0, len(scores) - 1):
+        return 0.0
+    a, b, c = (float(s) for s in scores[i - 1 : i + 2])
+    bend = a - 2 * b + c
+    return 0.5 * (a - c) / bend if bend < 0 else 0.0
+
+
+def cut_out(frame: Frame, corner: np.ndarray, size: tuple[int, int]) -> Patch:
+    """The target's rectangle and PAD pixels round it, mirrored where the frame ends."""
+    x, y = corner - PAD
+    h, w = size[0] + 2 * PAD, size[1] + 2 * PAD
+    height, width = frame.shape
+    inside = frame[max(y, 0) : min(y + h, height), max(x, 0) : min(x + w, width)]
+    if inside.shape == (h, w):
+        return inside
+    beyond = (max(-y, 0), max(y + h - height, 0), max(-x, 0), max(x + w - width, 0))
+    return cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101)
+
+
+def usable(coarse: Coarse, size: tuple[int, int], shape: tuple[int, int]) -> Mask:
+    """Cut-outs (m,) whose target lies within the frame."""
+    room = np.array(shape[::-1]) - np.array(size[::-1])
+    at = coarse.corner[coarse.frame]
+    return np.all((at >= -0.5) & (at <= room + 0.5), axis=1)
+
+
+def _background_frames(recording: Recording) -> int:
+    size = recording.shape[0] * recording.shape[1] * (2 if recording.bit_depth > 8 else 1)
+    return int(np.clip(BACKGROUND_BYTES // size, 7, BACKGROUND_FRAMES))
