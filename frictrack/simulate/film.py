@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 
 Frame = NDArray[Any]
-Put = Callable[[Frame], None]
+Put = Callable[[Frame], object]
 
 
 def write_film(frames: Iterable[Frame], path: str | os.PathLike[str], fps: float, quality: int = 95) -> int:

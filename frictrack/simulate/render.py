@@ -19,13 +19,17 @@ from scipy.interpolate import make_interp_spline
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.camera import Camera, Oscillation
-from frictrack.simulate.texture import Series, Surface
+from frictrack.simulate.texture import Surface
 from frictrack.simulate.turned import Pose, turned_block
 
-Path = Callable[[Array], tuple[Array, ...]]  # times (n,) in s -> x, y in px and, if it turns, angle in rad
+Trajectory = Callable[[Array], tuple[Array, ...]]  # times (n,) in s -> x, y in px and, if it turns, angle in rad
 
+Pixels = NDArray[np.int_]
+
+WALL = Surface(size=5.0, level=0.25, contrast=0.05, seed=2)
 COURSE_STEP = 0.22  # how much lighter the course is than the wall behind it
 COURSE_EDGE = 1.2  # softness of the course's upper edge, px
+FEW, MORE = (np.polynomial.legendre.leggauss(n) for n in (3, 5))  # enough for 0.25 and 1 px of travel
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Target:
     width: float = 90.0
     height: float = 60.0
     surface: Surface = field(default_factory=Surface)
-    background: Surface = Surface(size=5.0, level=0.25, contrast=0.05, seed=2)
+    background: Surface = WALL
     course: bool = True
     rotation: Oscillation | None = None
 
@@ -50,7 +54,7 @@ class Target:
 
 
 def render(
-    position_px: Path | Array,
+    position_px: Trajectory | Array,
     camera: Camera,
     target: Target,
     rng: np.random.Generator,
@@ -60,14 +64,15 @@ def render(
 
     `position_px` is the centre of the block without camera shake: a function of times (n,) in s that returns
     x, y in px (and the angle in rad), or an array (n_frames, 2 or 3) at the frame times i / fps. Pixel centres
-    are integers, y points down. A function needs `n_frames`.
+    are integers, y points down. A function needs `n_frames` and is also asked for times half an exposure
+    before the first and after the last frame.
     """
     for clean in render_clean(position_px, camera, target, n_frames):
         yield camera.record(clean, rng)
 
 
 def render_clean(
-    position_px: Path | Array, camera: Camera, target: Target, n_frames: int | None = None
+    position_px: Trajectory | Array, camera: Camera, target: Target, n_frames: int | None = None
 ) -> Iterator[Array]:
     """Frames (height, width) of light without noise, 1 = white; see `render` for the arguments."""
     path, n = _path(position_px, camera, n_frames)
@@ -75,7 +80,7 @@ def render_clean(
     return (stage.frame(i / camera.fps) for i in range(n))
 
 
-def _path(position: Path | Array, camera: Camera, n_frames: int | None) -> tuple[Path, int]:
+def _path(position: Trajectory | Array, camera: Camera, n_frames: int | None) -> tuple[Trajectory, int]:
     """Positions as a function of time; an array is joined by a cubic spline through the frame times."""
     if callable(position):
         if n_frames is None:
@@ -106,7 +111,7 @@ class _Moments:
 class _Stage:
     """What stays the same from frame to frame: Fourier series, path, and the background where it is still."""
 
-    def __init__(self, path: Path, camera: Camera, target: Target) -> None:
+    def __init__(self, path: Trajectory, camera: Camera, target: Target) -> None:
         self.path, self.camera, self.target = path, camera, target
         self.surface = target.surface.series(target.width, target.height)
         self.background = target.background.series(camera.width, camera.height)
@@ -152,18 +157,18 @@ class _Stage:
         weight = weight * self.camera.light(times)
         return _Moments(weight, *self._place(times), *self.camera.shake(times))
 
-    def _window(self, moments: _Moments) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _window(self, moments: _Moments) -> tuple[Pixels, Pixels]:
         """Columns and rows of the picture that the block touches during the exposure, and one more around."""
         half_x, half_y = self.target.width / 2, self.target.height / 2
         if self.turns:
-            cos, sin = np.cos(moments.angle).min(), np.abs(np.sin(moments.angle)).max()
-            half_x, half_y = half_x + sin * half_y + 1 - min(cos, 0), half_y + sin * half_x + 1 - min(cos, 0)
+            sin = np.abs(np.sin(moments.angle)).max()
+            half_x, half_y = half_x + sin * half_y, half_y + sin * half_x
         return (
             _inside(moments.x, half_x, self.camera.width),
             _inside(moments.y, half_y, self.camera.height),
         )
 
-    def _straight(self, moments: _Moments, x: Array, y: Array) -> tuple[Array, Array]:
+    def _straight(self, moments: _Moments, x: Pixels, y: Pixels) -> tuple[Array, Array]:
         """Weighted sum over the exposure of the block's light and of the area that it covers."""
         x_edges = _clip(x, moments.x, self.target.width)
         y_edges = _clip(y, moments.y, self.target.height)
@@ -171,7 +176,7 @@ class _Stage:
         cover = (weight * np.diff(y_edges)).T @ np.diff(x_edges)
         return self.surface.cells(x_edges, y_edges, moments.weight), cover
 
-    def _turned(self, moments: _Moments, x: Array, y: Array) -> tuple[Array, Array]:
+    def _turned(self, moments: _Moments, x: Pixels, y: Pixels) -> tuple[Array, Array]:
         """The same for a block at an angle."""
         block, cover = np.zeros((2, len(y), len(x)))
         size = (self.target.width, self.target.height)
@@ -197,17 +202,17 @@ def _soft_step(z: Array) -> Array:
     return 0.5 * COURSE_EDGE * np.logaddexp(0.0, 2 * z / COURSE_EDGE)
 
 
-def _edges(pixels: Array) -> Array:
+def _edges(pixels: Pixels) -> Array:
     """Borders of neighbouring pixels: (n,) -> (n + 1,)."""
     return np.append(pixels - 0.5, pixels[-1] + 0.5)
 
 
-def _clip(pixels: Array, centre: Array, side: float) -> Array:
+def _clip(pixels: Pixels, centre: Array, side: float) -> Array:
     """Pixel borders seen from the block and cut to it: (q, n + 1)."""
     return np.clip(_edges(pixels) - centre[:, None], -side / 2, side / 2)
 
 
-def _inside(centre: Array, half: float, n: int) -> NDArray[np.int64]:
+def _inside(centre: Array, half: float, n: int) -> Pixels:
     """Pixels of a picture of n that a block from centre - half to centre + half touches, and one more around."""
     low, high = np.floor(centre.min() - half + 0.5) - 1, np.ceil(centre.max() + half - 0.5) + 1
     return np.arange(max(int(low), 0), min(int(high), n - 1) + 1)
@@ -223,7 +228,7 @@ def _crossings(t: Array, edge: Array) -> Array:
 
 def _gauss_legendre(cuts: Array, travel: float) -> tuple[Array, Array]:
     """Instants and weights (sum 1) that integrate a function smooth between the cuts."""
-    z, w = np.polynomial.legendre.leggauss(3 if travel < 0.25 else 5)
+    z, w = FEW if travel < 0.25 else MORE
     length = np.diff(cuts)
     times = cuts[:-1, None] + length[:, None] * (z + 1) / 2
     return times.ravel(), np.outer(length, w / 2).ravel() / (cuts[-1] - cuts[0])

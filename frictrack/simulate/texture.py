@@ -142,8 +142,10 @@ def _dots(x: Array, y: Array, size: float, rng: np.random.Generator) -> Array:
 
 
 def _checker(x: Array, y: Array, size: float, rng: np.random.Generator) -> Array:
-    """Black and white squares."""
-    return np.where((x // size + y // size) % 2 == 0, 1.0, -1.0)
+    """Black and white squares: a product of square waves without the harmonics above the band."""
+    odd = np.arange(1, max(2, 2 * HIGHEST * size), 2)[:, None, None]
+    wave_x, wave_y = (np.sum(4 / (np.pi * odd) * np.sin(odd * np.pi * z / size), axis=0) for z in (x, y))
+    return wave_x * wave_y
 
 
 PATTERNS: dict[str, Callable[[Array, Array, float, np.random.Generator], Array]] = {

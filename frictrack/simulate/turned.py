@@ -7,9 +7,11 @@ texture is taken as linear. Corners, four pixels of the picture, take the produc
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.simulate.texture import Series
@@ -23,23 +25,31 @@ class Pose(NamedTuple):
     angle: float
 
 
-def turned_block(series: Series, size: tuple[float, float], pose: Pose, x: Array, y: Array) -> tuple[Array, Array]:
-    """Light of the block and the area it covers in the pixels centred at x (nx,) and y (ny,): two (ny, nx)."""
-    dx, dy = x - pose.x, (y - pose.y)[:, None]
-    cos, sin = np.cos(pose.angle), np.sin(pose.angle)
-    mean = _pixel_mean(series, pose.angle, dx, dy[:, 0])
-    slope_y, slope_x = np.gradient(mean)
-    sides = (abs(cos), abs(sin))
-    area_u, moment_u = _between(cos * dx + sin * dy, size[0] / 2, sides)
-    area_v, moment_v = _between(cos * dy - sin * dx, size[1] / 2, sides)
-    slope_u, slope_v = cos * slope_x + sin * slope_y, cos * slope_y - sin * slope_x
-    cover = area_u * area_v
-    return mean * cover + slope_u * moment_u * area_v + slope_v * moment_v * area_u, cover
+def turned_block(
+    series: Series, size: tuple[float, float], pose: Pose, x: NDArray[np.int_], y: NDArray[np.int_]
+) -> tuple[Array, Array]:
+    """Light of the block and the area it covers in the pixels x (nx,) and y (ny,): two (ny, nx)."""
+    dx, dy = x - pose.x, y - pose.y
+    cos, sin = math.cos(pose.angle), math.sin(pose.angle)
+    # One pixel more on every side, for the slopes.
+    padded = _pixel_mean(series, pose.angle, _pad(dx), _pad(dy))
+    slope_x = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
+    slope_y = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
+    area_u, moment_u = _between(cos * dx + sin * dy[:, None], size[0] / 2, (abs(cos), abs(sin)))
+    area_v, moment_v = _between(cos * dy[:, None] - sin * dx, size[1] / 2, (abs(cos), abs(sin)))
+    light = padded[1:-1, 1:-1] * area_u * area_v
+    light += (cos * slope_x + sin * slope_y) * moment_u * area_v
+    light += (cos * slope_y - sin * slope_x) * moment_v * area_u
+    return light, area_u * area_v
+
+
+def _pad(place: NDArray[Any]) -> Array:
+    return np.concatenate([[place[0] - 1], place, [place[-1] + 1]])
 
 
 def _pixel_mean(series: Series, angle: float, dx: Array, dy: Array) -> Array:
     """Texture averaged over whole pixels; each turned wave is an outer product of its x and y parts."""
-    cos, sin = np.cos(angle), np.sin(angle)
+    cos, sin = math.cos(angle), math.sin(angle)
     q_x, q_y = np.broadcast_arrays(series.q_x, series.q_y[:, None])
     keep = np.abs(series.c) > 1e-7 * np.abs(series.c).max()
     q_x, q_y = q_x[keep], q_y[keep]
@@ -66,6 +76,8 @@ def _below(d: Array, sides: tuple[float, float]) -> tuple[Array, Array]:
     a, b = (max(side, 1e-6) for side in sides)
     d = np.clip(d, -(a + b) / 2, (a + b) / 2)
     steps = [(d + (a + b) / 2, 1), (d + (a - b) / 2, -1), (d - (a - b) / 2, -1), (d - (a + b) / 2, 1)]
-    area = sum(sign * np.maximum(z, 0) ** 2 for z, sign in steps) / (2 * a * b)
-    integral = sum(sign * np.maximum(z, 0) ** 3 for z, sign in steps) / (6 * a * b)
+    area, integral = (
+        np.sum([sign * np.maximum(z, 0) ** power for z, sign in steps], axis=0) / (math.factorial(power) * a * b)
+        for power in (2, 3)
+    )
     return area, d * area - integral
