@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.smoother import deviations, penalty, smooth, weights
+from frictrack.motion.smoother import deviations, lost_share, penalty, smooth, weights
 from frictrack.records import Array, Filtered, Motion
 
 NODES = 6  # frames a derivative stencil may take
@@ -16,8 +16,10 @@ def differentiate(filtered: Filtered) -> Motion:
     """Velocity and acceleration of a low-passed displacement by central differences.
 
     Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout.
-    The standard deviations are those of the stencils under the covariance of the smoother,
-    sigma^2 (W + lambda D'D)^-1. `guard` counts the end frames in which sigma_a exceeds twice its median.
+    The standard deviations are those of the stencils under the covariance of the smoother: the noise that it
+    lets through, and the signal that it takes away on average over the record. `guard`
+    is half a period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in
+    which sigma_a exceeds twice its median, if these are more; never more than an eighth of the record.
     """
     grid = frame_grid(filtered.t)
     x, v, a = _derive(filtered.x, filtered.sigma_x, filtered.cutoff, grid)
@@ -34,7 +36,7 @@ def differentiate(filtered: Filtered) -> Motion:
         sigma_v=v[1],
         sigma_a=a[1],
         sigma_a_y=a_y[1],
-        guard=_guard(a[1][np.isfinite(filtered.sigma_x)]),
+        guard=_guard(a[1][np.isfinite(filtered.sigma_x)], 1.0 / (filtered.cutoff * grid.interval)),
         cutoff=filtered.cutoff,
     )
 
@@ -43,10 +45,11 @@ def _derive(x: Array, sigma: Array, cutoff: float, grid: Grid) -> Array:
     """Derivatives of order 0, 1, 2 of the rows, with their standard deviations (3, 2, n)."""
     known = np.isfinite(sigma)
     w = grid.spread(weights(sigma, known))
-    noise = np.mean(sigma[known] ** -2.0) ** -0.5  # of a frame of weight 1
+    noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)  # of a frame of weight 1
+    lam, whole = penalty(cutoff, grid.interval), _whole(x, grid)
     start, stencils = _stencils(grid)
-    values = np.sum(stencils * _whole(x, grid)[start[:, None] + np.arange(NODES)], axis=-1)
-    spread = noise * deviations(w, penalty(cutoff, grid.interval), start, stencils)
+    values = np.sum(stencils * whole[start[:, None] + np.arange(NODES)], axis=-1)
+    spread = noise * deviations(w, lam, lost_share(whole, lam, noise**2), start, stencils)
     return np.stack([values, spread], axis=1)[:, :, grid.frames]
 
 
@@ -75,6 +78,8 @@ def _stencil(place: int, order: int) -> Array:
     return np.pad(np.linalg.solve(powers, wanted), (0, NODES - m))
 
 
-def _guard(sigma_a: Array) -> int:
+def _guard(sigma_a: Array, period: float) -> int:
+    """Frames not to be trusted at an end; `period` of the cut-off in frames."""
     good = np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a))
-    return int(max(good[0], len(sigma_a) - 1 - good[-1]))
+    ragged = max(good[0], len(sigma_a) - 1 - good[-1])
+    return int(min(max(np.ceil(period / 2.0), ragged), len(sigma_a) // 8))

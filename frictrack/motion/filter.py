@@ -36,18 +36,16 @@ def low_pass(displacement: Displacement, cutoff: float | None = None) -> Filtere
     return Filtered(displacement.t, x, y, sigma_x, sigma_y, cutoff_x, cutoff_y, reason)
 
 
-def _low_pass_one(
-    y: Array, sigma: Array, known: Mask, grid: Grid, cutoff: float | None
-) -> tuple[Array, Array, float]:
+def _low_pass_one(y: Array, sigma: Array, known: Mask, grid: Grid, cutoff: float | None) -> tuple[Array, Array, float]:
     """Low-pass one coordinate: smoothed rows, the noise of each row (inf where missing), the cut-off."""
     w = grid.spread(weights(sigma, known))
     full = grid.spread(np.where(known, y, 0.0))
-    if cutoff is None:
-        cutoff = best_cutoff(full, w, grid.interval)
-    lam = penalty(cutoff, grid.interval)
-    noise = np.sqrt(noise_variance(full, w, lam))
+    best = best_cutoff(full, w, grid.interval)
+    noise = np.sqrt(noise_variance(full, w, penalty(best, grid.interval)))  # no cut-off given may raise it
+    cutoff = best if cutoff is None else cutoff
     with np.errstate(divide="ignore"):
-        return smooth(full, w, lam)[grid.frames], noise / np.sqrt(w[grid.frames]), cutoff
+        sigma_rows = noise / np.sqrt(w[grid.frames])
+    return smooth(full, w, penalty(cutoff, grid.interval))[grid.frames], sigma_rows, cutoff
 
 
 def _check_position(x: Array, n: int) -> None:

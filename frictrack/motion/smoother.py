@@ -6,8 +6,8 @@ Away from the ends it *is* the zero-phase (forward-backward) Butterworth filter 
 |H(f)| = 1 / (1 + lambda (2 sin(pi f / fs))^6). Unlike that filter it needs no padding, has no end transient
 and takes a missing frame as a weight of zero. It is also the posterior mean of a signal whose jerk is white
 noise: hence a likelihood that chooses the cut-off (restricted maximum likelihood; Wahba 1985, Ann. Stat. 13)
-and the covariance sigma^2 (W + lambda D'D)^-1, which covers noise and lost signal on average (Wahba 1983,
-J. R. Stat. Soc. B 45).
+and a covariance sigma^2 (W + lambda D'D)^-1 that covers noise and lost signal on average (Wahba 1983, J. R.
+Stat. Soc. B 45).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from frictrack.records import Array, Mask
 D3 = np.array([-1.0, 3.0, -3.0, 1.0])  # third difference
 BAND = 3  # half bandwidth of the equations
 BLOCK = 8  # frames per block of the covariance
+STEP = 0.05  # of log lambda, for the derivative that parts noise from lost signal
 NO_WEIGHT = 1e-10  # of a missing frame in the covariance, which keeps that of an extrapolation finite
 
 
@@ -108,23 +109,47 @@ def _likelihood(y: Array, w: Array, lam: float) -> tuple[float, float]:
     return degrees * np.log(variance) + logdet - (len(w) - BAND) * np.log(lam), variance
 
 
-def deviations(w: Array, lam: float, start: NDArray[np.int64], stencils: Array) -> Array:
+def lost_share(x: Array, lam: float, variance: float) -> float:
+    """Lost signal of the smoothed series x (n,) over what white jerk would lose, in variance.
+
+    White jerk is more ragged than most slides, so the covariance that it implies would be too wide, mostly
+    for the acceleration. What smoothing takes from the smoothed series once more (Tukey's twicing) shows the
+    signal near the cut-off: its power is H^2 (1 - H)^2 of that of signal and noise, and that of white jerk is
+    H / (1 - H) of the noise.
+    """
+    taken = float(np.mean((x - smooth(x, np.ones(len(x)), lam)) ** 2)) / variance
+    h = 1.0 / (1.0 + lam * (2.0 * np.sin(np.pi * (np.arange(4096) + 0.5) / 8192)) ** 6)
+    from_noise, from_white_jerk = np.mean(h**2 * (1 - h) ** 2), np.mean(h**3 * (1 - h))
+    return max(float((taken - from_noise) / from_white_jerk), 0.0)
+
+
+def deviations(w: Array, lam: float, lost: float, start: NDArray[np.int64], stencils: Array) -> Array:
     """Standard deviation of linear combinations of neighbouring smoothed frames, for unit noise.
 
     Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most BLOCK
-    of them; the result has the shape of stencils without its last axis. Exact, in O(n): eliminating all
-    frames to one side of a block alters only the corner of its equations that they couple to; with these
-    corners, the inverse of two neighbouring blocks is that part of the whole inverse.
+    of them; the result has the shape of stencils without its last axis. With A = W + lambda D'D, the variance
+    A^-1 of white jerk is noise A^-1 W A^-1 plus lost signal -dA^-1/dlog(lambda); the latter counts `lost`
+    times.
     """
+    both, up, down = (_variances(w, lam * np.exp(d), start, stencils) for d in (0.0, STEP, -STEP))
+    return np.asarray(np.sqrt(both + (1.0 - lost) * (up - down) / (2.0 * STEP)))
+
+
+def _variances(w: Array, lam: float, start: NDArray[np.int64], stencils: Array) -> Array:
+    """Variances under A^-1 of the combinations."""
     window = np.minimum(start // BLOCK, max(-(-len(w) // BLOCK) - 2, 0))
     covariance = _window_covariances(w, lam)
     inside = (start - window * BLOCK)[:, None] + np.arange(stencils.shape[-1])
     near = covariance[window[:, None, None], inside[:, :, None], inside[:, None, :]]
-    return np.asarray(np.sqrt(np.einsum("...ij,ijk,...ik->...i", stencils, near, stencils)))
+    return np.asarray(np.einsum("...ij,ijk,...ik->...i", stencils, near, stencils))
 
 
 def _window_covariances(w: Array, lam: float) -> Array:
-    """Covariances (m, 2 BLOCK, 2 BLOCK) of the frames of each two neighbouring blocks."""
+    """Covariances A^-1 (m, 2 BLOCK, 2 BLOCK) of the frames of each two neighbouring blocks, exact, in O(n).
+
+    Eliminating all frames to one side of a block alters only the corner of its equations that they couple to;
+    with the corners from both sides, the inverse of two blocks is that part of the whole inverse.
+    """
     pairs, size = _block_pairs(np.maximum(w, NO_WEIGHT), lam), 2 * BLOCK
     links = pairs[:, size : size + BAND, size - BAND : size]
     before = np.zeros((len(pairs), BAND, BAND))

@@ -1,0 +1,205 @@
+"""Motion, mass and drive -> friction force, on the section in which nothing else acts on the slider.
+
+    F = D - m a,   D = drive - m g sin(incline)
+
+F > 0 resists motion toward +x; the incline is positive when the course rises toward +x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.motion import noise_level
+from frictrack.records import GRAVITY, Array, Friction, Mask, Run
+
+MOVING = 3.0  # |v| over sigma_v above which a frame moves
+CERTAIN = 5.0  # |v| over sigma_v that a stretch of moving frames must reach to be a motion at all
+PUSHED = 0.8  # of the highest speed: a record that begins slower shows the push
+IMPACT_TIME = 4e-3  # s, within which an impact takes half of the speed
+IMPACT_FACTOR = 5.0  # deceleration of an impact over the usual one
+MIN_FREE = 8  # frames, fewer cannot be judged
+
+
+@dataclass(frozen=True)
+class _Section:
+    """First and last free frame, the frame of release, and why they are these."""
+
+    first: int
+    last: int
+    release: int
+    begins: str
+    ends: str
+
+
+def free_section(run: Run) -> tuple[Mask, str]:
+    """Frames (n,) in which friction alone slows the slider, and in words why they are these.
+
+    `run.free` overrides. With a measured drive or measured friction: every moving frame. With `has_incline`:
+    from the beginning of motion to the first of impact, last valid frame and stop. Otherwise the slider was
+    struck or pushed: from the highest speed, to the same ends. Invalid frames are never free.
+    Raises FrictrackError when fewer than 8 frames are left.
+    """
+    valid, moving = run.displacement.valid, _moving(run)
+    if run.free is not None:
+        t = run.motion.t
+        mask = valid & (t >= run.free[0]) & (t <= run.free[1])
+        reason = f"{run.free[0]:g} s to {run.free[1]:g} s as given"
+    elif _measured(run):
+        mask = valid & moving
+        what = "drive" if run.friction_N is None else "friction"
+        stuck = int(np.sum(valid & ~moving))
+        reason = f"whole record ({what} is measured), {stuck} of {len(valid)} frames left out as stuck"
+    else:
+        section = _section(run)
+        mask = valid & moving
+        mask[: section.first] = mask[section.last + 1 :] = False
+        reason = f"from {section.begins} to {section.ends}"
+    if np.sum(mask) < MIN_FREE:
+        raise FrictrackError(
+            f'run "{run.name}": expected at least {MIN_FREE} free frames but got {np.sum(mask)} ({reason}); '
+            "give the free section as free = [t0, t1]"
+        )
+    return mask, reason
+
+
+def release_time(run: Run) -> float:
+    """Recording time of the release, s: where the free motion begins, before the guard of the filter.
+
+    It is the highest speed of a pushed run, the beginning of motion on an incline, else the first free frame.
+    """
+    if run.free is None and not _measured(run):
+        return float(run.motion.t[_section(run).release])
+    return float(run.motion.t[np.argmax(free_section(run)[0])])
+
+
+def moving_sections(run: Run) -> list[slice]:
+    """Stretches of free frames in one direction of motion, as slices of the record.
+
+    An invalid frame between free ones does not cut a stretch (so a slice may hold a few), a stuck one does.
+    """
+    mask, _ = free_section(run)
+    free = np.flatnonzero(mask)
+    direction = np.sign(run.motion.v[free])
+    halted = np.cumsum(run.displacement.valid & ~mask)[free]
+    cuts = np.flatnonzero((np.diff(direction) != 0) | (np.diff(halted) > 0)) + 1
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(free, cuts)]
+
+
+def friction(run: Run) -> Friction:
+    """Friction force F = D - m a of a run with its standard deviation, and its free section.
+
+    sigma_F is the root of the sum of squares of m sigma_a, of sigma_mass |a + g sin(incline)| (common to all
+    frames, not independent from one to the next), and of the white noise of the measured drive. Where
+    friction itself was measured, F is that series, its gaps bridged linearly, and sigma_F its white noise.
+    """
+    mask, reason = free_section(run)
+    if run.friction_N is not None:
+        F, sigma = _measured_friction(run.friction_N)
+        return Friction(run.motion.t, F, sigma, mask & np.isfinite(run.friction_N), reason)
+    assert run.mass is not None  # Run checks this
+    pull = run.motion.a + GRAVITY * np.sin(run.incline)
+    drive = np.zeros(len(pull)) if run.drive is None else np.asarray(run.drive, dtype=float)
+    sigma_drive = 0.0 if run.drive is None else _white(drive)
+    variance = (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * pull) ** 2 + sigma_drive**2
+    return Friction(run.motion.t, drive - run.mass * pull, np.sqrt(variance), mask, reason)
+
+
+def _measured_friction(series: Array) -> tuple[Array, Array]:
+    known = np.isfinite(series)
+    rows = np.arange(len(series))
+    return np.interp(rows, rows[known], series[known]), np.full(len(series), _white(series))
+
+
+def _white(series: Array) -> float:
+    """White noise of a measured force, 0 where it cannot be told."""
+    return float(np.nan_to_num(noise_level(series, np.isfinite(series))[0]))
+
+
+def _measured(run: Run) -> bool:
+    return run.drive is not None or run.friction_N is not None
+
+
+def _moving(run: Run) -> Mask:
+    return np.asarray(np.abs(run.motion.v) > MOVING * run.motion.sigma_v)
+
+
+def _section(run: Run) -> _Section:
+    """The free section of a run that coasts or slides down an incline."""
+    start, stop = _main_motion(run)
+    first, release, begins = _begin(run, start, stop)
+    last, ends = _end(run, first, stop)
+    return _Section(first, last, release, begins, ends)
+
+
+def _main_motion(run: Run) -> tuple[int, int]:
+    """First and last valid frame of the motion that counts: past a reversal on an incline, else up to it."""
+    valid, speed = run.displacement.valid, np.abs(run.motion.v)
+    stretches = [s for s in _stretches(_moving(run) | ~valid) if _is_motion(run, s)]
+    if not stretches:
+        raise FrictrackError(
+            f'run "{run.name}": expected a sliding target but its speed never exceeds {CERTAIN:g} standard '
+            "deviations; check the target, or give the free section as free = [t0, t1]"
+        )
+    fastest = max(stretches, key=lambda s: float(np.max(np.where(valid[s], speed[s], 0.0))))
+    chosen = (stretches[0].start, stretches[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
+    inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
+    return int(inside[0]), int(inside[-1])
+
+
+def _is_motion(run: Run, s: slice) -> bool:
+    sure = np.abs(run.motion.v[s]) > CERTAIN * run.motion.sigma_v[s]
+    return bool(np.any(sure & run.displacement.valid[s]))
+
+
+def _stretches(mask: Mask) -> list[slice]:
+    """Slices of consecutive True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
+    """First free frame, frame of release, and why."""
+    t, guard = run.motion.t, run.motion.guard
+    speed = np.where(run.displacement.valid, np.abs(run.motion.v), 0.0)[start : stop + 1]
+    fastest = int(np.argmax(speed))
+    before = speed[: fastest + 1]
+    if run.has_incline:
+        release, event = start, f"the beginning of motion at {t[start]:.4g} s"
+        rested = bool(np.any(run.displacement.valid[:start]))
+    else:
+        rested = bool(np.min(before[before > 0.0]) < PUSHED * before[-1])
+        release, event = start + fastest, f"the highest speed at {t[start + fastest]:.4g} s"
+    if not rested:
+        return start, start, f"the first frame at {t[start]:.4g} s, which moves freely already"
+    return min(release + guard, stop), release, f"{event} and {guard} frames for the filter"
+
+
+def _end(run: Run, first: int, stop: int) -> tuple[int, str]:
+    """Last free frame, and why."""
+    t, guard = run.motion.t, run.motion.guard
+    impact = _impact(run, first, stop)
+    if impact is not None:
+        return max(impact - guard, first), f"an impact at {t[impact]:.4g} s less {guard} frames for the filter"
+    if stop == np.flatnonzero(run.displacement.valid)[-1]:
+        return stop, f"the last valid frame at {t[stop]:.4g} s"
+    return stop, f"the last moving frame at {t[stop]:.4g} s"
+
+
+def _impact(run: Run, first: int, stop: int) -> int | None:
+    """Frame in which the first impact begins: half of the speed lost at once, far faster than in the slide."""
+    v, a = run.motion.v, np.abs(run.motion.a)
+    interval = float(np.median(np.diff(run.motion.t)))
+    window = max(round(IMPACT_TIME / interval), 2 * run.motion.guard)
+    i = np.arange(first, min(stop + 1, len(v) - 1))
+    j = np.minimum(i + window, len(v) - 1)
+    far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))
+    loss = np.sign(v[i]) * (v[i] - v[j])
+    hits = i[(loss > 0.5 * np.abs(v[i])) & (loss > far * window * interval / 2.0)]
+    if len(hits) == 0:
+        return None
+    hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
+    quiet = np.flatnonzero(a[first:hardest] <= far)
+    return int(first + quiet[-1]) if len(quiet) else first
