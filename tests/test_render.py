@@ -308,9 +308,12 @@ def test_tiff_and_png_keep_every_bit(tmp_path, bits: int) -> None:
     camera = Camera(width=64, height=48, bit_depth=bits)
     table = np.stack([np.linspace(25, 35, 5), np.full(5, 20.0)], axis=1)
     film = list(render(table, camera, SMALL, np.random.default_rng(0)))
-    write_film(film, tmp_path / "a.tif", 4000.0)
+    write_film(film, tmp_path / "a.tif", 4000.0, bit_depth=bits)
     write_film(film, tmp_path / "folder", 4000.0)
-    assert np.array_equal(tifffile.imread(tmp_path / "a.tif"), film)
+    with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
+        assert np.array_equal(tiff.asarray(), film)
+        assert tiff.imagej_metadata["finterval"] == pytest.approx(1 / 4000)
+        assert tiff.pages[0].tags["MaxSampleValue"].value == 2**bits - 1
     pages = [cv2.imread(str(p), cv2.IMREAD_UNCHANGED) for p in sorted((tmp_path / "folder").iterdir())]
     assert np.array_equal(pages, film)
 

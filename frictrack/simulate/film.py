@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,12 +20,26 @@ Frame = NDArray[Any]
 Put = Callable[[Frame], object]
 
 
-def write_film(frames: Iterable[Frame], path: str | os.PathLike[str], fps: float, quality: int = 95) -> int:
+class Settings(NamedTuple):
+    """What a format is told beside the frames."""
+
+    fps: float
+    quality: int
+    bit_depth: int
+
+
+def write_film(
+    frames: Iterable[Frame],
+    path: str | os.PathLike[str],
+    fps: float,
+    quality: int = 95,
+    bit_depth: int | None = None,
+) -> int:
     """Write 2-D uint8 or uint16 frames to `path` and return how many; the suffix chooses the format.
 
     .avi: MJPEG of the given quality (1 to 100), 8 bit. .mov: lossless PNG frames, 8 bit. .tif, .tiff: uncompressed
-    pages, 8 to 16 bit. No suffix: a folder of PNG files, 8 to 16 bit. Only .avi and .mov hold the frame rate
-    where any reader finds it. A file appears whole or not at all.
+    ImageJ stack of 8 or 16 bit, which notes that only `bit_depth` of the bits are used (12). No suffix: a folder
+    of PNG files, 8 or 16 bit, without frame rate. A file appears whole or not at all.
     """
     path = Path(path)
     if path.suffix.lower() not in _WRITERS:
@@ -36,8 +50,9 @@ def write_film(frames: Iterable[Frame], path: str | os.PathLike[str], fps: float
     if first is None:
         raise FrictrackError(f"{path.name}: expected at least one frame to write but got none")
     _check(first, path)
+    settings = Settings(fps, quality, bit_depth or 8 * first.dtype.itemsize)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _whole(path) as partial, _WRITERS[path.suffix.lower()](partial, first, fps, quality) as put:
+    with _whole(path) as partial, _WRITERS[path.suffix.lower()](partial, first, settings) as put:
         n = 0
         for n, frame in enumerate(chain([first], frames), start=1):  # noqa: B007 - the count is the answer
             put(np.ascontiguousarray(frame))
@@ -71,10 +86,13 @@ def _whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _opencv(path: Path, codec: str, api: int, fps: float, frame: Frame) -> Iterator[cv2.VideoWriter]:
+def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.VideoWriter]:
     """An OpenCV writer that was really opened, and a file that was really written."""
+    # OpenCV's own MJPEG writer: FFmpeg's AVI muxer drops frames above 1000 fps and has no quality setting.
+    mjpeg = codec == "MJPG"
+    api = cv2.CAP_OPENCV_MJPEG if mjpeg else cv2.CAP_FFMPEG
     size = (frame.shape[1], frame.shape[0])
-    writer = cv2.VideoWriter(str(path), api, cv2.VideoWriter.fourcc(*codec), fps, size, True)
+    writer = cv2.VideoWriter(str(path), api, cv2.VideoWriter.fourcc(*codec), fps, size, mjpeg)
     if not writer.isOpened():
         raise FrictrackError(f"{path.name}: expected OpenCV to write {codec} films but it cannot here; write .tif")
     try:
@@ -84,33 +102,30 @@ def _opencv(path: Path, codec: str, api: int, fps: float, frame: Frame) -> Itera
 
 
 @contextmanager
-def _mjpeg(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Put]:
-    # OpenCV's own MJPEG writer: FFmpeg's AVI muxer drops frames above 1000 fps and has no quality setting.
-    with _opencv(path, "MJPG", cv2.CAP_OPENCV_MJPEG, fps, frame) as writer:
-        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, quality)
-        yield lambda f: writer.write(_colour(f))
+def _mjpeg(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
+    with _opencv(path, "MJPG", settings.fps, frame) as writer:
+        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, settings.quality)
+        # Three equal channels: this writer scrambles grey frames.
+        yield lambda f: writer.write(cv2.cvtColor(f, cv2.COLOR_GRAY2BGR))
 
 
 @contextmanager
-def _mov(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Put]:
+def _mov(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
     # QuickTime keeps any frame rate; AVI would not (above), Matroska rounds time stamps to 1 ms.
-    with _opencv(path, "png ", cv2.CAP_FFMPEG, fps, frame) as writer:
-        yield lambda f: writer.write(_colour(f))
-
-
-def _colour(frame: Frame) -> Frame:
-    """Three equal channels: OpenCV's MJPEG writer scrambles grey frames."""
-    return cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR)
+    with _opencv(path, "png ", settings.fps, frame) as writer:
+        yield writer.write
 
 
 @contextmanager
-def _tiff(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Put]:
-    with tifffile.TiffWriter(path) as writer:
-        yield lambda f: writer.write(f, contiguous=True, photometric="minisblack", metadata={"fps": fps})
+def _tiff(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
+    about = {"finterval": 1 / settings.fps}
+    white = (281, "H", 1, 2**settings.bit_depth - 1, True)  # tag MaxSampleValue
+    with tifffile.TiffWriter(path, imagej=True) as writer:
+        yield lambda f: writer.write(f, contiguous=True, metadata=about, extratags=[white])
 
 
 @contextmanager
-def _folder(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Put]:
+def _folder(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
     numbers = iter(range(10**9))
 
     def put(f: Frame) -> None:
@@ -121,7 +136,7 @@ def _folder(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Put]
     yield put
 
 
-_WRITERS: dict[str, Callable[[Path, Frame, float, int], AbstractContextManager[Put]]] = {
+_WRITERS: dict[str, Callable[[Path, Frame, Settings], AbstractContextManager[Put]]] = {
     ".avi": _mjpeg,
     ".mov": _mov,
     ".tif": _tiff,
