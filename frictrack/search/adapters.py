@@ -15,6 +15,7 @@ from frictrack.search.ledger import Ledger
 
 ENDLESS = 10**9  # iterations: the ledger's budget decides
 DIFFERENCE = 1e-8  # of the box, the step of a forward difference
+HUGE = 1e100  # stands for an infinite cost where differences are taken
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,11 @@ class DA:
             if ledger.evaluations >= closed + chain:
                 closed = ledger.evaluations
                 ledger.close()
-            return float(ledger(np.clip(unit, 0.0, 1.0)[None])[0])
+            return float(min(ledger(np.clip(unit, 0.0, 1.0)[None])[0], HUGE))
 
         def gradient(unit: Array) -> Array:
             step = np.where(unit < 0.5, DIFFERENCE, -DIFFERENCE)
-            costs = ledger(np.vstack([unit, unit + np.diag(step)]))
+            costs = np.minimum(ledger(np.vstack([unit, unit + np.diag(step)])), HUGE)
             return (costs[1:] - costs[0]) / step
 
         local: Any = {

@@ -15,7 +15,7 @@ def encode(unit: Array, bits: int) -> Genes:
 
     Reflected Gray code g = k xor (k >> 1): neighbours on the grid differ in one bit.
     """
-    k = np.rint(unit * (2.0**bits - 1)).astype(np.uint64)
+    k = np.minimum(np.rint(unit * (2.0**bits - 1)).astype(np.uint64), np.uint64(2**bits - 1))
     gray = k ^ (k >> np.uint64(1))
     shifts = np.arange(bits, dtype=np.uint64)[::-1]
     genes = (gray[:, :, None] >> shifts) & np.uint64(1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from frictrack.errors import gather
 from frictrack.records import Array, Mask
 from frictrack.search.coding import decode, encode, random_genes
 from frictrack.search.ledger import Ledger
@@ -23,6 +24,9 @@ class Operators:
     accept: Callable[[int, Array, Array], Mask] | None = None  # G, child's cost, parent's (n,) -> (n,); None: all
 
 
+MOST_BITS = 60  # per parameter: what a 64-bit integer carries
+
+
 def offspring(population: int, gap: float) -> int:
     """Children per generation: the generation gap's share of the population, at least 2."""
     return max(2, round(gap * population))
@@ -36,6 +40,7 @@ def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, populati
     population is re-encoded and evaluated again, because rounding to another grid moves it.
     """
     n, bits = offspring(population, gap), use.bits(0)
+    _check(population, gap, bits)
     genes = random_genes(population, ledger.dimension * bits, rng)
     costs = ledger(decode(genes, bits))
     for generation in ledger.generations():
@@ -54,3 +59,14 @@ def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, populati
         elite = np.argsort(costs, kind="stable")[: population - n]
         genes = np.concatenate([genes[elite], children])
         costs = np.concatenate([costs[elite], child_costs])
+
+
+def _check(population: int, gap: float, bits: int) -> None:
+    faults = []
+    if population < 4:
+        faults.append(f"expected a population of at least 4 but got {population}")
+    if not 0 < gap <= 1:
+        faults.append(f"expected a generation gap above 0 and up to 1 but got {gap:g}")
+    if not 1 <= bits <= MOST_BITS:
+        faults.append(f"expected a code length of 1 to {MOST_BITS} bits but got {bits}")
+    gather(faults, "genetic search")

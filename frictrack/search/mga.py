@@ -104,8 +104,9 @@ class MGA:
         return partial(law, limit=limit, l_const=self.l_const, d=self.d, s=s)
 
     def _mutation(self, limit: int, dimension: int) -> Callable[[int, Array, Array], Array]:
+        longest = dimension * (self.bits or 2 * self.l_const)
+        p = min(0.5, 0.05 if self.as_printed else 4 / longest) if self.p_const is None else self.p_const
+        c = (2 if self.as_printed else 20) / limit if self.c is None else self.c
         if self.as_printed:
-            c, p = self.c or 2 / limit, self.p_const or 0.05
             return lambda generation, costs, _: mutation_as_printed(generation, -costs, c, p)
-        c, p = self.c or 20 / limit, self.p_const or min(0.5, 4 / (dimension * (self.bits or 2 * self.l_const)))
         return lambda generation, _, fitness: mutation_probability(generation, fitness, c, p)

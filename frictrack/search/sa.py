@@ -17,12 +17,12 @@ GAIN = 0.3  # how fast a step length follows its acceptance
 class SA:
     """Independent chains, one coordinate per move, Metropolis' rule, geometric cooling from T_0 to ``final`` T_0.
 
-    The collision paper names only Metropolis' rule; moves and cooling are chosen here. A move is uniform within the
-    chain's step length of that coordinate, mirrored at the bounds; step lengths follow the acceptance (Corana et al.
-    1987). One generation is one move of every chain.
+    The collision paper names only Metropolis' rule; moves and cooling are chosen here. A move is Cauchy distributed
+    (Szu & Hartley 1987: mostly near, now and then into another valley), mirrored at the bounds; its scale follows the
+    acceptance, per chain and coordinate (Corana et al. 1987). One generation is one move of every chain.
     """
 
-    chains: int = 8
+    chains: int = 8  # few and long: more chains cool faster within the same budget
     temperature: float = 0.1  # T_0 over (median - minimum) of the first population's costs
     final: float = 1e-6  # T at the end of the budget over T_0
 
@@ -36,7 +36,7 @@ class SA:
         for generation in ledger.generations():
             column = rng.integers(d, size=self.chains)
             moved = unit.copy()
-            moved[rows, column] += step[rows, column] * rng.uniform(-1, 1, self.chains)
+            moved[rows, column] += step[rows, column] * rng.standard_cauchy(self.chains)
             moved = np.abs((moved + 1) % 2 - 1)  # mirrored into the unit box
             moved_costs = ledger(moved)
             T = ledger.spread * geometric_cooling(generation, limit, self.temperature, self.final)
