@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.layout import settle
 from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,21 @@ def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
 
 
 def refine(
-    problem: Problem, p: Array, starts: Sequence[Array], *, tau: float = 0.03, max_steps: int = 40
+    problem: Problem,
+    p: Array,
+    starts: Sequence[Array],
+    *,
+    tau: float = 0.03,
+    free: Mask | None = None,
+    max_steps: int = 40,
 ) -> Solution:
-    """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels."""
+    """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
+
+    `free` (P,) tells which unknowns may move; default all.
+    """
     low, high = problem.layout.bounds
+    if free is not None:
+        low, high = np.where(free, low, p), np.where(free, high, p)
     state = _state(problem, np.clip(p, low, high), list(starts), tau)
     damping = 1e-8
     for _ in range(max_steps):
@@ -106,6 +117,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     rows, right = _compressed(state.responses, n)
     rows = np.vstack([rows, restraint_rows(layout, state.tau)])
     right = np.concatenate([right, -restraint(layout, state.p, state.tau)])
+    rows[:, bounds[1] <= bounds[0]] = 0.0
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
     damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(n)])

@@ -1,0 +1,136 @@
+"""Model + runs -> Fit: variable projection for the start, output-error Gauss-Newton for the law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictrack import models
+from frictrack.errors import FrictrackError
+from frictrack.fit.layout import Layout
+from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, span_of
+from frictrack.fit.result import Fit
+from frictrack.fit.scan import grid_of
+from frictrack.fit.solve import Solution, refine
+from frictrack.fit.start import grow, solve_model, without
+from frictrack.friction import free_section
+from frictrack.models import Model
+from frictrack.records import Run
+
+__all__ = ["Fit", "fit", "grid_of", "grow", "restore", "without"]
+
+Progress = Callable[[int, int, str], None]
+
+
+def fit(
+    model: Model | str | Sequence[str],
+    runs: Sequence[Run],
+    *,
+    domain: str = "displacement",
+    search: str = "varpro",
+    seed: int = 0,
+    reference_mass: float | None = None,
+) -> Fit:
+    """Fit a model to runs, all at once.
+
+    Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
+    the first run's. Raises FrictrackError when no run can be fitted.
+    """
+    law = model if isinstance(model, Model) else models.parse(model)
+    fitted = [r for r in runs if r.role == "fit"]
+    if not fitted:
+        raise FrictrackError('expected at least one run to fit but all have role = "validation"')
+    _names_differ(fitted)
+    reference = reference_of(fitted, reference_mass)
+    pieces = _pieces(fitted, reference)
+    names = tuple(r.name for r in fitted)
+    solution = solve_model(law, pieces, names, _fps(fitted))
+    return _finish(solution, runs, reference, (domain, search, seed))
+
+
+def _pieces(runs: Sequence[Run], reference: Reference) -> list[Piece]:
+    return [p for i, run in enumerate(runs) for p in pieces_of(run, i, free_section(run)[0], reference)]
+
+
+def _fps(runs: Sequence[Run]) -> float:
+    return float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in runs])))
+
+
+def _names_differ(runs: Sequence[Run]) -> None:
+    names = [r.name for r in runs]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
+
+
+def _finish(solution: Solution, runs: Sequence[Run], reference: Reference, how: tuple[str, str, int]) -> Fit:
+    domain, search, seed = how
+    validation = tuple(r for r in runs if r.role == "validation")
+    return Fit(
+        solution=solution,
+        runs=tuple(r for r in runs if r.role == "fit"),
+        validation=validation,
+        predictions=tuple(_predict(solution, r, reference) for r in validation),
+        reference=reference,
+        domain=domain,
+        search=search,
+        seed=seed,
+    )
+
+
+def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
+    """A validation run under the fitted law: only its start is free; its own phases are taken as free too."""
+    old = solution.problem.layout
+    pieces = pieces_of(run, 0, free_section(run)[0], reference)
+    layout = Layout(old.model, (run.name,), old.span)
+    known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
+    p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
+    problem = Problem(old.model, layout, [q.refined(max(e.fine for e in old.model.effects)) for q in pieces])
+    free = np.array([s.run is not None for s in layout.slots], dtype=bool)
+    return refine(problem, p, problem.first_starts(), free=free)
+
+
+def state(result: Fit) -> dict[str, Any]:
+    """What `restore` needs to rebuild a fit without searching: arrays, numbers and strings."""
+    layout = result.solution.problem.layout
+    return {
+        "effects": [e.name for e in layout.model.effects],
+        "per_run": [[e.name, p.name] for e in layout.model.effects for p in e.parameters if p.per_run],
+        "free": [[e.name, p.name] for e in layout.model.effects for p in e.parameters if p.fixed is None],
+        "absent": [list(pair) for pair in sorted(layout.absent)],
+        "p": result.solution.p,
+        "starts": np.array(result.solution.starts),
+        "tau": result.solution.tau,
+        "reference_mass": result.reference.mass,
+        "domain": result.domain,
+        "search": result.search,
+        "seed": result.seed,
+    }
+
+
+def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
+    """The fit that `state` was taken from, on the same runs."""
+    fitted = [r for r in runs if r.role == "fit"]
+    reference = reference_of(fitted, float(saved["reference_mass"]))
+    pieces = _pieces(fitted, reference)
+    own = {tuple(pair) for pair in saved["per_run"]}
+    free = {tuple(pair) for pair in saved["free"]}
+    law = models.of([_as_fitted(name, own, free) for name in saved["effects"]])
+    absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
+    layout = replace(Layout(law, tuple(r.name for r in fitted), span_of(pieces, _fps(fitted))), absent=absent)
+    problem = Problem(law, layout, [q.refined(max(e.fine for e in law.effects)) for q in pieces])
+    tau = float(saved["tau"])
+    solution = refine(problem, np.asarray(saved["p"]), list(np.asarray(saved["starts"])), tau=tau, max_steps=1)
+    return _finish(solution, runs, reference, (saved["domain"], saved["search"], int(saved["seed"])))
+
+
+def _as_fitted(name: str, own: set[tuple[Any, ...]], free: set[tuple[Any, ...]]) -> Any:
+    effect = models.effects.get(name)
+    changes: dict[str, dict[str, Any]] = {
+        p.name: {"per_run": (name, p.name) in own, "fixed": None if (name, p.name) in free else p.fixed}
+        for p in effect.parameters
+    }
+    return effect.adjusted(**changes)

@@ -1,0 +1,173 @@
+"""The result of a fit: parameters with deviations, errors in every unit of the contract, curves for plots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.estimate import Estimates, estimates
+from frictrack.fit.heldout import heldout_rms
+from frictrack.fit.problem import Reference, Response
+from frictrack.fit.scatter import MIN_RUNS
+from frictrack.fit.solve import Solution
+from frictrack.models import Model
+from frictrack.records import Array, Curve, Run
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to runs. `solution` holds the unknowns and the model linearised there."""
+
+    solution: Solution
+    runs: tuple[Run, ...]  # those that were fitted
+    validation: tuple[Run, ...] = ()
+    predictions: tuple[Solution, ...] = ()  # of the validation runs, shared parameters held
+    reference: Reference = field(default=Reference(1.0, 1.0))
+    domain: str = "displacement"
+    search: str = "varpro"
+    seed: int = 0
+
+    @property
+    def model(self) -> Model:
+        """The model, its effects in the form in which they were fitted."""
+        return self.solution.problem.model
+
+    @cached_property
+    def estimates(self) -> Estimates:
+        """Parameters with deviations."""
+        return estimates(self.solution)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Estimates by address."""
+        return self.estimates.parameters
+
+    @cached_property
+    def heldout(self) -> tuple[float, str]:
+        """Held-out root mean square, m, and how it was held out."""
+        return heldout_rms(self.solution)
+
+    @property
+    def degrees(self) -> int:
+        """Frames less fitted numbers: starts, unknowns (levels count as what their scatter leaves)."""
+        basis = self.solution.basis
+        used = float(np.trace(basis.shrink(self.solution.tau or 0.03)))
+        return int(self.solution.problem.n_frames - 2 * len(self.solution.problem.pieces) - round(used))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-squared per degree of freedom."""
+        return self.solution.chi2 / max(self.degrees, 1)
+
+    @cached_property
+    def curves(self) -> tuple[Curve, ...]:
+        """Measurement beside model, run by run, validation runs last."""
+        fitted = _curves(self.solution, self.runs, "fit")
+        return fitted + tuple(
+            c for s, run in zip(self.predictions, self.validation, strict=True) for c in _curves(s, [run], "validation")
+        )
+
+    @cached_property
+    def errors(self) -> dict[str, Any]:
+        """Errors over the fitted runs, as the contract names them."""
+        rms, how = self.heldout
+        out = errors_of([c for c in self.curves if c.role == "fit"], self.runs)
+        return out | {
+            "heldout_rms_um": rms * 1e6,
+            "heldout_rms_N": None,
+            "heldout": how,
+            "reduced_chi2": self.reduced_chi2,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON of `frictrack fit`."""
+        scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS else None
+        return {
+            "model": self.model.names,
+            "domain": self.domain,
+            "search": self.search,
+            "parameters": {k: vars(e) for k, e in self.parameters.items()},
+            "friction_scatter": None
+            if scatter is None
+            else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
+            "correlations": [list(c) for c in self.estimates.correlations],
+            "errors": self.errors,
+            "per_run": self._per_run(),
+        }
+
+    def _per_run(self) -> list[dict[str, Any]]:
+        rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.runs)]
+        return rows + [
+            _row(s, 0, run, "validation", self.curves)
+            for s, run in zip(self.predictions, self.validation, strict=True)
+        ]
+
+
+def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:
+    _, level = solution.problem.layout.values(solution.p, index)
+    pieces = [p for p in solution.problem.pieces if p.run == index]
+    return {
+        "run": run.name,
+        "role": role,
+        "level": level,
+        "noise_um": float(np.sqrt(np.mean(np.concatenate([p.sigma for p in pieces]) ** 2)) * 1e6),
+        "segments": len(pieces),
+        "errors": errors_of([c for c in curves if c.run == run.name and c.role == role], [run]),
+    }
+
+
+def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
+    """Displacement, acceleration and force errors of some curves against the runs they came from."""
+    by_name = {r.name: r for r in runs}
+    residual, a_error, f_error, f_measured = [], [], [], []
+    for c in curves:
+        run = by_name[c.run]
+        rows = np.searchsorted(run.motion.t, c.t - 1e-9)
+        a = run.motion.a[rows]
+        residual.append(c.residual)
+        a_error.append(a - c.a_model)
+        mass = run.mass or 1.0
+        f_error.append(mass * (a - c.a_model))
+        f_measured.append(run.drive[rows] if run.drive is not None else c.F_model - mass * (a - c.a_model))
+    a_all = np.concatenate(a_error)
+    return {
+        "rms_displacement_um": float(np.sqrt(np.mean(np.concatenate(residual) ** 2)) * 1e6),
+        "rms_acceleration": float(np.sqrt(np.mean(a_all**2))),
+        "sse_acceleration": float(np.sum(a_all**2)),
+        "relative_force_error": float(
+            np.linalg.norm(np.concatenate(f_error)) / max(np.linalg.norm(np.concatenate(f_measured)), 1e-30)
+        ),
+    }
+
+
+def _curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
+    return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
+
+
+def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
+    piece, motion, problem = response.piece, response.motion, solution.problem
+    values, level = problem.layout.values(solution.p, piece.run)
+    x, v = motion.x_edge[:: piece.per_frame], motion.v_edge[:: piece.per_frame]
+    path = piece.at_frames(x, v, level)
+    parts = {
+        name: np.asarray(block @ problem.model.coefficients(name, values))
+        for name, block in problem.model.force_columns(path, values).items()
+    }
+    total: Array = np.sum(list(parts.values()), axis=0)
+    known = np.interp(piece.t, piece.panels.t, piece.known)
+    return Curve(
+        t=run.displacement.t[piece.frames],
+        x=piece.y,
+        sigma_x=piece.sigma,
+        x_model=response.model_y,
+        v_model=v,
+        a_model=known - total / piece.mass,
+        F_model=total,
+        run=run.name,
+        role=role,
+        parts=parts,
+    )
