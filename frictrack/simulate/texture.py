@@ -46,11 +46,6 @@ class Series:
         # Only the real part is needed: two real products instead of one complex one.
         return columns.real @ rows.real - columns.imag @ rows.imag
 
-    def at(self, u: Array, v: Array) -> Array:
-        """Value at points (n,), px. Slow: for single points and checks, not for frames."""
-        rows = np.exp(1j * np.outer(v, self.q_y)) @ self.c
-        return np.sum(rows * np.exp(1j * np.outer(u, self.q_x)), axis=1).real
-
 
 def _antiderivative(q: Array, x: Array) -> Complex:
     """Integral of exp(i q x) for every wavenumber and place: (k, *x.shape)."""
