@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.smoother import deviations, lost_share, penalty, smooth, weights
+from frictrack.motion.smoother import MISSING, deviations, lost_share, penalty, smooth, weights
 from frictrack.records import Array, Filtered, Motion
 
 NODES = 6  # frames a derivative stencil may take
@@ -36,14 +36,14 @@ def differentiate(filtered: Filtered) -> Motion:
         sigma_v=v[1],
         sigma_a=a[1],
         sigma_a_y=a_y[1],
-        guard=_guard(a[1][np.isfinite(filtered.sigma_x)], 1.0 / (filtered.cutoff * grid.interval)),
+        guard=_guard(a[1][filtered.sigma_x < MISSING], 1.0 / (filtered.cutoff * grid.interval)),
         cutoff=filtered.cutoff,
     )
 
 
 def _derive(x: Array, sigma: Array, cutoff: float, grid: Grid) -> Array:
     """Derivatives of order 0, 1, 2 of the rows, with their standard deviations (3, 2, n)."""
-    known = np.isfinite(sigma)
+    known = sigma < MISSING
     w = grid.spread(weights(sigma, known))
     noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)  # of a frame of weight 1
     lam, whole = penalty(cutoff, grid.interval), _whole(x, grid)

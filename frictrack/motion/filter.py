@@ -6,9 +6,10 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.smoother import best_cutoff, noise_variance, penalty, smooth, weights
+from frictrack.motion.smoother import MISSING, best_cutoff, noise_variance, penalty, smooth, weights
 from frictrack.records import Array, Displacement, Filtered, Mask
 
+TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses more than the deviations say
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
 
 
@@ -26,26 +27,37 @@ def low_pass(displacement: Displacement, cutoff: float | None = None) -> Filtere
     known = displacement.valid & np.isfinite(displacement.x)
     _check_position(displacement.x[known], len(known))
     _check_cutoff(cutoff, grid)
-    x, sigma_x, cutoff_x = _low_pass_one(displacement.x, displacement.sigma_x, known, grid, cutoff)
+    x, sigma_x, cutoff_x, reason = _low_pass_one(displacement.x, displacement.sigma_x, known, grid, cutoff)
     y = sigma_y = np.full(len(x), np.nan)
     cutoff_y = float("nan")
-    known_y = displacement.valid & np.isfinite(displacement.y)
-    if np.sum(known_y) >= MIN_FRAMES:
-        y, sigma_y, cutoff_y = _low_pass_one(displacement.y, displacement.sigma_y, known_y, grid, cutoff)
-    reason = f"cut-off {cutoff_x:.3g} Hz " + ("by maximum likelihood" if cutoff is None else "as given")
+    known = displacement.valid & np.isfinite(displacement.y)
+    if np.sum(known) >= MIN_FRAMES:
+        y, sigma_y, cutoff_y, _ = _low_pass_one(displacement.y, displacement.sigma_y, known, grid, cutoff)
     return Filtered(displacement.t, x, y, sigma_x, sigma_y, cutoff_x, cutoff_y, reason)
 
 
-def _low_pass_one(y: Array, sigma: Array, known: Mask, grid: Grid, cutoff: float | None) -> tuple[Array, Array, float]:
-    """Low-pass one coordinate: smoothed rows, the noise of each row (inf where missing), the cut-off."""
+def _low_pass_one(
+    y: Array, sigma: Array, known: Mask, grid: Grid, cutoff: float | None
+) -> tuple[Array, Array, float, str]:
+    """Low-pass one coordinate: smoothed rows, the noise of each row, the cut-off and why it is this."""
     w = grid.spread(weights(sigma, known))
     full = grid.spread(np.where(known, y, 0.0))
     best = best_cutoff(full, w, grid.interval)
-    noise = np.sqrt(noise_variance(full, w, penalty(best, grid.interval)))  # no cut-off given may raise it
-    cutoff = best if cutoff is None else cutoff
-    with np.errstate(divide="ignore"):
-        sigma_rows = noise / np.sqrt(w[grid.frames])
-    return smooth(full, w, penalty(cutoff, grid.interval))[grid.frames], sigma_rows, cutoff
+    level = np.sqrt(noise_variance(full, w, penalty(best, grid.interval)))  # whatever cut-off is given
+    sigma_rows = np.full(len(y), MISSING)
+    sigma_rows[known] = level / np.sqrt(w[grid.frames][known])
+    used = best if cutoff is None else cutoff
+    x = smooth(full, w, penalty(used, grid.interval))[grid.frames]
+    return x, sigma_rows, used, _reason(used, best)
+
+
+def _reason(used: float, best: float) -> str:
+    if used == best:
+        return f"cut-off {used:.3g} Hz by maximum likelihood"
+    reason = f"cut-off {used:.3g} Hz as given"
+    if used < TOO_LOW * best:
+        reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
+    return reason
 
 
 def _check_position(x: Array, n: int) -> None:

@@ -20,10 +20,11 @@ from scipy.optimize import minimize_scalar
 
 from frictrack.records import Array, Mask
 
+MISSING = 1e6  # m, standard deviation of a frame that was not measured
 D3 = np.array([-1.0, 3.0, -3.0, 1.0])  # third difference
 BAND = 3  # half bandwidth of the equations
 BLOCK = 8  # frames per block of the covariance
-STEP = 0.05  # of log lambda, for the derivative that parts noise from lost signal
+STEP = 0.01  # of log lambda, for the derivative that parts noise from lost signal
 NO_WEIGHT = 1e-10  # of a missing frame in the covariance, which keeps that of an extrapolation finite
 
 
@@ -132,7 +133,8 @@ def deviations(w: Array, lam: float, lost: float, start: NDArray[np.int64], sten
     times.
     """
     both, up, down = (_variances(w, lam * np.exp(d), start, stencils) for d in (0.0, STEP, -STEP))
-    return np.asarray(np.sqrt(both + (1.0 - lost) * (up - down) / (2.0 * STEP)))
+    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff parabola is known that well
+    return np.asarray(np.sqrt(np.maximum(both + (1.0 - lost) * (up - down) / (2.0 * STEP), rounding)))
 
 
 def _variances(w: Array, lam: float, start: NDArray[np.int64], stencils: Array) -> Array:
