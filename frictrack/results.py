@@ -81,6 +81,8 @@ class ModelResults:
     summary: dict[str, Any]  # JSON of `frictrack fit`
     curves: tuple[Curve, ...]
     current: bool = False
+    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, where it was asked
+    figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +96,8 @@ class Results:
     runs: tuple[RunResults, ...]
     models: tuple[ModelResults, ...] = ()
     comparison: dict[str, Any] | None = None  # JSON of `frictrack compare`
-    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose`
-    figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of the diagnosis
+    diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on the current model
+    figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be done, in words
 

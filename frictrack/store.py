@@ -23,7 +23,7 @@ from frictrack import __version__
 from frictrack.errors import FrictrackError
 from frictrack.results import plain
 
-NO_LINKS: Mapping[str, str] = {}
+NOTHING: Mapping[str, Any] = {}
 SCHEMA = 1  # of the layout; a file with a higher number was written by a later frictrack
 _STRING = h5py.string_dtype()
 _LONG = 16_000  # characters; HDF5 keeps an attribute below 64 kB
@@ -48,14 +48,19 @@ class Entry:
 
 
 def write(
-    path: Path, groups: Mapping[str, Entry], *, remove: tuple[str, ...] = (), links: Mapping[str, str] = NO_LINKS
+    path: Path,
+    groups: Mapping[str, Entry],
+    *,
+    remove: tuple[str, ...] = (),
+    links: Mapping[str, str] = NOTHING,
+    marks: Mapping[str, Mapping[str, Any]] = NOTHING,
 ) -> None:
     """Put groups into the file at `path`, keeping all others, and replace the file in one step.
 
     `groups` maps a group's name (``"track"``, ``"models/1_tustin"``) to what it holds; one that is there is
-    replaced. Those in `remove` are dropped. `links` maps a group's name to the file, in the same folder, that it
-    shows (an external link). Raises `FrictrackError` when the file that is there is not ours, or when the folder
-    cannot be written.
+    replaced. Those in `remove` are dropped. `links` maps a group's name to what it shows: another file of the same
+    folder, or with a leading slash another group. `marks` are attributes to set on groups without touching what
+    they hold. Raises `FrictrackError` when the file that is there is not ours, or the folder cannot be written.
     """
     with _replacing(path) as file:
         for name in (*remove, *groups, *links):
@@ -66,7 +71,10 @@ def write(
             _put(group, entry.content)
             group.attrs.update(vars(entry.stamp))
         for name, target in links.items():
-            file[name] = h5py.ExternalLink(target, "/")
+            inside = target.startswith("/")
+            file[name] = h5py.SoftLink(target) if inside else h5py.ExternalLink(target, "/")
+        for name, attributes in marks.items():
+            file[name].attrs.update(attributes)
 
 
 def read(path: Path, group: str, kind: Any = dict) -> Any:
@@ -82,13 +90,16 @@ def read(path: Path, group: str, kind: Any = dict) -> Any:
 
 def stamp(path: Path, group: str) -> Stamp | None:
     """Where a group comes from; None when there is no such file or group."""
+    held = attributes(path, group)
+    return Stamp(**{f.name: str(held.get(f.name, "")) for f in fields(Stamp)}) if held else None
+
+
+def attributes(path: Path, group: str) -> dict[str, Any]:
+    """The numbers and strings of a group, without its arrays; none when there is no such file or group."""
     if not path.exists():
-        return None
+        return {}
     with _reading(path) as file:
-        if group not in file:
-            return None
-        attributes = file[group].attrs
-        return Stamp(**{f.name: str(attributes.get(f.name, "")) for f in fields(Stamp)})
+        return {k: _number(v) for k, v in file[group].attrs.items()} if group in file else {}
 
 
 def names(path: Path, group: str = "/") -> list[str]:
@@ -163,7 +174,7 @@ def _commit(part: Path, path: Path) -> None:
 def _copy(old: h5py.File, new: h5py.File) -> None:
     for name in old:
         link = old.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink):
+        if isinstance(link, h5py.ExternalLink | h5py.SoftLink):
             new[name] = link
         else:
             old.copy(name, new)

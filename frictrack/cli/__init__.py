@@ -1,0 +1,28 @@
+"""The command line: `frictrack COMMAND`. It computes nothing; it asks `flow` and shows what came."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from frictrack.errors import FrictrackError
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 the work failed, 2 it was asked for wrongly."""
+    from frictrack.cli.commands import app  # noqa: PLC0415 - so that importing this module costs nothing
+
+    try:
+        app(args=None if argv is None else list(argv), prog_name="frictrack")
+    except FrictrackError as e:
+        _fail(str(e), 2 if e.usage else 1)
+    except OSError as e:
+        _fail(f"{e.filename or 'the system'}: {e.strerror or e}; what was finished before is kept", 1)
+    except KeyboardInterrupt:
+        _fail("stopped; what was finished before is kept", 1)
+
+
+def _fail(sentence: str, code: int) -> None:
+    line = " ".join(sentence.split())
+    sys.stderr.write(f"frictrack: {line}\n")
+    raise SystemExit(code)

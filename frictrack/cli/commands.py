@@ -1,0 +1,253 @@
+"""The commands of `frictrack`. Each brings up to date what it rests on, shows it, and says where it is."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from frictrack.errors import FrictrackError
+
+if TYPE_CHECKING:
+    from frictrack.flow import Session
+
+app = typer.Typer(
+    help="From a film of a sliding mass to a friction law, and to the physical effect that it lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+Study = Annotated[Path, typer.Argument(metavar="STUDY", help="study file (.toml), or a folder with a study.toml")]
+Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
+Seed = Annotated[int, typer.Option(help="of everything that is drawn at random")]
+Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="as `frictrack effects` names it")]
+Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
+
+
+@contextmanager
+def working(study: Path) -> Iterator[Session]:
+    """A study at work, its progress on stderr."""
+    from frictrack.cli.bars import bars  # noqa: PLC0415 - `--help` need not wait for the science
+    from frictrack.flow import Session, open_study  # noqa: PLC0415
+
+    with bars() as progress:
+        yield Session(open_study(study), progress)
+
+
+def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path) -> None:
+    """Print a result for a machine or a person; a person is told where it lies."""
+    if as_json:
+        sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
+        return
+    from rich.console import Console  # noqa: PLC0415
+
+    from frictrack.cli import show as shown  # noqa: PLC0415
+
+    out = Console(highlight=False)
+    if show:
+        getattr(shown, show)(out, result)
+    out.print(f"results: {where}", soft_wrap=True, markup=False)
+
+
+@app.command()
+def run(
+    paths: Annotated[list[Path], typer.Argument(metavar="STUDY | RECORDING...", help="a study file, or recordings")],
+    mass: Annotated[str | None, typer.Option(help='of the slider, "0.35kg"; with recordings')] = None,
+    scale: Annotated[str | None, typer.Option(help='"0.5mm/px"; with recordings')] = None,
+    fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; with recordings")] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Every stage, then fit, compare, diagnose, report. Bare recordings get a study.toml in this folder."""
+    path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
+    with working(path) as session:
+        result = session.run(seed)
+    tell(result, as_json, "run", session.study.output / "report.html")
+
+
+def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
+    """The study file that is meant, written from bare recordings where these are given."""
+    from frictrack.flow import start_study  # noqa: PLC0415
+
+    one = paths[0]
+    is_study = one.suffix == ".toml" or (one / "study.toml").exists()
+    given = [key for key, value in keys.items() if value is not None]
+    if is_study and (len(paths) > 1 or given):
+        many = "one study file" if len(paths) > 1 else f"no --{given[0]} beside a study file, it stands in it"
+        raise FrictrackError(f"expected {many}; `frictrack batch` runs several studies", usage=True)
+    return one if is_study else start_study(Path("study.toml"), paths, keys).path
+
+
+@app.command()
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")], as_json: Json = False
+) -> None:
+    """Write a commented study file from a folder of recordings."""
+    from frictrack.study import find_recordings, write_study  # noqa: PLC0415
+
+    found = find_recordings(folder)
+    path = write_study(folder / "study.toml", found, commented=True)
+    result = {"study": str(path), "runs": [p.name for p in found], "output": str(path)}
+    tell(result, as_json, "", f"{path}; fill in mass, fps and scale, then `frictrack run {path}`")
+
+
+def _measure(stage: str, study: Path, as_json: bool) -> None:
+    with working(study) as session:
+        result = session.measure(stage)
+    tell(result, as_json, "stages", session.study.output)
+
+
+@app.command()
+def track(study: Study, as_json: Json = False) -> None:
+    """Follow the slider through every film; a contact sheet shows whether that went well."""
+    _measure("track", study, as_json)
+
+
+@app.command()
+def motion(study: Study, as_json: Json = False) -> None:
+    """Displacement, velocity and acceleration of every run."""
+    _measure("motion", study, as_json)
+
+
+@app.command()
+def friction(study: Study, as_json: Json = False) -> None:
+    """The friction force of every run, and the section it is judged on."""
+    _measure("friction", study, as_json)
+
+
+@app.command()
+def fit(  # noqa: PLR0913 - the flags of DESIGN section 6
+    study: Study,
+    model: Annotated[str | None, typer.Option(help="a model (tustin, atm1:2) or a comma list of effects")] = None,
+    search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,
+    domain: Annotated[Literal["displacement", "force"] | None, typer.Option(help="what is compared")] = None,
+    per: Annotated[Literal["group"] | None, typer.Option(help="one set of parameters per group of runs")] = None,
+    seed: Annotated[int | None, typer.Option(help="of a search that draws at random (0)")] = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the current model, or another one that becomes the current one."""
+    with working(study) as session:
+        result = session.fit(model, search=search, domain=domain, per=per, seed=seed)
+    tell(result, as_json, "fit", session.path)
+
+
+@app.command()
+def compare(study: Study, as_json: Json = False) -> None:
+    """Error of every model tried, and where the current one fails."""
+    with working(study) as session:
+        result = session.compare()
+    tell(result, as_json, "compare", session.path)
+
+
+@app.command()
+def diagnose(study: Study, seed: Seed = 0, as_json: Json = False) -> None:
+    """Which effect is missing."""
+    with working(study) as session:
+        result = session.diagnose(seed)
+    tell(result, as_json, "diagnose", session.path)
+
+
+def _edit(how: Callable[[Session], dict[str, Any]], study: Path, as_json: bool) -> None:
+    with working(study) as session:
+        result = how(session)
+    tell(result, as_json, "edit", session.path)
+
+
+@app.command()
+def add(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
+    """Fit again with one effect more; the error before and after."""
+    _edit(lambda session: session.add(effect, seed), study, as_json)
+
+
+@app.command()
+def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
+    """Fit again with one effect less; the error before and after."""
+    _edit(lambda session: session.remove(effect, seed), study, as_json)
+
+
+@app.command()
+def history(study: Study, as_json: Json = False) -> None:
+    """Every model tried, in order, with its errors."""
+    with working(study) as session:
+        result = session.history()
+    tell(result, as_json, "history", session.path)
+
+
+@app.command()
+def report(study: Study, as_json: Json = False) -> None:
+    """One page that shows it all."""
+    with working(study) as session:
+        path = session.report()
+    tell({"report": str(path), "output": str(session.study.output)}, as_json, "", path)
+
+
+@app.command()
+def export(
+    study: Study,
+    to: Annotated[Literal["csv", "xlsx"], typer.Option(help="kind of file")] = "csv",
+    as_json: Json = False,
+) -> None:
+    """Curves, parameters and errors as plain tables."""
+    from frictrack.export import write  # noqa: PLC0415
+
+    with working(study) as session:
+        files = write(session.results(), to)
+    where = files[0].parent if len(files) > 1 else files[0]
+    tell({"files": [str(f) for f in files], "output": str(session.study.output)}, as_json, "", where)
+
+
+@app.command()
+def effects(as_json: Json = False) -> None:
+    """The library: equations, parameters with units, what an effect looks like and is mistaken for."""
+    from frictrack.effects import catalogue  # noqa: PLC0415
+
+    tell({"effects": catalogue()}, as_json, "effects", "`frictrack add STUDY EFFECT` puts one into the model")
+
+
+@app.command()
+def render(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="what slides, and how it is filmed")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="the film to write")],
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """A synthetic recording with its truth."""
+    from frictrack.simulate.scene import render_scene  # noqa: PLC0415
+
+    render_scene(scene, out, seed=seed)
+    tell({"output": str(out)}, as_json, "", out)
+
+
+@app.command()
+def batch(
+    paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Run many studies; frictrack_batch.csv gets one row per run, failed studies with their reason."""
+    from frictrack.batch import batch as run_all  # noqa: PLC0415
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+
+    with bars() as progress:
+        result = run_all(paths, Path("frictrack_batch.csv"), seed, progress)
+    tell(result, as_json, "batch", result["output"])
+    if result["failed"]:
+        n, total = len(result["failed"]), len(result["studies"])
+        raise FrictrackError(f"{n} of {total} studies failed; {result['output']} says why")
+
+
+@app.command()
+def demo(seed: Seed = 0, as_json: Json = False) -> None:
+    """The whole loop on a sample study, in ./frictrack_demo."""
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.flow import demo as show_it  # noqa: PLC0415
+
+    with bars() as progress:
+        result = show_it(Path("frictrack_demo"), seed, progress)
+    tell(result, as_json, "demo", result["report"])

@@ -1,0 +1,196 @@
+"""What a person at the bench reads: the same dictionaries that `--json` prints, as compact tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+ERRORS = {
+    "rms_displacement_um": ("displacement, rms", "µm", 1.0),
+    "heldout_rms_um": ("held out, rms", "µm", 1.0),
+    "heldout_rms_N": ("held out, rms", "N", 1.0),
+    "rms_acceleration": ("acceleration, rms", "m/s²", 1.0),
+    "relative_force_error": ("relative force error", "%", 100.0),
+    "reduced_chi2": ("reduced chi²", "", 1.0),
+}  # key of `errors` -> words, unit, factor
+VERDICTS = {
+    "complete": "complete: nothing more is seen in these runs",
+    "missing": "an effect is missing",
+    "ambiguous": "something is missing, and several effects would explain it equally well",
+    "unexplained": "something is missing that no effect of the library explains",
+}
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number short enough to read; a dash for none."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def plus_minus(value: float | None, std: float | None) -> str:
+    """A value with its standard deviation, both to the second digit of the latter."""
+    if value is None:
+        return "not determined"
+    if not std:
+        return number(value, 6)
+    decimals = 1 - math.floor(math.log10(std))
+    if not -3 < decimals < 7:
+        return f"{value:.5g} ± {std:.2g}"
+    decimals = max(decimals, 0)
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def fit(out: Console, result: dict[str, Any]) -> None:
+    """Parameters with deviations and units, then the errors."""
+    out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
+    out.print(parameters(result["parameters"]))
+    for first, second, r in result.get("correlations", []):
+        if abs(r) > 0.95:
+            out.print(f"{first} and {second} are hardly told apart: correlation {r:.3f}")
+    out.print(errors([("", result["errors"])]))
+
+
+def parameters(values: dict[str, Any]) -> Table:
+    """One row per parameter: value ± deviation, unit, and what is to be said of it."""
+    table = _table("parameter", "value", "unit", "")
+    for name, p in values.items():
+        word = p.get("reason") or ("at its bound" if p.get("at_bound") else "")
+        table.add_row(name, plus_minus(p["value"], p["std"]), p["unit"], escape(word))
+    return table
+
+
+def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
+    """One row per error, one column per model."""
+    columns = list(columns)
+    table = _table("error", *(title for title, _ in columns), "unit")
+    for key, (words, unit, factor) in ERRORS.items():
+        values = [e.get(key) for _, e in columns]
+        if any(v is not None for v in values):
+            table.add_row(words, *(number(None if v is None else v * factor) for v in values), unit)
+    return table
+
+
+def compare(out: Console, result: dict[str, Any]) -> None:
+    """Errors of every model, and where the current one fails."""
+    history(out, result)
+    fails_at(out, result["fails_at"])
+
+
+def history(out: Console, result: dict[str, Any]) -> None:
+    """Every model tried, in order, one row each."""
+    table = _table("model", *(f"{words}{f' / {unit}' if unit else ''}" for words, unit, _ in ERRORS.values()))
+    for model in result["models"]:
+        values = [model["errors"].get(key) for key in ERRORS]
+        factors = [factor for *_, factor in ERRORS.values()]
+        cells = [number(None if v is None else v * f) for v, f in zip(values, factors, strict=True)]
+        table.add_row(escape(model["name"]), *cells)
+    out.print(table)
+
+
+def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
+    """Spans of time, place and velocity with their share of the error."""
+    if not spans:
+        return
+    table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the error")
+    for s in spans:
+        ranges = [" to ".join(number(v) for v in s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
+        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %")
+    out.print(table)
+
+
+def diagnose(out: Console, result: dict[str, Any]) -> None:
+    """The verdict, the candidates, and the experiment that would settle it."""
+    verdict = VERDICTS.get(result["verdict"], result["verdict"])
+    missing = ", ".join(result["missing"])
+    out.print(f"[bold]{verdict}[/bold]" + (f": [bold]{missing}[/bold]" if missing else ""))
+    chi2, p, noise = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit", "noise_um"))
+    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
+    if result["candidates"]:
+        out.print(candidates(result["candidates"]))
+    for step in result.get("next_experiment") or []:
+        out.print(f"to settle it: {escape(step['what'])} (separates {', '.join(step['separates'])})")
+
+
+def candidates(found: list[dict[str, Any]]) -> Table:
+    """One row per candidate, best first."""
+    table = _table("candidate", "parameters", "p", "delta BIC", "held out before -> after", "not told apart from")
+    for c in found:
+        values = (f"{k} {plus_minus(v['value'], v['std'])} {v['unit']}" for k, v in c["parameters"].items())
+        unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
+        before, after = (number(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
+        rivals = ", ".join(c["indistinguishable_from"])
+        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}"
+        table.add_row(c["effect"], "\n".join(values), number(c["p"], 2), number(c["delta_bic"], 3), held_out, rivals)
+    return table
+
+
+def edit(out: Console, result: dict[str, Any]) -> None:
+    """The error before and after an effect was added or removed."""
+    out.print(parameters(result["parameters"]))
+    out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))
+
+
+def run(out: Console, result: dict[str, Any]) -> None:
+    """The fit, then the diagnosis."""
+    fit(out, result["fit"])
+    diagnose(out, result["diagnose"])
+
+
+def demo(out: Console, result: dict[str, Any]) -> None:
+    """The story in words."""
+    out.print("A sliding mass was filmed. This is what the study's first model leaves unexplained:")
+    diagnose(out, result["diagnose"])
+    if result["add"]:
+        out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
+        edit(out, result["add"])
+    out.print("Every model tried:")
+    history(out, result["history"])
+
+
+def stages(out: Console, result: dict[str, Any]) -> None:
+    """One row per run of `track`, `motion`, `friction`, then what was found on the way."""
+    keys = [k for k in result["runs"][0] if k not in ("notes", "target", "contact_sheet")]
+    table = _table(*(k.replace("_", " ") for k in keys))
+    for row in result["runs"]:
+        table.add_row(*(_cell(row.get(k)) for k in keys))
+    out.print(table)
+    for row in result["runs"]:
+        if row.get("target"):
+            out.print(f"{row['run']}: {escape(row['target'])}   contact sheet {row['contact_sheet']}", soft_wrap=True)
+        for note in row["notes"]:
+            out.print(f"{row['run']}: {escape(note)}")
+
+
+def effects(out: Console, result: dict[str, Any]) -> None:
+    """The library: what each effect adds, looks like, and is mistaken for."""
+    table = Table("effect", "equation", "parameters", "looks like", "mistaken for", show_lines=True)
+    for e in result["effects"]:
+        units = "\n".join(f"{p['name']} {p['unit']}".strip() for p in e["parameters"])
+        table.add_row(
+            *(escape(text) for text in (e["name"], e["equation"], units)), e["looks_like"], _cell(e["mistaken_for"])
+        )
+    out.print(table)
+
+
+def batch(out: Console, result: dict[str, Any]) -> None:
+    """One row per study."""
+    table = _table("study", "runs", "verdict", "missing", "failed because")
+    for row in result["studies"]:
+        table.add_row(*(_cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
+    out.print(table)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, list):
+        return escape(", ".join(str(v) for v in value))
+    return "" if value is None else escape(str(value))
+
+
+def _table(*headers: str) -> Table:
+    return Table(*headers, box=None, pad_edge=False, header_style="dim")

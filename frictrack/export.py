@@ -1,0 +1,79 @@
+"""The results as plain tables: one CSV file per table, or one Excel workbook with a sheet each."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from frictrack.errors import FrictrackError
+from frictrack.results import Results, RunResults
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
+    """Write every run's curves, the parameters and the errors of all models into the results folder.
+
+    Returns the files. Raises `FrictrackError` where Excel is asked for and openpyxl is not installed, or the
+    folder cannot be written.
+    """
+    tables = {_safe(run.name): _run(run) for run in results.runs}
+    tables |= {"parameters": _parameters(results), "errors": _errors(results)}
+    if to == "csv":
+        folder = results.output / "csv"
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / f"{name}.csv" for name in tables]
+        for path, table in zip(paths, tables.values(), strict=True):
+            table.to_csv(path, index=False)
+        return paths
+    return [_workbook(tables, results.output / f"{results.path.stem}.xlsx")]
+
+
+def _workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
+    import pandas as pd  # noqa: PLC0415 - slow to load
+
+    try:
+        with pd.ExcelWriter(path, engine="openpyxl") as book:
+            for name, table in tables.items():
+                table.to_excel(book, sheet_name=name[:31], index=False)
+    except ImportError as e:
+        raise FrictrackError("writing Excel needs openpyxl; pip install frictrack[xlsx]") from e
+    return path
+
+
+def _safe(name: str) -> str:
+    """A run's name that is not one of our own tables."""
+    return f"run {name}" if name in ("parameters", "errors") else name
+
+
+def _run(run: RunResults) -> pd.DataFrame:
+    """Displacement, motion and friction of one run, a row per frame, the unit in every header."""
+    import pandas as pd  # noqa: PLC0415
+
+    columns: dict[str, Any] = {"t_s": run.displacement.t, "x_measured_m": run.displacement.x}
+    for record in (run.motion, run.friction):
+        for f in fields(record) if record is not None else ():
+            if f.metadata.get("column") and f.name != "t":
+                unit = re.sub(r"[/^]", "", f.metadata["unit"])
+                columns[f"{f.name}_{unit}" if unit else f.name] = getattr(record, f.name)
+    return pd.DataFrame(columns)
+
+
+def _parameters(results: Results) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415
+
+    rows = [
+        {"model": model.name, "parameter": name, **values}
+        for model in results.models
+        for name, values in model.summary["parameters"].items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def _errors(results: Results) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415
+
+    return pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])

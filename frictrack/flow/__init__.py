@@ -1,0 +1,14 @@
+"""One place shows the whole flow: from a study file to its report, and nothing done twice.
+
+    recording -> track -> displacement -> filtered -> motion -> friction        per run, the table in `stages`
+    fit -> compare -> diagnose -> (add, fit again) -> report                    per study, here
+
+`Session` is the only code that loads, runs and saves; the command line and the workbench speak to it.
+"""
+
+from frictrack.flow.demo import demo
+from frictrack.flow.session import Session, open_study, start_study
+from frictrack.flow.stages import Progress, silent
+from frictrack.flow.tried import Spec
+
+__all__ = ["Progress", "Session", "Spec", "demo", "open_study", "silent", "start_study"]

@@ -1,0 +1,33 @@
+"""The whole loop on the sample study: the model fails, the missing effect is named, added, the error falls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from frictrack.flow.session import Session, open_study
+from frictrack.flow.stages import Progress, silent
+
+ROUNDS = 4  # effects that may be added before the demo gives up
+
+
+def demo(folder: Path, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+    """Run the sample study in `folder` (written there when it is missing): JSON of `demo`.
+
+    What is missing is added, best first, until the diagnosis finds nothing more.
+    """
+    path = folder / "study.toml"
+    if not path.exists():
+        from frictrack.simulate.scene import sample_study  # noqa: PLC0415
+
+        sample_study(folder)
+    session = Session(open_study(path), progress)
+    session.restart()
+    first = found = session.diagnose(seed)
+    added: list[dict[str, Any]] = []
+    while found["missing"] and len(added) < ROUNDS:
+        added.append(session.add(found["missing"][0], seed))
+        found = session.diagnose(seed)
+    history = session.history()
+    report = session.report(seed)
+    return {"diagnose": first, "add": added[0] if added else None, "history": history, "report": str(report)}

@@ -1,0 +1,270 @@
+"""A study at work: every step first brings up to date what it rests on, and leaves its result in the store."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from frictrack import __version__, models, store
+from frictrack.calibration import parse_scale
+from frictrack.errors import FrictrackError, gather
+from frictrack.flow.stages import Progress, RunWork, digest, silent
+from frictrack.flow.summary import summary
+from frictrack.flow.tried import Spec, Tried, with_tables
+from frictrack.results import ModelResults, Results, RunResults, plain
+from frictrack.store import Entry, Stamp
+from frictrack.study import Study, load, write_study
+
+
+def open_study(path: str | Path) -> Study:
+    """Read a study file and check all that can be checked before any work: scales, model, effects.
+
+    Raises `FrictrackError` (usage) with every fault.
+    """
+    study = load(path)
+    faults = []
+    for run in study.runs:
+        if run.scale is not None:
+            faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
+    faults += _fault(lambda: with_tables(models.parse(study.model), study.effects), "model")
+    try:
+        gather(faults, study.path.name)
+    except FrictrackError as e:
+        raise FrictrackError(str(e), usage=True) from e
+    return study
+
+
+def start_study(path: Path, recordings: Sequence[Path], keys: Mapping[str, Any]) -> Study:
+    """Write the study file of bare recordings and open it; nothing is left behind when they cannot be used.
+
+    Raises `FrictrackError`: (usage) where a study file is already, else what is wrong with a recording.
+    """
+    missing = [f"expected a recording {p} but there is no such file" for p in recordings if not p.exists()]
+    if missing:
+        raise FrictrackError("; ".join(missing), usage=True)
+    write_study(path, recordings, keys)
+    try:
+        study = open_study(path)
+        for work in Session(study).runs:
+            work.get("recording" if work.run.video else "displacement")
+    except FrictrackError:
+        path.unlink()
+        raise
+    return study
+
+
+def _fault(check: Callable[[], Any], what: str) -> list[str]:
+    try:
+        check()
+    except FrictrackError as e:
+        return [f"{what}: {e}"]
+    return []
+
+
+class Session:
+    """One study, its runs and the models tried on it."""
+
+    def __init__(self, study: Study, progress: Progress = silent) -> None:
+        self.study = study
+        self.progress = progress
+        self.runs = [RunWork(study, run, progress) for run in study.runs]
+        self.tried = Tried(study, self.runs, progress)
+        self.path = study.output / "study.h5"
+
+    def bring_up_to(self, stage: str) -> list[RunWork]:
+        """Do every run up to a stage of its table; a table has no recording and no track to do."""
+        for i, work in enumerate(self.runs):
+            self.progress(i, len(self.runs), "runs")
+            if stage in work.stages:
+                work.get(stage)
+        self.progress(len(self.runs), len(self.runs), "runs")
+        return self.runs
+
+    def measure(self, stage: str) -> dict[str, Any]:
+        """Every run up to `track`, `motion` or `friction`: JSON of those commands."""
+        return {"runs": summary(self.bring_up_to(stage), stage), "output": str(self.study.output)}
+
+    def fit(self, model: str | None = None, **how: Any) -> dict[str, Any]:
+        """Fit the current model, or another one that becomes current: JSON of `fit`.
+
+        `how` may hold domain, search, seed, per; what is None stays as it was for the current model.
+        """
+        asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
+        if model is not None:
+            base = tuple(part.strip() for part in model.split(",")) if "," in model else model
+            asked |= {"base": base, "edits": ()}
+            with_tables(replace(Spec(base)).model(), self.study.effects)
+        self.bring_up_to("friction")
+        group, spec = self._first(asked) if not self.tried.groups else self.tried.current()
+        if replace(spec, **asked) != spec:
+            group, _ = self.tried.append(replace(spec, **asked))
+        return self._summary(group)
+
+    def _first(self, asked: dict[str, Any]) -> tuple[str, Spec]:
+        """The study file's model comes first, even where another one is asked for."""
+        how = {} if "base" in asked else asked
+        return self.tried.append(replace(Spec(self.study.model, domain=self.tried.domain()), **how))
+
+    def _summary(self, group: str) -> dict[str, Any]:
+        self.tried.fit(group)  # again when something it rests on has changed
+        return self.tried.results(group).summary
+
+    def compare(self) -> dict[str, Any]:
+        """Errors of all models tried, and where the current one fails: JSON of `compare`."""
+        from frictrack.compare import compare  # noqa: PLC0415
+
+        def make() -> dict[str, Any]:
+            return {"summary": json.dumps(plain(compare(self._fits()).summary()))}
+
+        return self._summarised("comparison", make, self._history_key())
+
+    def history(self) -> dict[str, Any]:
+        """Every model tried, in order, with its errors: JSON of `history`."""
+        from frictrack.compare import history  # noqa: PLC0415
+
+        found: dict[str, Any] = plain(history(self._fits()).summary())
+        return found
+
+    def diagnose(self, seed: int = 0) -> dict[str, Any]:
+        """Which effect is missing: JSON of `diagnose`."""
+        from frictrack.diagnose import diagnose  # noqa: PLC0415
+
+        self.bring_up_to("friction")
+        group, spec = self.tried.current()
+
+        def make() -> dict[str, Any]:
+            diagnosis = diagnose(self.tried.fit(group), seed=seed, progress=self.progress)
+            return {"summary": json.dumps(plain(diagnosis.summary())), "figures": diagnosis.figures}
+
+        self.tried.fit(group)  # a refit drops the old diagnosis
+        inside = f"models/{group}/diagnosis"
+        found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec)]), seed)
+        store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
+        return found
+
+    def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
+        """Fit again with one effect more: JSON of `add`."""
+        return self._edit("+", effect, seed)
+
+    def remove(self, effect: str, seed: int | None = None) -> dict[str, Any]:
+        """Fit again with one effect less: JSON of `remove`."""
+        return self._edit("-", effect, seed)
+
+    def _edit(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
+        models.parse([effect])  # the nearest right name, before any work
+        before, after = self._edited(sign + effect, seed)
+        return {
+            "effect": effect,
+            "error_before": before["errors"],
+            "error_after": after["errors"],
+            "parameters": after["parameters"],
+        }
+
+    def _edited(self, edit: str, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        self.bring_up_to("friction")
+        group, spec = self.tried.current()
+        spec = spec.edited(edit) if seed is None else replace(spec.edited(edit), seed=seed)
+        with_tables(spec.model(), self.study.effects)
+        before = self._summary(group)
+        return before, self._summary(self.tried.append(spec)[0])
+
+    def run(self, seed: int = 0) -> dict[str, Any]:
+        """Everything: JSON of `run`."""
+        fit = self.fit()
+        self.compare()
+        diagnosis = self.diagnose(seed)
+        self.report(seed)
+        return {"fit": fit, "diagnose": diagnosis, "output": str(self.study.output)}
+
+    def report(self, seed: int | None = None) -> Path:
+        """Write ``report.html`` and say where; `seed` is that of the diagnosis, the last one's when None."""
+        from frictrack import report  # noqa: PLC0415
+
+        path = self.study.output / "report.html"
+        report.write(self.results(seed), path)
+        return path
+
+    def restart(self) -> None:
+        """Forget the models tried; what was measured stays."""
+        if self.path.exists():
+            store.write(self.path, {}, remove=("models", "comparison", "diagnosis", "papers"))
+        self.tried = Tried(self.study, self.runs, self.progress)
+
+    def results(self, seed: int | None = None) -> Results:
+        """All that the study has come to, for the report and the export."""
+        comparison = self.compare()
+        diagnosis = self.diagnose(self._seed() if seed is None else seed)
+        tried = tuple(self.tried.results(group) for group in self.tried.groups)
+        papers, notes = self._papers()
+        return Results(
+            name=self.study.name,
+            path=self.study.path,
+            output=self.study.output,
+            version=__version__,
+            runs=tuple(run_results(work) for work in self.runs),
+            models=tried,
+            comparison=comparison,
+            diagnosis=diagnosis,
+            figures=tried[-1].figures,
+            papers=papers,
+            notes=notes,
+        )
+
+    def _seed(self) -> int:
+        """The seed of the last diagnosis."""
+        held = store.stamp(self.path, "diagnosis")
+        return int(json.loads(held.settings)["seed"]) if held else 0
+
+    def _papers(self) -> tuple[ModelResults | None, tuple[str, ...]]:
+        """The papers' route beside ours, or in words why not."""
+        try:
+            return self.tried.papers(), ()
+        except FrictrackError as e:
+            return None, (f"the papers' route (force domain, SGA) was not possible: {e}",)
+
+    def _fits(self) -> list[Any]:
+        self.bring_up_to("friction")
+        self.tried.current()
+        return [self.tried.fit(group) for group in self.tried.groups]
+
+    def _history_key(self) -> str:
+        self.bring_up_to("friction")
+        self.tried.current()
+        return digest([self.tried.key(self.tried.spec(group)) for group in self.tried.groups])
+
+    def _summarised(
+        self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None
+    ) -> dict[str, Any]:
+        """A stored summary, made again when its key has changed."""
+        held = store.stamp(self.path, group)
+        if held is None or held.key != key:
+            stamp = Stamp(key, self.tried.input_hash, json.dumps({} if seed is None else {"seed": seed}))
+            store.write(self.path, {group: Entry(make(), stamp)})
+        found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
+        return found
+
+
+def run_results(work: RunWork) -> RunResults:
+    """Every stage of one run, brought up to date."""
+    done = {name: work.get(name) for name in work.stages}
+    notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
+    return RunResults(
+        name=work.run.name,
+        source=work.written(work.run.source),
+        displacement=done["displacement"],
+        filtered=done["filtered"],
+        motion=done["motion"],
+        friction=done["friction"],
+        film=done.get("recording"),
+        track=done.get("track"),
+        tracks=done.get("tracks", {}),
+        sensors=done["sensors"],
+        role=work.run.role,
+        group=work.run.group,
+        settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},
+        hashes={name: work.key(name) for name in work.stages},
+        notes=tuple(dict.fromkeys(notes)),
+    )

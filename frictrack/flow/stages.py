@@ -1,0 +1,294 @@
+"""The table of stages of one run, and the work of bringing them up to date.
+
+A stage is made again only when its settings, what it is made from, or the version of frictrack changed: its
+key is the hash of those, written beside the result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack import __version__, store
+from frictrack.calibration import calibrate, parse_scale
+from frictrack.errors import FrictrackError
+from frictrack.friction import friction
+from frictrack.motion import differentiate, low_pass, noise_level
+from frictrack.records import Array, Displacement, Filtered, Friction, Motion, Run, Track
+from frictrack.results import Film, Sensors, plain
+from frictrack.store import Entry, Stamp
+from frictrack.study import RunTable, Study, TableData, read_clocked, read_table, resample
+
+if TYPE_CHECKING:
+    from frictrack.recording import Recording
+
+Progress = Callable[[int, int, str], None]
+
+
+def silent(done: int, total: int, what: str) -> None:
+    """Progress that nobody watches."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the measuring chain: from the groups `inputs` and some keys of the run to one group."""
+
+    name: str
+    inputs: tuple[str, ...]
+    settings: tuple[str, ...]  # keys of [[run]] that it depends on
+    make: Callable[..., Any]  # (work, *inputs) -> kind
+    kind: Any
+
+
+class RunWork:
+    """One run on its way: what is stored is read, what is missing or stale is made and stored."""
+
+    def __init__(self, study: Study, run: RunTable, progress: Progress = silent) -> None:
+        self.study = study
+        self.run = run
+        self.path = study.output / f"{run.name}.h5"
+        self.stages = FILM if run.video else TABLE
+        self._progress = progress
+        self._made: dict[str, Any] = {}
+        self._keys: dict[str, str] = {}
+
+    def progress(self, done: int, total: int, what: str) -> None:
+        """Pass on what a stage says of itself, with the run's name."""
+        self._progress(done, total, f"{self.run.name}: {what}")
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The film, opened."""
+        from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
+
+        assert self.run.video is not None
+        return open_recording(self.run.video, fps=self.run.fps)
+
+    def get(self, name: str) -> Any:
+        """The result of a stage, brought up to date; None where the stage has nothing to give."""
+        if name not in self._made:
+            self._made[name] = self._load(name) if self.is_current(name) else self._make(name)
+        return self._made[name]
+
+    def is_current(self, name: str) -> bool:
+        """Whether the stored result is what would be made today."""
+        stamp = store.stamp(self.path, name)
+        return stamp is not None and stamp.key == self.key(name)
+
+    def key(self, name: str) -> str:
+        """Hash of everything the stage depends on."""
+        if name not in self._keys:
+            settings = self.settings(name)
+            self._keys[name] = digest([name, __version__, settings, self._from(name)])
+        return self._keys[name]
+
+    def settings(self, name: str) -> dict[str, Any]:
+        """The keys of the study file on which the stage depends, paths as they stand there."""
+        return {k: self.written(getattr(self.run, k)) for k in self.stages[name].settings}
+
+    def written(self, value: Any) -> Any:
+        """A key's value as JSON has it, a path as the study file has it."""
+        if not isinstance(value, Path):
+            return plain(value)
+        inside = value.is_relative_to(self.study.folder)
+        return (value.relative_to(self.study.folder) if inside else value).as_posix()
+
+    def _from(self, name: str) -> list[str]:
+        """Keys of the inputs and hashes of the files that a stage reads."""
+        stage = self.stages[name]
+        paths = [getattr(self.run, key) for key in stage.settings]
+        return [self.key(i) for i in stage.inputs] + [self._content(p) for p in paths if isinstance(p, Path)]
+
+    def _content(self, path: Path) -> str:
+        if path == self.run.video:
+            return self.recording.hash
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    def _load(self, name: str) -> Any:
+        kind = self.stages[name].kind
+        if kind is dict:
+            return {n: store.read(self.path, f"{name}/{n}", Track) for n in store.names(self.path, name)}
+        return store.read(self.path, name, kind)
+
+    def _make(self, name: str) -> Any:
+        stage = self.stages[name]
+        inputs = [self.get(i) for i in stage.inputs]
+        try:
+            made = stage.make(self, *inputs)
+        except FrictrackError as e:
+            raise FrictrackError(f'run "{self.run.name}", {name}: {e}', usage=e.usage) from e
+        stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
+        store.write(self.path, {name: Entry(made, stamp)})
+        return made
+
+    def record(self) -> Run:
+        """The run as the fit wants it."""
+        sensors: Sensors = self.get("sensors")
+        return _run(self, self.get("displacement"), self.get("motion"), sensors)
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of anything that JSON can write."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _film(work: RunWork) -> Film:
+    rec = work.recording
+    return Film(
+        t=rec.t,
+        path=work.settings("recording")["video"],
+        fps=rec.fps,
+        n_frames=rec.n_frames,
+        bit_depth=rec.bit_depth,
+        hash=rec.hash,
+        picture=np.asarray(rec.frame(0)),
+        notes=tuple(rec.notes),
+    )
+
+
+def _track(work: RunWork, film: Film) -> Track:
+    from frictrack.tracking import contact_sheet, track  # noqa: PLC0415
+
+    if work.run.template is not None:
+        raise FrictrackError("expected no template, this version finds its own; take the key out", usage=True)
+    made = track(work.recording, work.run.target, progress=work.progress)
+    contact_sheet(work.recording, made, sheet(work))
+    return made
+
+
+def _tracks(work: RunWork, film: Film) -> dict[str, Track]:
+    """The fixed reference and the further targets."""
+    from frictrack.tracking import track  # noqa: PLC0415
+
+    wanted = dict(work.run.targets)
+    if work.run.reference:
+        wanted["reference"] = work.run.reference
+    return {
+        name: replace(track(work.recording, rectangle, progress=work.progress), name=name)
+        for name, rectangle in wanted.items()
+    }
+
+
+def sheet(work: RunWork) -> Path:
+    """Where the contact sheet of a film lies."""
+    return work.study.output / f"{work.run.name}_track.png"
+
+
+def _calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
+    run = work.run
+    return calibrate(
+        track,
+        run.scale,
+        axis=run.axis,
+        origin_px=run.origin_px,
+        x_offset=run.x_offset,
+        reference=tracks.get("reference"),
+    )
+
+
+def _tabled(work: RunWork) -> Displacement:
+    """A table is a displacement already; what it does not hold is NaN."""
+    data = _table(work.run)
+    assert data.x is not None
+    nan = np.full(len(data.t), np.nan)
+    pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
+    return Displacement(
+        t=data.t,
+        x=data.x + work.run.x_offset,
+        y=nan if data.y is None else data.y,
+        angle=nan,
+        sigma_x=_table_sigma(data.x) if data.sigma is None else data.sigma,
+        sigma_y=nan,
+        valid=np.ones(len(data.t), dtype=bool),
+        pixel_pitch=pitch,
+        relative_scale_error=relative,
+    )
+
+
+def _table(run: RunTable) -> TableData:
+    assert run.table is not None
+    return read_table(run.table, run.columns)
+
+
+def _table_sigma(x: Array) -> Array:
+    """White noise of a displacement whose table states none; at least that of its last digit."""
+    steps = np.abs(np.diff(x))
+    rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
+    sigma = float(noise_level(x, np.ones(len(x), dtype=bool))[0])
+    return np.full(len(x), sigma if sigma > 0 else rounding)
+
+
+def _sensors(work: RunWork, displacement: Displacement) -> Sensors:
+    """Drive, acceleration and friction that were measured, at the frames of the displacement."""
+    run, t = work.run, displacement.t
+    found: dict[str, Array] = {}
+    if run.table:
+        data = _table(run)
+        found = {k: v for k in ("drive", "a", "friction") if (v := getattr(data, k)) is not None}
+    for path, wanted in ((run.drive, ("drive",)), (run.sensor, ("a", "friction"))):
+        if path:
+            data = read_clocked(path, wanted)
+            values = {k: v for k in wanted if (v := getattr(data, k)) is not None}
+            found |= {k: resample(t, data.t, v, path.name) for k, v in values.items()}
+    return Sensors(t, drive=found.get("drive"), a=found.get("a"), friction_N=found.get("friction"))
+
+
+def _friction(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
+    return friction(_run(work, displacement, motion, sensors))
+
+
+def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:
+    run = work.run
+    if run.mass == "fit":
+        raise FrictrackError('expected a mass but got "fit", which this version cannot do yet; weigh the slider')
+    mass, sigma = run.mass if run.mass is not None else (None, 0.0)
+    return Run(
+        displacement,
+        motion,
+        mass=mass,
+        sigma_mass=sigma,
+        name=run.name,
+        incline=run.incline or 0.0,
+        has_incline=run.incline is not None,
+        normal_load=run.normal_load,
+        drive=sensors.drive,
+        friction_N=sensors.friction_N,
+        free=run.free,
+        role=run.role,
+        group=run.group,
+    )
+
+
+def _chain(*head: Stage) -> dict[str, Stage]:
+    """A table of stages: the head, and what every run goes through after its displacement."""
+    tail = (
+        Stage("sensors", ("displacement",), ("drive", "sensor"), _sensors, Sensors),
+        Stage("filtered", ("displacement",), ("cutoff",), lambda work, d: low_pass(d, work.run.cutoff), Filtered),
+        Stage("motion", ("filtered",), (), lambda work, filtered: differentiate(filtered), Motion),
+        Stage(
+            "friction",
+            ("displacement", "motion", "sensors"),
+            ("mass", "incline", "normal_load", "free"),
+            _friction,
+            Friction,
+        ),
+    )
+    return {stage.name: stage for stage in (*head, *tail)}
+
+
+FILM = _chain(
+    Stage("recording", (), ("video", "fps"), _film, Film),
+    Stage("track", ("recording",), ("target", "template"), _track, Track),
+    Stage("tracks", ("recording",), ("reference", "targets"), _tracks, dict),
+    Stage("displacement", ("track", "tracks"), ("scale", "axis", "origin_px", "x_offset"), _calibrated, Displacement),
+)
+TABLE = _chain(
+    Stage("displacement", (), ("table", "columns", "scale", "x_offset"), _tabled, Displacement),
+)

@@ -1,0 +1,221 @@
+"""The models tried on a study, in order: kept, refitted only when what they rest on changed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from frictrack import models, store
+from frictrack.errors import FrictrackError
+from frictrack.flow.stages import Progress, RunWork, digest
+from frictrack.models import Model
+from frictrack.records import Curve, Run
+from frictrack.results import ModelResults, plain
+from frictrack.store import Entry, Stamp
+from frictrack.study import EffectTable, Study
+from frictrack.study.schema import nearest
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What was asked of a fit: the model as the user built it up, and how it is fitted."""
+
+    base: str | tuple[str, ...]  # "tustin", or a list of effects
+    edits: tuple[str, ...] = ()  # "+texture", "-viscous"
+    domain: str = "displacement"
+    search: str = "varpro"
+    seed: int = 0
+    per: str | None = None
+
+    def edited(self, edit: str) -> Spec:
+        """The same with one effect more (``"+texture"``) or less; what cancels is dropped."""
+        opposite = ("-" if edit[0] == "+" else "+") + edit[1:]
+        kept = tuple(e for e in self.edits if e != opposite)
+        return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
+
+    def model(self) -> Model:
+        """The model itself; raises `FrictrackError` (usage) for an unknown effect."""
+        model = models.parse(self.base)
+        for edit in self.edits:
+            model = model + edit[1:] if edit[0] == "+" else model - edit[1:]
+        return model
+
+    @property
+    def name(self) -> str:
+        """A short name, good for a group: ``tustin+texture``."""
+        base = self.base if isinstance(self.base, str) else "+".join(self.base)
+        return re.sub(r"[\s,/]+", "+", base) + "".join(self.edits)
+
+    @classmethod
+    def parse(cls, text: str) -> Spec:
+        """Read what `json` wrote."""
+        raw = json.loads(text)
+        base = raw["base"] if isinstance(raw["base"], str) else tuple(raw["base"])
+        return cls(**(raw | {"base": base, "edits": tuple(raw["edits"])}))
+
+    def json(self) -> str:
+        """As text, the same for the same request."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+def with_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
+    """The model with what the `[[effect]]` tables of the study file say of its effects.
+
+    Raises `FrictrackError` (usage) for a parameter that the effect does not have, and for keys that this
+    version reads but cannot obey.
+    """
+    of = {table.effect: table for table in tables}
+    return Model(tuple(_adjusted(e, of[e.name]) if e.name in of else e for e in model.effects))
+
+
+def _adjusted(effect: Any, table: EffectTable) -> Any:
+    for key in ("prior", "tie", "formula"):
+        if getattr(table, key):
+            raise FrictrackError(
+                f'[[effect]] "{table.effect}": {key} is not obeyed by this version; take it out', usage=True
+            )
+    changes: dict[str, dict[str, Any]] = {}
+    for parameter, field, value in (
+        *((p, "fixed", v) for p, v in table.fix.items()),
+        *((p, "bounds", v) for p, v in table.bounds.items()),
+        *((p, "per_run", True) for p in table.per_run),
+    ):
+        changes.setdefault(parameter, {})[field] = value
+    known = [p.name for p in effect.parameters]
+    for parameter in changes:
+        if parameter not in known:
+            hint = nearest(parameter, known)
+            raise FrictrackError(f'[[effect]] "{table.effect}": unknown parameter "{parameter}"; {hint}', usage=True)
+    return effect.adjusted(**changes)
+
+
+class Tried:
+    """The list of models of a study in ``study.h5``; the last one is current."""
+
+    def __init__(self, study: Study, runs: list[RunWork], progress: Progress) -> None:
+        self.study = study
+        self.path = study.output / "study.h5"
+        self.progress = progress
+        self._works = runs
+        self._fits: dict[str, Any] = {}
+        self._records: list[Run] | None = None
+
+    @property
+    def runs(self) -> list[Run]:
+        """All runs, brought up to date."""
+        if self._records is None:
+            self._records = [work.record() for work in self._works]
+        return self._records
+
+    @property
+    def groups(self) -> list[str]:
+        """``1_tustin``, ``2_tustin+texture``: in the order tried."""
+        return sorted(store.names(self.path, "models"), key=lambda name: int(name.split("_")[0]))
+
+    def spec(self, group: str) -> Spec:
+        """What was asked for in a group."""
+        return Spec.parse(store.attributes(self.path, f"models/{group}")["settings"])
+
+    def current(self) -> tuple[str, Spec]:
+        """The model in force: the last one; the study file's when there is none, or when it was changed there."""
+        groups = self.groups
+        if not groups:
+            return self.append(Spec(self.study.model, domain=self.domain()))
+        last = self.spec(groups[-1])
+        if store.attributes(self.path, "models")["study_model"] != self._asked:
+            return self.append(replace(last, base=self.study.model, edits=()))
+        return groups[-1], last
+
+    @property
+    def _asked(self) -> str:
+        """The study file's model, as it is noted beside the models."""
+        return json.dumps(plain(self.study.model))
+
+    def domain(self) -> str:
+        """Where a load cell measured friction, forces are compared; else displacements."""
+        return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
+
+    def append(self, spec: Spec) -> tuple[str, Spec]:
+        """Fit a model, put it at the end of the list and make it current."""
+        group = f"{len(self.groups) + 1}_{spec.name}"
+        fit = self._fit(spec)
+        marks = {"models": {"study_model": self._asked}} | {
+            f"models/{earlier}": {"current": False} for earlier in self.groups[-1:]
+        }
+        links = {f"runs/{work.run.name}": work.path.name for work in self._works}
+        store.write(self.path, {f"models/{group}": self._entry(spec, fit, current=True)}, links=links, marks=marks)
+        self._fits[group] = fit
+        return group, spec
+
+    def fit(self, group: str) -> Any:
+        """The fit of a group: rebuilt from the store when it is current, else made again."""
+        if group not in self._fits:
+            spec = self.spec(group)
+            if self._stamp(group).key == self.key(spec):
+                self._fits[group] = self._restored(group)
+            else:
+                self._fits[group] = self._fit(spec)
+                entry = self._entry(spec, self._fits[group], current=group == self.groups[-1])
+                store.write(self.path, {f"models/{group}": entry})
+        return self._fits[group]
+
+    def _restored(self, group: str) -> Any:
+        from frictrack.fit import restore  # noqa: PLC0415
+
+        return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
+
+    def key(self, spec: Spec) -> str:
+        """Hash of all that the fit of this model depends on."""
+        return digest([spec.json(), [e.model_dump() for e in self.study.effects], self.input_hash])
+
+    @property
+    def input_hash(self) -> str:
+        """Hash of the runs as the fit sees them."""
+        keys = [[w.run.name, w.run.role, w.run.group, w.key("friction"), w.key("motion")] for w in self._works]
+        return digest([keys, self.study.mass])
+
+    def _fit(self, spec: Spec) -> Any:
+        from frictrack.fit import fit  # noqa: PLC0415
+
+        model = with_tables(spec.model(), self.study.effects)
+        how = {"domain": spec.domain, "search": spec.search, "seed": spec.seed, "per": spec.per}
+        return fit(model, self.runs, **how, progress=self.progress)
+
+    def papers(self) -> Any:
+        """The current model by the papers' route (force domain, SGA), kept beside the others."""
+        spec = replace(self.current()[1], domain="force", search="sga")
+        stamp = store.stamp(self.path, "papers")
+        if stamp is None or stamp.key != self.key(spec):
+            store.write(self.path, {"papers": self._entry(spec, self._fit(spec), current=False)})
+        return self.results("papers")
+
+    def results(self, group: str) -> ModelResults:
+        """A stored model as the report wants it; `group` may be ``papers``."""
+        inside = group if group == "papers" else f"models/{group}"
+        held = store.read(self.path, inside)
+        runs = store.names(self.path, f"{inside}/curves")
+        return ModelResults(
+            name=group,
+            equation=held["equation"],
+            summary=json.loads(held["summary"]),
+            curves=tuple(store.read(self.path, f"{inside}/curves/{run}", Curve) for run in runs),
+            current=bool(held["current"]),
+            diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
+            figures=held.get("diagnosis", {}).get("figures", {}),
+        )
+
+    def _stamp(self, group: str) -> Stamp:
+        return store.stamp(self.path, f"models/{group}") or Stamp()
+
+    def _entry(self, spec: Spec, fit: Any, *, current: bool) -> Entry:
+        content = {
+            "current": current,
+            "equation": str(fit.model),
+            "summary": json.dumps(plain(fit.summary())),
+            "state": fit.state(),
+            "curves": {curve.run: curve for curve in fit.curves},
+        }
+        return Entry(content, Stamp(self.key(spec), self.input_hash, spec.json()))
