@@ -1,0 +1,117 @@
+"""Is anything missing, and is it this? p-values for the whole search, from the draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+
+from frictrack import effects
+from frictrack.diagnose.null import Ensemble
+from frictrack.effects import Effect
+from frictrack.fit.scan import Family, families
+from frictrack.fit.solve import Solution
+from frictrack.fit.start import PULSE_PRICE
+from frictrack.records import Array
+
+ALPHA = 0.01  # half for lack of fit, half for candidates
+COMMON = 0.99  # quantile of its own null at which every candidate is put on the common scale
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """One candidate effect scanned over data and draws: its statistic above its own null quantile, (D,)."""
+
+    effect: Effect
+    families: list[Family]
+    statistic: Array
+    quantile: float
+    rises: list[Array]  # of the data alone, per family, (G,)
+
+    @property
+    def excess(self) -> Array:
+        """Statistic on the common scale."""
+        return self.statistic - self.quantile
+
+
+@dataclass(frozen=True)
+class Tests:
+    """Lack of fit and every candidate, calibrated for the whole search."""
+
+    p_lack_of_fit: float
+    scanned: list[Scanned]
+    p: dict[str, float]
+    critical: float  # excess that one search in 1/ALPHA * 2 exceeds by chance
+
+
+def candidates(solution: Solution) -> list[Effect]:
+    """Every effect of the library that could enter the model, under the name it would have there."""
+    model = solution.problem.model
+    out = []
+    for effect in effects.LIBRARY.values():
+        once = not any(p.scan is not None or p.role == "phase" for p in effect.parameters)
+        if effect.name in model and once:
+            continue
+        if effect.kind in ("stribeck", "coulomb") and any(e.kind in ("atm2",) for e in model.effects):
+            continue
+        if effect.modifies and not any(e.kind in effect.modifies for e in model.effects):
+            continue
+        if effect.kind in ("stribeck", "lens", "peak_locking") and effect.name in model:
+            continue
+        out.append(effect.called(model.next_instance(effect.name)))
+    return out
+
+
+def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:
+    """Test the fitted model for lack of fit and for every effect of the library."""
+    scanned = [s for s in (_scan(solution, draws, e) for e in library) if s is not None]
+    tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.shape[1])
+    p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}
+    return Tests(
+        p_lack_of_fit=lack_of_fit(solution, draws),
+        scanned=scanned,
+        p=p,
+        critical=float(np.quantile(tallest[1:], 1 - ALPHA / 2)),
+    )
+
+
+def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> Scanned | None:
+    made = families(solution, effect, draws.basis)
+    if not made:
+        return None
+    rises = [draws.rises(f) for f in made]
+    tops = np.stack([r.max(axis=0) for r in rises])
+    if len(made) > 1:  # events of single runs: each must pay its price
+        price = PULSE_PRICE * np.log(solution.problem.n_frames)
+        statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)
+    else:
+        statistic = tops[0]
+    quantile = float(np.quantile(statistic[1:], COMMON))
+    return Scanned(effect, made, statistic, quantile, [r[:, 0] for r in rises])
+
+
+def _p_value(null: Array, value: float) -> float:
+    return float((1 + np.sum(null >= value)) / (len(null) + 1))
+
+
+def lack_of_fit(solution: Solution, draws: Ensemble) -> float:
+    """Adaptive Neyman smooth test of the residuals against the measured noise (Fan 1996), calibrated by the draws.
+
+    The residual of every piece is cosine-transformed; energies are summed up to a growing order, and the order
+    that stands out most is taken, in data and draws alike.
+    """
+    residual = draws.residuals()
+    energy = []
+    at = 0
+    for r in solution.responses:
+        n = len(r.r)
+        energy.append(dct(residual[at : at + n], axis=0, norm="ortho") ** 2)
+        at += n
+    orders = [2**k for k in range(2, 20) if 2**k < max(len(e) for e in energy)]
+    orders.append(max(len(e) for e in energy))
+    sums = np.stack([np.sum([e[:order].sum(axis=0) for e in energy], axis=0) for order in orders])
+    center, spread = sums[:, 1:].mean(axis=1), sums[:, 1:].std(axis=1)
+    statistic = np.max((sums - center[:, None]) / spread[:, None], axis=0)
+    return _p_value(statistic[1:], float(statistic[0]))
