@@ -350,6 +350,7 @@ def test_distinct_optima_of_a_valley_and_an_island() -> None:
         ({"method": "gaa"}, 'expected a search among ga, mga, sa, sga, de, da, cmaes but got "gaa"'),
         ({"poulation": 3}, 'search ga: expected a setting among population, bits, .* but got "poulation"'),
         ({"population": 2, "gap": 1.5, "bits": 99}, r"at least 4 but got 2; .* got 1.5; .* 60 bits but got 99"),
+        ({"method": "mga", "l_const": 40}, "genetic search: expected a code length of 1 to 60 bits but got"),
         ({"bounds": [0, 1]}, r"expected bounds of shape \(d, 2\) but got shape \(2,\)"),
         ({"bounds": [[0, 1], [2, 2]]}, r"expected finite lower < upper but got \[2, 2\] in row 1"),
         ({"max_evaluations": 0}, "expected max_evaluations of at least 1 but got 0"),

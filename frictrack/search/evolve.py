@@ -46,6 +46,7 @@ def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, populati
     for generation in ledger.generations():
         if use.bits(generation) != bits:
             unit, bits = decode(genes, bits), use.bits(generation)
+            _check(population, gap, bits)
             genes = encode(unit, bits)
             costs = ledger(decode(genes, bits))
         fitness = rank_fitness(costs)
