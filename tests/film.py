@@ -55,7 +55,7 @@ class Film(Recording):
             yield self._draw(i)
 
 
-def block_film(x, y=None, *, size=(60, 90), shape=(128, 512), seed=0, noise=True, light=None, fps=4000.0):  # noqa: PLR0913
+def block_film(x, y=None, *, size=(60, 90), shape=(128, 512), seed=0, noise=True, light=None, fps=4000.0):
     """Film of a block whose centre is at x (n,), y (n,) px."""
     rng = np.random.default_rng(seed)
     y = np.full(len(x), (shape[0] - 1) / 2) if y is None else y

@@ -2,5 +2,6 @@
 
 from frictrack.tracking.driver import track
 from frictrack.tracking.find import find_target
+from frictrack.tracking.sheet import contact_sheet, target_line
 
-__all__ = ["find_target", "track"]
+__all__ = ["contact_sheet", "find_target", "target_line", "track"]

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.records import Array, Track
 from frictrack.recording import Recording
+from frictrack.records import Array, Track
 from frictrack.tracking.find import locate
-from frictrack.tracking.findings import key_frame_jumps
+from frictrack.tracking.findings import key_frames
 from frictrack.tracking.follow import Coarse, Rectangle, cut_out, follow
 from frictrack.tracking.learn import learn
 from frictrack.tracking.refine import Fine, Template, refine
@@ -21,7 +21,7 @@ LEAST_SCORE = 0.7
 CHUNK = 256  # cut-outs refined at once
 
 
-def track(  # noqa: PLR0913
+def track(
     recording: Recording,
     target: Sequence[float] | None = None,
     *,
@@ -59,9 +59,7 @@ def _checked(target: Sequence[float], recording: Recording) -> Rectangle:
     if w < 8 or h < 8:
         raise FrictrackError(f"expected a target of at least 8x8 px but got {w}x{h} px")
     if x < 0 or y < 0 or x + w > width or y + h > height:
-        raise FrictrackError(
-            f"expected a target inside the {width}x{height} px picture but got [{x}, {y}, {w}, {h}]"
-        )
+        raise FrictrackError(f"expected a target inside the {width}x{height} px picture but got [{x}, {y}, {w}, {h}]")
     return x, y, w, h
 
 
@@ -76,9 +74,7 @@ def _refine_all(coarse: Coarse, template: Template, progress: Progress | None) -
     return Fine(**{key: np.concatenate([getattr(p, key) for p in parts]) for key in vars(parts[0])})
 
 
-def _assemble(
-    recording: Recording, coarse: Coarse, fine: Fine, rectangle: Rectangle, name: str
-) -> Track:
+def _assemble(recording: Recording, coarse: Coarse, fine: Fine, rectangle: Rectangle, name: str) -> Track:
     """One row per frame: the fine position where it can be trusted, else NaN and the reason."""
     _, _, w, h = rectangle
     corner = coarse.origin + fine.at
@@ -106,7 +102,7 @@ def _assemble(
         reason=reason.astype(str),
         name=name,
         target=tuple(float(v) for v in rectangle),
-        notes=(*recording.notes, *key_frame_jumps(x, y)),
+        notes=(*recording.notes, *key_frames(coarse.change, x, y)),
     )
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.records import Array, Mask
 from frictrack.recording import Frame, Recording
+from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Rectangle, correlate
 
 SAMPLES = 60
@@ -17,6 +17,8 @@ SAMPLE_BYTES = 96_000_000
 LEAST_AREA = 30  # px
 LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6
+ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
+OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
 CANDIDATES = 12
 
 
@@ -131,62 +133,96 @@ def _pursue(sample: Sample, row: int, box: Rectangle) -> Body:
 
 
 def _outline(sample: Sample, body: Body) -> tuple[Rectangle, int]:
-    """The rectangle inside what moves with the body, and the first sampled frame that shows it."""
-    member, (left, top) = _members(sample, body)
-    inner = _inside(member)
-    seen = np.flatnonzero(np.isfinite(body.corner[:, 0]))
-    first = int(seen[0])
-    x, y = (int(c) for c in body.corner[first] + (left, top))
-    return (x + inner[0], y + inner[1], inner[2], inner[3]), sample.index[first]
+    """The rectangle of the body and the frame it refers to: the first, unless that shows it badly."""
+    look = _look(sample, body)
+    x, y, w, h = _rectangle(look)
+    typical = int(np.argmin(look.misfit))
+    row = 0 if look.misfit[0] < max(2 * look.misfit[typical], ALIKE) else typical
+    left, top = (int(c) for c in look.corner[row])
+    height, width = sample.background.shape
+    x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
+    x1, y1 = min(left + x + w, width), min(top + y + h, height)
+    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), sample.index[look.rows[row]]
 
 
-def _members(sample: Sample, body: Body) -> tuple[Mask, tuple[int, int]]:
-    """Pixels round the box that move with the body, and the offset of that window from the box's corner.
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a body looks like, from the sampled frames registered on it: a window somewhat larger than it."""
 
-    A pixel moves with the body if, over the frames, the body's median picture explains it better than the
-    background does.
-    """
-    x, y, w, h = body.box
+    picture: Array  # median of the registered frames
+    member: Mask  # pixels that move with the body
+    corner: Array  # (k, 2) corner of the window in each frame that shows the body
+    rows: Array  # (k,) those frames
+    misfit: Array  # (k,) share of each that the median does not explain
+
+
+def _look(sample: Sample, body: Body) -> Look:
+    """A pixel moves with the body if the body's median picture explains it better than the background does."""
+    _, _, w, h = body.box
     reach = int(np.ceil(0.1 * max(w, h))) + 3
     shape = (h + 2 * reach, w + 2 * reach)
-    seen = np.flatnonzero(np.isfinite(body.corner[:, 0]))
-    pictures, scenes = [], []
-    for k in seen:
-        at = body.corner[k].astype(int) - reach
-        pictures.append(_window(sample.frames[k].astype(np.float32), at, shape))
-        scenes.append(_window(sample.background, at, shape))
-    stack, scene = np.stack(pictures), np.stack(scenes)
-    spread = np.nanmedian((stack - np.nanmedian(stack, axis=0)) ** 2, axis=0)
-    differs = np.nanmedian((stack - scene) ** 2, axis=0)
-    smooth = [cv2.GaussianBlur(np.nan_to_num(e), (0, 0), 1.0) for e in (spread, differs)]
-    member = (smooth[0] < 0.5 * smooth[1]).astype(np.uint8)
+    rows = np.flatnonzero(np.isfinite(body.corner[:, 0]))
+    corner = body.corner[rows].astype(int) - reach
+    stack = np.stack([_window(sample.frames[k], at, shape) for k, at in zip(rows, corner, strict=True)])
+    scene = np.stack([_window(sample.background, at, shape) for at in corner])
+    picture = np.median(stack, axis=0)
+    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
+    differs = cv2.GaussianBlur(np.median((stack - scene) ** 2, axis=0), (0, 0), 1.0)
+    member = (spread < 0.5 * differs).astype(np.uint8)
     member = cv2.morphologyEx(member, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    member = cv2.morphologyEx(member, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return member > 0, (-reach, -reach)
+    member = _largest(cv2.morphologyEx(member, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    return Look(picture, member, corner, rows, _misfit(stack[:, member], picture[member]))
 
 
-def _window(picture: Array, corner: np.ndarray, shape: tuple[int, int]) -> Array:
-    """A window of the picture, NaN outside it."""
-    out = np.full(shape, np.nan, np.float32)
-    x, y = corner
+def _misfit(pictures: Array, picture: Array) -> Array:
+    """Share (k,) of each picture (k, p) that the median picture (p,) does not explain, whatever the light."""
+    pictures = pictures - pictures.mean(axis=1, keepdims=True)
+    picture = picture - picture.mean()
+    power = np.sum(pictures**2, axis=1) * np.sum(picture**2)
+    return 1 - np.asarray(pictures @ picture) ** 2 / np.maximum(power, 1e-12)
+
+
+def _largest(mask: Array) -> Mask:
+    """The largest connected patch of a mask; the whole window when there is none."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if len(stats) < 2:
+        return np.ones(mask.shape, np.bool_)
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, 4])))
+
+
+def _rectangle(look: Look) -> Rectangle:
+    """Inside the body where its texture is; round it where most of its contrast is the outline."""
+    inner = _inside(look.member)
+    x, y, w, h = inner
+    energy = np.sum(np.square(np.gradient(look.picture)), axis=0)
+    outlined = cv2.dilate(look.member.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if energy[y : y + h, x : x + w].sum() > OUTLINE * energy[outlined].sum():
+        return inner
+    x, y, w, h = cv2.boundingRect(outlined.astype(np.uint8))
+    return (x, y, w, h)
+
+
+def _window(picture: Array, corner: Array, shape: tuple[int, int]) -> Array:
+    """A window of the picture, float32, continued by its edge where it reaches beyond."""
     height, width = picture.shape
-    y0, y1, x0, x1 = max(y, 0), min(y + shape[0], height), max(x, 0), min(x + shape[1], width)
-    out[y0 - y : y1 - y, x0 - x : x1 - x] = picture[y0:y1, x0:x1]
-    return out
+    rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
+    columns = np.clip(np.arange(shape[1]) + corner[0], 0, width - 1)
+    return picture[np.ix_(rows, columns)].astype(np.float32)
 
 
 def _inside(member: Mask) -> Rectangle:
-    """Rectangle within the largest connected patch: sides come in until each is nearly all member."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(member.astype(np.uint8))
-    best = 1 + int(np.argmax(stats[1:, 4]))
-    x, y, w, h, _ = (int(s) for s in stats[best])
+    """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
+
+    The margin is what interpolation reaches across: background beyond the edge would leak in.
+    """
+    x, y, w, h = cv2.boundingRect(member.astype(np.uint8))
     x1, y1 = x + w, y + h
-    mask = labels == best
     while min(x1 - x, y1 - y) > 8:
-        part = mask[y:y1, x:x1]
+        part = member[y:y1, x:x1]
         fill = [part[:, 0].mean(), part[0].mean(), part[:, -1].mean(), part[-1].mean()]
         side = int(np.argmin(fill))
         if fill[side] > 0.85:
             break
         x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
-    return (x + 1, y + 1, x1 - x - 2, y1 - y - 2)
+    inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
+    return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from frictrack.records import Array, Mask
 from frictrack.recording import Frame, Recording
+from frictrack.records import Array, Mask
 from frictrack.tracking.resample import PAD, Patch
 
 Progress = Callable[[int, int, str], None]
@@ -38,6 +38,7 @@ class Coarse:
     frame: np.ndarray  # (m,) frame of each cut-out
     origin: np.ndarray  # (m, 2) px, whole-pixel corner that each cut-out was taken at
     background: Array  # (H, W)
+    change: Array  # (n,) rms by which the picture differs from the one before, grey values
 
     @property
     def start(self) -> Array:
@@ -89,9 +90,7 @@ class Follower:
         return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
-def follow(
-    recording: Recording, target: Rectangle, template: int = 0, progress: Progress | None = None
-) -> Coarse:
+def follow(recording: Recording, target: Rectangle, template: int = 0, progress: Progress | None = None) -> Coarse:
     """Search the `target`, as it looks in frame number `template`, in every frame of `recording`."""
     x, y, w, h = target
     follower = Follower(recording.frame(template)[y : y + h, x : x + w].copy())
@@ -99,7 +98,8 @@ def follow(
     n = recording.n_frames
     corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
     reason = ["frame cannot be read"] * n
-    rows, origins, kept = [], [], []
+    rows, origins, kept, change = [], [], [], np.full(n, np.nan)
+    before: Frame | None = None
     stride = max(1, n // _background_frames(recording))
     with tempfile.TemporaryFile() as spool:
         for i, frame in enumerate(recording.frames()):
@@ -110,13 +110,21 @@ def follow(
                 spool.write(cut_out(frame, origins[-1], (h, w)).tobytes())
             if i % stride == 0:
                 kept.append(frame)
+            change[i], before = _change(before, frame), frame
             if progress and i % 50 == 0:
                 progress(i, n, "search")
         spool.flush()
         shape = (len(rows), h + 2 * PAD, w + 2 * PAD)
         patches = np.memmap(spool, follower.patch.dtype, "r", shape=shape) if rows else np.empty(shape)
     background = np.median(np.stack(kept), axis=0)
-    return Coarse(corner, score, reason, patches, np.array(rows, int), np.array(origins), background)
+    return Coarse(corner, score, reason, patches, np.array(rows, int), np.array(origins), background, change)
+
+
+def _change(before: Frame | None, frame: Frame) -> float:
+    """Rms difference of two pictures beyond a change of light, on every fourth pixel."""
+    if before is None:
+        return np.nan
+    return float(np.std(frame[::4, ::4].astype(np.float32) - before[::4, ::4]))
 
 
 def _one(follower: Follower, frame: Frame) -> tuple[Array, float, str]:

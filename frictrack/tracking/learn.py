@@ -1,7 +1,7 @@
 """The template averaged over the run, and how far each of its pixels can be trusted.
 
 One noisy frame as a template costs accuracy (Clement et al. 2018, arXiv:1809.05583), so the cut-outs of up
-to 300 frames, spread over the travelled path, are registered and their median is the template. The spread
+to 160 frames, spread over the travelled path, are registered and their median is the template. The spread
 about it shows which pixels belong to the target: where the rectangle holds background, the picture changes
 as the target moves on, or is just what the empty scene looks like there. Such pixels get little weight or
 none, because background that stays while the target moves would pull the track back, slowly and unseen.
@@ -17,7 +17,7 @@ from frictrack.tracking.follow import Coarse, cut_out
 from frictrack.tracking.refine import Fine, Template, refine
 from frictrack.tracking.resample import MARGIN, Patch, resample
 
-FRAMES = 300
+FRAMES = 160
 BYTES = 64_000_000  # of registered pictures held at once
 ROUNDS = 2
 GOOD_SCORE = 0.7
@@ -82,7 +82,15 @@ def _weight(stack: Array, image: Array, scene: Array) -> Array:
     spread = np.median((stack - image) ** 2, axis=0)[inner] / 0.455 + 0.1  # median of chi^2_1; 0.1: rounding
     weight = np.minimum(1.0, 2.0 * np.median(spread) / spread)
     differs = np.median((stack - scene) ** 2, axis=0)[inner] / 0.455
-    moves = (spread < 0.5 * differs).astype(np.uint8)
-    # One pixel round what moves still holds its outline, blurred by the optics.
-    moves = cv2.dilate(cv2.medianBlur(moves, 3), np.ones((3, 3), np.uint8)) > 0
+    moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image[inner])
     return weight * moves if moves.mean() > LEAST_SHARE else weight
+
+
+def _trimmed(moves: Array, picture: Array) -> Mask:
+    """What moves, without the edge across which background leaks in; with it where the edge is all there is."""
+    moves = cv2.medianBlur(moves, 3)
+    framed = cv2.copyMakeBorder(moves, 2, 2, 2, 2, cv2.BORDER_REPLICATE)
+    inside = cv2.erode(framed, np.ones((5, 5), np.uint8))[2:-2, 2:-2] > 0
+    outlined = cv2.dilate(moves, np.ones((3, 3), np.uint8)) > 0
+    energy = np.sum(np.square(np.gradient(picture)), axis=0)
+    return inside if energy[inside].sum() > 0.5 * energy[outlined].sum() else outlined

@@ -1,0 +1,111 @@
+"""The contact sheet: a glance at whether the right thing was tracked, and the line to paste if not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from frictrack.recording import Frame, Recording
+from frictrack.records import Track
+
+FRAMES = 5  # and one panel for the target itself
+MARK, PATH = "#ff9f1c", "#2ec4ff"
+
+
+def target_line(track: Track) -> str:
+    """The lines for the study file that repeat this track: its rectangle, and its frame if not the first."""
+    x, y, w, h = _rectangle(track)
+    line = f"target = [{x}, {y}, {w}, {h}]"
+    frame = template_frame(track)
+    return line if frame == 0 else f"{line}\ntemplate = {frame}"
+
+
+def template_frame(track: Track) -> int:
+    """The frame in which the target stands in its rectangle; the first one where several do."""
+    x, y, w, h = _rectangle(track)
+    off = np.hypot(track.x_px - (x + (w - 1) / 2), track.y_px - (y + (h - 1) / 2))
+    return int(np.argmax(off <= max(0.5, float(np.nanmin(off)))))
+
+
+def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
+    """Write a PNG of a handful of frames with the tracked rectangle and path, and of the target itself.
+
+    Returns the path written.
+    """
+    found = np.flatnonzero(track.found)
+    shown = np.unique(found[np.linspace(0, len(found) - 1, FRAMES).astype(int)])
+    template = template_frame(track)
+    wanted = np.unique([*shown, template])
+    pictures = dict(zip(wanted.tolist(), recording.pick(wanted.tolist()), strict=True))
+    columns = 2 if recording.shape[1] > 2 * recording.shape[0] else 3
+    figure = _figure(recording, columns)
+    panels = np.ravel(figure.subplots(6 // columns, columns))
+    for panel, i in zip(panels, shown, strict=False):
+        _frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
+    for panel in panels[len(shown) : -1]:
+        panel.set_axis_off()
+    _zoom(panels[-1], pictures[template], track, recording.bit_depth)
+    figure.suptitle(_headline(recording, track), fontsize=15)
+    figure.supxlabel(target_line(track).replace("\n", "      "), fontsize=18, family="monospace")
+    FigureCanvasAgg(figure).print_png(str(path))
+    return Path(path)
+
+
+def _figure(recording: Recording, columns: int) -> Figure:
+    rows = 6 // columns
+    height = rows * 16 / columns * recording.shape[0] / recording.shape[1] + 0.45 * rows + 1.3
+    return Figure(figsize=(16, float(np.clip(height, 5, 16))), dpi=80, layout="constrained")
+
+
+def _rectangle(track: Track) -> tuple[int, int, int, int]:
+    if track.target is None:
+        raise ValueError("expected a track that knows its target rectangle")
+    x, y, w, h = (int(round(v)) for v in track.target)
+    return x, y, w, h
+
+
+def _headline(recording: Recording, track: Track) -> str:
+    lost = Counter(_kind(r) for r in track.reason if r)
+    why = "".join(f"; {count} frames: {reason}" for reason, count in lost.most_common(3))
+    return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames{why}"
+
+
+def _kind(reason: str) -> str:
+    """Reasons that differ only in their number count as one."""
+    return "match score too low" if reason.startswith("match score") else reason
+
+
+def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
+    x, y, w, h = _rectangle(track)
+    _show(panel, picture, bit_depth)
+    panel.plot(track.x_px, track.y_px, color=PATH, lw=1.5)
+    corner = (track.x_px[i] - w / 2, track.y_px[i] - h / 2)
+    panel.add_patch(Rectangle(corner, w, h, fill=False, ec=MARK, lw=2.5))
+    panel.set_title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", fontsize=14)
+
+
+def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
+    """The target with a little of what surrounds it."""
+    x, y, w, h = _rectangle(track)
+    _show(panel, picture, bit_depth)
+    panel.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=MARK, lw=2.5))
+    margin = 0.3 * max(w, h)
+    panel.set_xlim(x - margin, x + w + margin)
+    panel.set_ylim(y + h + margin, y - margin)
+    sigma = float(np.nanmedian(track.sigma_px))
+    panel.set_title(f"target, sigma {sigma:.4f} px, frame {template_frame(track)}", fontsize=14)
+
+
+def _show(panel: Axes, picture: Frame, bit_depth: int) -> None:
+    low, high = np.percentile(picture, [0.5, 99.5])
+    high = max(high, low + 2 ** (bit_depth - 6))  # a flat picture stays flat
+    panel.imshow(picture, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    panel.set_xlim(-0.5, picture.shape[1] - 0.5)
+    panel.set_ylim(picture.shape[0] - 0.5, -0.5)
+    panel.tick_params(labelsize=12)
