@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Coarse, cut_out
@@ -22,6 +23,10 @@ BYTES = 64_000_000  # of registered pictures held at once
 ROUNDS = 2
 GOOD_SCORE = 0.7
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
+LEAK = 3  # px from the background within which interpolation mixes it in
+OUTLINE = 0.5  # share of the contrast that must lie inside; else the outline is used as well
+CHI2_MEDIAN = 0.455  # median of chi^2 with one degree of freedom
+ROUNDING = 0.1  # variance of rounding to whole grey values, which a film without noise still has
 
 
 def learn(coarse: Coarse, first: Array) -> Template:
@@ -77,20 +82,21 @@ def _level(fine: Fine, good: Mask) -> float:
 
 
 def _weight(stack: Array, image: Array, scene: Array) -> Array:
-    """Weight of the template's pixels (h, w), 0 to 1."""
+    """Weight of the template's pixels (h, w), 0 to 1; arguments with MARGIN pixels round them."""
     inner = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
-    spread = np.median((stack - image) ** 2, axis=0)[inner] / 0.455 + 0.1  # median of chi^2_1; 0.1: rounding
-    weight = np.minimum(1.0, 2.0 * np.median(spread) / spread)
-    differs = np.median((stack - scene) ** 2, axis=0)[inner] / 0.455
-    moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image[inner])
+    spread = np.median((stack - image) ** 2, axis=0) / CHI2_MEDIAN + ROUNDING
+    differs = np.median((stack - scene) ** 2, axis=0) / CHI2_MEDIAN
+    moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)[inner]
+    weight = np.minimum(1.0, 2.0 * np.median(spread[inner]) / spread[inner])
     return weight * moves if moves.mean() > LEAST_SHARE else weight
 
 
-def _trimmed(moves: Array, picture: Array) -> Mask:
-    """What moves, without the edge across which background leaks in; with it where the edge is all there is."""
-    moves = cv2.medianBlur(moves, 3)
-    framed = cv2.copyMakeBorder(moves, 2, 2, 2, 2, cv2.BORDER_REPLICATE)
-    inside = cv2.erode(framed, np.ones((5, 5), np.uint8))[2:-2, 2:-2] > 0
-    outlined = cv2.dilate(moves, np.ones((3, 3), np.uint8)) > 0
+def _trimmed(moves: NDArray[np.uint8], picture: Array) -> Mask:
+    """What moves, less the edge across which background leaks in; with it where the edge is all there is."""
+    moves = np.asarray(cv2.medianBlur(moves, 3))
+    framed = cv2.copyMakeBorder(moves, LEAK, LEAK, LEAK, LEAK, cv2.BORDER_REPLICATE)
+    eroded = cv2.erode(framed, np.ones((2 * LEAK + 1, 2 * LEAK + 1), np.uint8))
+    inside = np.asarray(eroded[LEAK:-LEAK, LEAK:-LEAK]) > 0
+    outlined = np.asarray(cv2.dilate(moves, np.ones((3, 3), np.uint8))) > 0
     energy = np.sum(np.square(np.gradient(picture)), axis=0)
-    return inside if energy[inside].sum() > 0.5 * energy[outlined].sum() else outlined
+    return inside if energy[inside].sum() > OUTLINE * energy[outlined].sum() else outlined
