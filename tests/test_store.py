@@ -56,6 +56,8 @@ def test_a_dictionary_comes_back_as_it_was(tmp_path: Path) -> None:
         "theta": np.arange(6.0).reshape(2, 3),
         "domain": "force",
         "seed": 3,
+        "tau": None,
+        "names": [["a", "b"], []],
         "sub": {"k": 1.5},
         "long": "é" * 90_000,
     }

@@ -16,7 +16,8 @@ def bars() -> Iterator[Callback]:
     """A callable ``progress(done, total, what)`` that draws a bar for every `what`; the bars go when done."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     tasks: dict[str, TaskID] = {}
-    with Progress(*columns, console=Console(stderr=True), transient=True) as drawn:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as drawn:
 
         def progress(done: int, total: int, what: str) -> None:
             if what not in tasks:

@@ -36,8 +36,9 @@ def working(study: Path) -> Iterator[Session]:
     from frictrack.cli.bars import bars  # noqa: PLC0415 - `--help` need not wait for the science
     from frictrack.flow import Session, open_study  # noqa: PLC0415
 
+    opened = open_study(study)
     with bars() as progress:
-        yield Session(open_study(study), progress)
+        yield Session(opened, progress)
 
 
 def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path) -> None:
@@ -122,7 +123,7 @@ def friction(study: Study, as_json: Json = False) -> None:
 
 
 @app.command()
-def fit(  # noqa: PLR0913 - the flags of DESIGN section 6
+def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
     study: Study,
     model: Annotated[str | None, typer.Option(help="a model (tustin, atm1:2) or a comma list of effects")] = None,
     search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,

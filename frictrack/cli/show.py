@@ -50,7 +50,7 @@ def fit(out: Console, result: dict[str, Any]) -> None:
     out.print(parameters(result["parameters"]))
     for first, second, r in result.get("correlations", []):
         if abs(r) > 0.95:
-            out.print(f"{first} and {second} are hardly told apart: correlation {r:.3f}")
+            out.print(f"{escape(first)} and {escape(second)} are hardly told apart: correlation {r:.3f}")
     out.print(errors([("", result["errors"])]))
 
 
@@ -59,7 +59,7 @@ def parameters(values: dict[str, Any]) -> Table:
     table = _table("parameter", "value", "unit", "")
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else "")
-        table.add_row(name, plus_minus(p["value"], p["std"]), p["unit"], escape(word))
+        table.add_row(escape(name), plus_minus(p["value"], p["std"]), p["unit"], escape(word))
     return table
 
 
@@ -153,7 +153,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 def stages(out: Console, result: dict[str, Any]) -> None:
     """One row per run of `track`, `motion`, `friction`, then what was found on the way."""
-    keys = [k for k in result["runs"][0] if k not in ("notes", "target", "contact_sheet")]
+    keys = [k for k in result["runs"][0] if k not in ("notes", "reason", "target", "contact_sheet")]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
         table.add_row(*(_cell(row.get(k)) for k in keys))
@@ -161,7 +161,7 @@ def stages(out: Console, result: dict[str, Any]) -> None:
     for row in result["runs"]:
         if row.get("target"):
             out.print(f"{row['run']}: {escape(row['target'])}   contact sheet {row['contact_sheet']}", soft_wrap=True)
-        for note in row["notes"]:
+        for note in [*filter(None, [row.get("reason")]), *row["notes"]]:
             out.print(f"{row['run']}: {escape(note)}")
 
 

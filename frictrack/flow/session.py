@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from frictrack import __version__, models, store
+from frictrack import models, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, gather
 from frictrack.flow.stages import Progress, RunWork, digest, silent
@@ -203,7 +203,7 @@ class Session:
             name=self.study.name,
             path=self.study.path,
             output=self.study.output,
-            version=__version__,
+            version=store.VERSION,
             runs=tuple(run_results(work) for work in self.runs),
             models=tried,
             comparison=comparison,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import __version__, store
+from frictrack import store
 from frictrack.calibration import calibrate, parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
@@ -86,7 +86,7 @@ class RunWork:
         """Hash of everything the stage depends on."""
         if name not in self._keys:
             settings = self.settings(name)
-            self._keys[name] = digest([name, __version__, settings, self._from(name)])
+            self._keys[name] = digest([name, store.VERSION, settings, self._from(name)])
         return self._keys[name]
 
     def settings(self, name: str) -> dict[str, Any]:

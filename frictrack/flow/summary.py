@@ -55,12 +55,14 @@ def _motion(work: RunWork) -> dict[str, Any]:
 
 def _friction(work: RunWork) -> dict[str, Any]:
     friction: Friction = work.get("friction")
+    motion: Motion = work.get("motion")
     free = friction.free
     judged = friction.t[free]
+    resisting = friction.F * np.sign(motion.v)
     return {
         "free_from_s": float(judged[0]) if len(judged) else None,
         "free_to_s": float(judged[-1]) if len(judged) else None,
-        "mean_F_N": float(np.mean(np.abs(friction.F[free]))) if len(judged) else None,
+        "mean_F_N": float(np.mean(resisting[free])) if len(judged) else None,
         "sigma_F_N": float(np.median(friction.sigma_F[free])) if len(judged) else None,
         "reason": friction.reason,
     }

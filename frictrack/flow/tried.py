@@ -10,6 +10,7 @@ from typing import Any
 
 from frictrack import models, store
 from frictrack.errors import FrictrackError
+from frictrack.fit import fit, restore, state
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
 from frictrack.records import Curve, Run
@@ -141,13 +142,13 @@ class Tried:
     def append(self, spec: Spec) -> tuple[str, Spec]:
         """Fit a model, put it at the end of the list and make it current."""
         group = f"{len(self.groups) + 1}_{spec.name}"
-        fit = self._fit(spec)
+        fitted = self._fit(spec)
         marks = {"models": {"study_model": self._asked}} | {
             f"models/{earlier}": {"current": False} for earlier in self.groups[-1:]
         }
         links = {f"runs/{work.run.name}": work.path.name for work in self._works}
-        store.write(self.path, {f"models/{group}": self._entry(spec, fit, current=True)}, links=links, marks=marks)
-        self._fits[group] = fit
+        store.write(self.path, {f"models/{group}": self._entry(spec, fitted, current=True)}, links=links, marks=marks)
+        self._fits[group] = fitted
         return group, spec
 
     def fit(self, group: str) -> Any:
@@ -163,8 +164,6 @@ class Tried:
         return self._fits[group]
 
     def _restored(self, group: str) -> Any:
-        from frictrack.fit import restore  # noqa: PLC0415
-
         return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
 
     def key(self, spec: Spec) -> str:
@@ -178,11 +177,12 @@ class Tried:
         return digest([keys, self.study.mass])
 
     def _fit(self, spec: Spec) -> Any:
-        from frictrack.fit import fit  # noqa: PLC0415
-
-        model = with_tables(spec.model(), self.study.effects)
-        how = {"domain": spec.domain, "search": spec.search, "seed": spec.seed, "per": spec.per}
-        return fit(model, self.runs, **how, progress=self.progress)
+        how: dict[str, Any] = {"domain": spec.domain, "search": spec.search, "seed": spec.seed}
+        if spec.per is not None:
+            how["per"] = spec.per
+        if self.study.mass is not None:
+            how["reference_mass"] = self.study.mass[0]
+        return fit(with_tables(spec.model(), self.study.effects), self.runs, **how)
 
     def papers(self) -> Any:
         """The current model by the papers' route (force domain, SGA), kept beside the others."""
@@ -196,12 +196,12 @@ class Tried:
         """A stored model as the report wants it; `group` may be ``papers``."""
         inside = group if group == "papers" else f"models/{group}"
         held = store.read(self.path, inside)
-        runs = store.names(self.path, f"{inside}/curves")
+        curves = store.names(self.path, f"{inside}/curves")
         return ModelResults(
             name=group,
             equation=held["equation"],
             summary=json.loads(held["summary"]),
-            curves=tuple(store.read(self.path, f"{inside}/curves/{run}", Curve) for run in runs),
+            curves=tuple(store.read(self.path, f"{inside}/curves/{name}", Curve) for name in curves),
             current=bool(held["current"]),
             diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
             figures=held.get("diagnosis", {}).get("figures", {}),
@@ -210,12 +210,12 @@ class Tried:
     def _stamp(self, group: str) -> Stamp:
         return store.stamp(self.path, f"models/{group}") or Stamp()
 
-    def _entry(self, spec: Spec, fit: Any, *, current: bool) -> Entry:
+    def _entry(self, spec: Spec, fitted: Any, *, current: bool) -> Entry:
         content = {
             "current": current,
-            "equation": str(fit.model),
-            "summary": json.dumps(plain(fit.summary())),
-            "state": fit.state(),
-            "curves": {curve.run: curve for curve in fit.curves},
+            "equation": str(fitted.model),
+            "summary": json.dumps(plain(fitted.summary())),
+            "state": state(fitted),
+            "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
         }
         return Entry(content, Stamp(self.key(spec), self.input_hash, spec.json()))

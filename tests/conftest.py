@@ -1,0 +1,40 @@
+"""Studies of known truth that several tests use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
+SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
+NOISE = 10e-6  # m
+
+STUDY = """
+[study]
+name = "three tables"
+mass = "0.350 +/- 0.002 kg"
+model = ["coulomb", "viscous"]
+"""
+
+
+def slide(t: np.ndarray, v0: float) -> np.ndarray:
+    """Displacement of a slider under Coulomb and viscous friction, m (closed form, before it stops)."""
+    decay = F_V / MASS
+    return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
+
+
+@pytest.fixture
+def study_file(tmp_path: Path) -> Path:
+    """A study of three table runs that Coulomb + viscous friction made."""
+    rng = np.random.default_rng(1)
+    t = np.arange(500) / 4000
+    text = STUDY
+    for name, v0 in SPEEDS.items():
+        x = slide(t, v0) + NOISE * rng.normal(size=len(t))
+        np.savetxt(tmp_path / f"{name}.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
+        text += f'\n[[run]]\nname = "{name}"\ntable = "{name}.csv"\n'
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    return path

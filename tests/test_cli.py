@@ -1,0 +1,189 @@
+"""The command line: what it prints, where it sends it, and how it ends."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from frictrack.cli import main
+from frictrack.cli.show import plus_minus
+
+
+@pytest.fixture(autouse=True)
+def here(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(study_file.parent)
+    monkeypatch.setenv("COLUMNS", "160")
+    return study_file.parent
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command."""
+    with pytest.raises(SystemExit) as ended:
+        main(argv)
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+def answer(capsys: pytest.CaptureFixture[str], *argv: str) -> dict[str, Any]:
+    """The JSON object that a command prints, and nothing else."""
+    code, out, err = run(capsys, *argv, "--json")
+    assert code == 0, err
+    assert out.count("\n") == 1
+    content: dict[str, Any] = json.loads(out)
+    return content
+
+
+def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+    """Exit code and the one line on stderr of a command that fails."""
+    code, out, err = run(capsys, *argv)
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return code, err
+
+
+def test_fit_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    result = answer(capsys, "fit", "study.toml")
+    assert result["model"] == ["coulomb", "viscous"]
+    assert set(result["parameters"]["coulomb.F_c"]) == {"value", "std", "unit", "at_bound", "reason"}
+    assert {"domain", "search", "correlations", "errors", "per_run", "friction_scatter"} <= set(result)
+
+
+def test_a_person_reads_a_table_and_where_the_results_are(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "fit", "study.toml")
+    assert code == 0
+    assert "coulomb.F_c" in out
+    assert "±" in out
+    assert out.rstrip().endswith("results: study_results/study.h5")
+
+
+@pytest.mark.parametrize("stage", ["motion", "friction"])
+def test_stages_print_a_row_per_run(capsys: pytest.CaptureFixture[str], stage: str) -> None:
+    result = answer(capsys, stage, "study.toml")
+    assert [row["run"] for row in result["runs"]] == ["slow", "middle", "fast"]
+    code, out, _ = run(capsys, stage, "study.toml")
+    assert code == 0
+    assert "middle" in out
+
+
+def test_add_and_remove_print_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
+    added = answer(capsys, "add", "study.toml", "drag")
+    assert set(added) == {"effect", "error_before", "error_after", "parameters"}
+    removed = answer(capsys, "remove", "study.toml", "drag")
+    assert removed["error_before"] == added["error_after"]
+    code, out, _ = run(capsys, "add", "study.toml", "drag")
+    assert code == 0
+    assert "before" in out
+    assert "drag.c" in out
+
+
+def test_effects_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = {e["name"]: e for e in answer(capsys, "effects")["effects"]}
+    assert {"coulomb", "texture", "lens"} <= set(listed)
+    assert {"name", "acts_on", "equation", "parameters", "looks_like", "mistaken_for"} <= set(listed["texture"])
+    code, out, _ = run(capsys, "effects")
+    assert code == 0
+    assert "texture" in out
+
+
+def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    assert refused(capsys, "init", ".")[0] == 2
+    (here / "study.toml").unlink()
+    assert answer(capsys, "init", ".")["runs"] == ["fast.csv", "middle.csv", "slow.csv"]
+    assert (here / "study.toml").exists()
+
+
+def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    for argv, sentence in {
+        ("fit", "absent.toml"): "expected a study file absent.toml but cannot read it",
+        ("add", "study.toml", "texure"): 'expected the name of an effect but got "texure"; did you mean "texture"?',
+        ("fit", "slow.csv"): "expected a study file (.toml) but got slow.csv",
+        ("run", "study.toml", "--mass", "1kg"): "expected no --mass beside a study file",
+        ("run", "study.toml", "study.toml"): "expected one study file",
+        ("run", "absent.avi", "--mass", "1kg"): "expected a recording absent.avi but there is no such file",
+        ("batch", "nowhere"): "expected study files in nowhere but found none",
+    }.items():
+        code, err = refused(capsys, *argv)
+        assert code == 2
+        assert err.startswith("frictrack: ")
+        assert sentence in err
+    code, _, err = run(capsys, "fit", "study.toml", "--search", "luck")
+    assert code == 2
+    assert "luck" in err
+    text = (here / "study.toml").read_text()
+    (here / "study.toml").write_text(text.replace("mass =", "mas ="))
+    code, err = refused(capsys, "fit", "study.toml")
+    assert code == 2
+    assert 'unknown key "mas"; did you mean "mass"?' in err
+
+
+def test_failed_work_ends_with_1(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "slow.csv").write_text("t_s,x_m\n" + "".join(f"{i},1\n" for i in range(50)))
+    code, err = refused(capsys, "motion", "study.toml", "--json")
+    assert code == 1
+    assert 'run "slow", filtered: displacement: expected a moving target' in err
+
+
+def test_bare_recordings_get_a_study_file(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    code, err = refused(capsys, "run", "slow.csv", "--mass", "0.35kg")
+    assert code == 2
+    assert "study.toml is already there" in err
+    (here / "study.toml").unlink()
+    code, err = refused(capsys, "run", "slow.csv", "--mass", "0.35kgg")
+    assert code == 2
+    assert 'unknown unit "kgg"' in err
+    assert not (here / "study.toml").exists()
+
+
+def test_a_recording_that_is_no_film_leaves_no_study_file(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "study.toml").unlink()
+    (here / "a.avi").write_text("this is no film")
+    code, err = refused(capsys, "run", "a.avi", "--mass", "0.35kg", "--scale", "0.5mm/px", "--fps", "4000")
+    assert code == 1
+    assert "a.avi" in err
+    assert not (here / "study.toml").exists()
+
+
+def test_batch_lists_a_failed_study_and_goes_on(
+    capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stand_in(session: Any, seed: int = 0) -> dict[str, Any]:
+        diagnosis = {"verdict": "complete", "missing": []}
+        return {"fit": session.fit(), "diagnose": diagnosis, "output": str(session.study.output)}
+
+    monkeypatch.setattr("frictrack.flow.Session.run", stand_in)
+    (here / "broken").mkdir()
+    (here / "broken" / "study.toml").write_text("[study]\nmas = 1\n")
+    code, out, err = run(capsys, "batch", ".", "--json")
+    assert code == 1
+    assert "1 of 2 studies failed; frictrack_batch.csv says why" in err
+    result = json.loads(out)
+    assert [s["study"] for s in result["studies"]] == ["broken/study.toml", "study.toml"]
+    assert 'unknown key "mas"' in result["failed"][0]["reason"]
+    rows = list(csv.DictReader((here / "frictrack_batch.csv").read_text().splitlines()))
+    assert [row["run"] for row in rows] == ["", "slow", "middle", "fast"]
+    assert rows[1]["verdict"] == "complete"
+    assert float(rows[1]["coulomb.F_c"]) == pytest.approx(1.2, abs=0.05)
+
+
+def test_the_values_that_a_person_reads() -> None:
+    assert plus_minus(8.01234, 0.0214) == "8.012 ± 0.021"
+    assert plus_minus(812.3, 12.3) == "812 ± 12"
+    assert plus_minus(None, None) == "not determined"
+    assert plus_minus(1.0, 0.0) == "1"
+    assert plus_minus(1.2345e-9, 1e-11) == "1.2345e-09 ± 1e-11"
+
+
+def test_help_comes_at_once() -> None:
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "frictrack", "--help"], capture_output=True, text=True, check=False)
+    took = time.perf_counter() - start
+    assert "diagnose" in done.stdout or done.returncode != 0
+    assert took < 3.0  # 0.3 s on an idle machine

@@ -1,0 +1,366 @@
+"""The flow: every step rests on what is up to date, nothing is done twice, every model tried is kept."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from conftest import F_C, F_V, slide
+
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, Spec, open_study
+from frictrack.flow import stages as chain
+from frictrack.records import Filtered
+
+
+@dataclass
+class Found:
+    """What a comparison or a diagnosis looks like from outside."""
+
+    content: dict[str, Any]
+
+    def summary(self) -> dict[str, Any]:
+        return self.content
+
+    @property
+    def figures(self) -> dict[str, dict[str, np.ndarray]]:
+        return {"residual": {"t": np.arange(3.0)}}
+
+
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Compare, diagnose and report stand in for the real ones; what was asked of them is listed."""
+    calls: list[str] = []
+
+    def stand_in(name: str, **functions: Any) -> None:
+        module = ModuleType(name)
+        vars(module).update(functions)
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def errors(fits: list[Any]) -> dict[str, Any]:
+        calls.append(f"compare {len(fits)}")
+        return {"models": [{"name": "+".join(f.model.names), "errors": f.errors} for f in fits], "fails_at": []}
+
+    def diagnose(fit: Any, seed: int, progress: Any) -> Found:
+        calls.append("diagnose")
+        return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": seed})
+
+    stand_in("frictrack.compare", compare=lambda fits: Found(errors(fits)), history=lambda fits: Found(errors(fits)))
+    stand_in("frictrack.diagnose", diagnose=diagnose)
+    return calls
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The stages that were made, in order."""
+    names: list[str] = []
+    original = chain.RunWork._make
+
+    def spy(work: chain.RunWork, name: str) -> Any:
+        result = original(work, name)
+        names.append(f"{work.run.name} {name}")
+        return result
+
+    monkeypatch.setattr(chain.RunWork, "_make", spy)
+    return names
+
+
+def session(path: Path) -> Session:
+    return Session(open_study(path))
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_run_goes_through_its_stages_once(study_file: Path, made: list[str]) -> None:
+    session(study_file).bring_up_to("friction")
+    assert [m.split()[1] for m in made[:5]] == ["displacement", "filtered", "motion", "sensors", "friction"]
+    assert len(made) == 15
+    made.clear()
+    session(study_file).bring_up_to("friction")
+    assert made == []
+
+
+def test_the_layout_is_that_of_the_design(study_file: Path) -> None:
+    session(study_file).fit()
+    output = study_file.parent / "study_results"
+    with h5py.File(output / "slow.h5") as run:
+        for group, columns in {
+            "displacement": ("t", "x", "y", "angle", "sigma_x", "sigma_y", "valid"),
+            "filtered": ("t", "x", "y"),
+            "motion": ("t", "x", "v", "a", "a_y", "sigma_x", "sigma_v", "sigma_a", "sigma_a_y"),
+            "friction": ("t", "F", "sigma_F", "free"),
+        }.items():
+            assert set(columns) <= set(run[group])
+            assert {"settings", "version", "input_hash"} <= set(run[group].attrs)
+        assert run["motion/v"].attrs["unit"] == "m/s"
+    with h5py.File(output / "study.h5") as study:
+        assert list(study["models"]) == ["1_coulomb+viscous"]
+        assert bool(study["models/1_coulomb+viscous"].attrs["current"])
+        assert study["runs/fast/motion/v"].shape == (500,)
+    assert sorted(p.name for p in output.iterdir()) == ["fast.h5", "middle.h5", "slow.h5", "study.h5"]
+
+
+def test_the_fit_finds_what_made_the_tables(study_file: Path) -> None:
+    parameters = session(study_file).fit()["parameters"]
+    for name, truth in {"coulomb.F_c": F_C, "viscous.F_v": F_V}.items():
+        assert abs(parameters[name]["value"] - truth) < 4 * parameters[name]["std"]
+
+
+def test_only_what_depends_on_a_changed_setting_is_made_again(study_file: Path, made: list[str]) -> None:
+    session(study_file).bring_up_to("friction")
+    made.clear()
+    edit(study_file, 'table = "fast.csv"', 'table = "fast.csv"\ncutoff = 150')
+    session(study_file).bring_up_to("friction")
+    assert made == ["fast filtered", "fast motion", "fast friction"]
+    made.clear()
+    edit(study_file, "0.350 +/- 0.002 kg", "0.360 kg")
+    session(study_file).bring_up_to("friction")
+    assert made == ["slow friction", "middle friction", "fast friction"]
+
+
+def test_a_changed_table_is_read_again(study_file: Path, made: list[str]) -> None:
+    session(study_file).bring_up_to("motion")
+    made.clear()
+    t = np.arange(400) / 4000
+    x = slide(t, 2.5) + 1e-5 * np.random.default_rng(2).normal(size=len(t))
+    np.savetxt(study_file.parent / "slow.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
+    works = session(study_file).bring_up_to("motion")
+    assert made == ["slow displacement", "slow filtered", "slow motion"]
+    assert len(works[0].get("motion")) == 400
+
+
+def test_another_version_makes_everything_again(
+    study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session(study_file).bring_up_to("motion")
+    made.clear()
+    monkeypatch.setattr("frictrack.store.VERSION", "99.0")
+    session(study_file).bring_up_to("motion")
+    assert len(made) == 9
+
+
+def test_a_failing_stage_keeps_what_was_done(
+    study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(displacement: Any, cutoff: Any) -> Filtered:
+        raise FrictrackError("displacement: expected a moving target")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(chain, "low_pass", broken)
+        with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
+            session(study_file).bring_up_to("motion")
+    assert made == ["slow displacement"]
+    made.clear()
+    session(study_file).bring_up_to("motion")
+    assert made[0] == "slow filtered"
+
+
+def test_a_damaged_result_is_said(study_file: Path) -> None:
+    session(study_file).bring_up_to("motion")
+    (study_file.parent / "study_results" / "slow.h5").write_bytes(b"no HDF5")
+    with pytest.raises(FrictrackError, match=r"slow\.h5 is damaged or is not HDF5; delete it and run again"):
+        session(study_file).bring_up_to("motion")
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The models that were searched for, in order."""
+    from frictrack.flow import tried  # noqa: PLC0415
+
+    names: list[str] = []
+    original = tried.fit
+
+    def spy(model: Any, *args: Any, **how: Any) -> Any:
+        names.append("+".join(model.names))
+        return original(model, *args, **how)
+
+    monkeypatch.setattr(tried, "fit", spy)
+    return names
+
+
+def test_a_fit_is_kept_and_rebuilt(study_file: Path, fitted: list[str]) -> None:
+    first = session(study_file).fit()
+    again = session(study_file)
+    assert again.fit() == first
+    assert fitted == ["coulomb+viscous"]
+    rebuilt = again.tried.fit("1_coulomb+viscous")
+    assert rebuilt.summary()["parameters"]["coulomb.F_c"]["value"] == pytest.approx(
+        first["parameters"]["coulomb.F_c"]["value"], rel=1e-6
+    )
+
+
+def test_models_are_appended_and_the_last_is_current(study_file: Path, called: list[str]) -> None:
+    work = session(study_file)
+    work.fit()
+    added = work.add("drag")
+    assert set(added) == {"effect", "error_before", "error_after", "parameters"}
+    assert "drag.c" in added["parameters"]
+    assert added["error_before"] == work.tried.results("1_coulomb+viscous").summary["errors"]
+    session(study_file).remove("viscous")
+    work = session(study_file)
+    work.fit(model="coulomb,drag")
+    work.fit(seed=3)
+    assert work.tried.groups == [
+        "1_coulomb+viscous",
+        "2_coulomb+viscous+drag",
+        "3_coulomb+viscous+drag-viscous",
+        "4_coulomb+drag",
+        "5_coulomb+drag",
+    ]
+    assert [r.current for r in work.results().models] == [False, False, False, False, True]
+    assert work.fit()["model"] == ["coulomb", "drag"]
+    assert len(work.tried.groups) == 5
+
+
+def test_removing_what_was_added_gives_the_same_model_as_before() -> None:
+    spec = Spec("tustin").edited("+texture").edited("-viscous")
+    assert spec.name == "tustin+texture-viscous"
+    assert spec.model().names == ["coulomb", "stribeck", "texture"]
+    assert spec.edited("-texture") == Spec("tustin", ("-viscous",))
+
+
+def test_a_model_changed_in_the_study_file_becomes_current(study_file: Path, called: list[str]) -> None:
+    session(study_file).add("drag")
+    edit(study_file, 'model = ["coulomb", "viscous"]', 'model = ["coulomb"]')
+    work = session(study_file)
+    assert work.fit()["model"] == ["coulomb"]
+    assert work.tried.groups[-1] == "3_coulomb"
+    assert session(study_file).add("viscous")["effect"] == "viscous"
+    assert session(study_file).fit()["model"] == ["coulomb", "viscous"]
+
+
+def test_the_study_files_model_comes_first_where_another_is_asked_for(study_file: Path) -> None:
+    work = session(study_file)
+    assert work.fit(model="coulomb")["model"] == ["coulomb"]
+    assert work.tried.groups == ["1_coulomb+viscous", "2_coulomb"]
+
+
+def test_a_changed_mass_fits_all_models_again(study_file: Path, called: list[str], fitted: list[str]) -> None:
+    session(study_file).add("drag")
+    edit(study_file, "0.350 +/- 0.002 kg", "0.700 kg")
+    fitted.clear()
+    work = session(study_file)
+    models = work.history()["models"]
+    assert fitted == ["coulomb+viscous", "coulomb+viscous+drag"]
+    assert len(models) == 2
+    doubled = work.tried.results("1_coulomb+viscous").summary["parameters"]["coulomb.F_c"]["value"]
+    assert doubled == pytest.approx(2 * F_C, rel=0.05)
+
+
+def test_comparison_and_diagnosis_are_kept_until_the_model_changes(study_file: Path, called: list[str]) -> None:
+    assert session(study_file).diagnose()["verdict"] == "complete"
+    session(study_file).diagnose()
+    session(study_file).compare()
+    session(study_file).compare()
+    assert called == ["diagnose", "compare 1"]
+    assert session(study_file).diagnose(seed=5)["seed"] == 5
+    session(study_file).add("drag")
+    session(study_file).compare()
+    session(study_file).diagnose()
+    assert called[2:] == ["diagnose", "compare 2", "diagnose"]
+    with h5py.File(study_file.parent / "study_results" / "study.h5") as study:
+        assert study["diagnosis"] == study["models/2_coulomb+viscous+drag/diagnosis"]
+        assert "summary" in study["models/1_coulomb+viscous/diagnosis"].attrs
+        assert study["comparison"].attrs["settings"] == "{}"
+
+
+def test_results_hold_all_a_report_needs(study_file: Path, called: list[str]) -> None:
+    edit(study_file, 'name = "three tables"', 'name = "three tables"\noutput = "out"')
+    results = session(study_file).results()
+    assert (results.name, results.output.name) == ("three tables", "out")
+    assert [run.name for run in results.runs] == ["slow", "middle", "fast"]
+    assert results.runs[0].source == "slow.csv"
+    assert results.runs[0].settings["mass"] == pytest.approx([0.35, 0.002])
+    assert results.runs[0].film is None
+    assert results.current is not None
+    assert results.current.diagnosis == results.diagnosis
+    assert [c.run for c in results.current.curves] == ["slow", "middle", "fast"]
+    np.testing.assert_array_equal(results.figures["residual"]["t"], np.arange(3.0))
+
+
+def test_a_diagnosis_failing_leaves_the_fit(
+    study_file: Path, called: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(fit: Any, seed: int, progress: Any) -> Found:
+        raise FrictrackError("expected frames to bootstrap")
+
+    monkeypatch.setattr(sys.modules["frictrack.diagnose"], "diagnose", broken)
+    with pytest.raises(FrictrackError, match="expected frames to bootstrap"):
+        session(study_file).diagnose()
+    assert session(study_file).tried.groups == ["1_coulomb+viscous"]
+
+
+def test_wrong_names_are_found_before_any_work(study_file: Path, made: list[str]) -> None:
+    with pytest.raises(FrictrackError, match='but got "texure"; did you mean "texture"') as caught:
+        session(study_file).add("texure")
+    assert caught.value.usage
+    with pytest.raises(FrictrackError, match="effect of the model"):
+        session(study_file).remove("texture")
+    with pytest.raises(FrictrackError, match='did you mean "drag"'):
+        session(study_file).fit(model="coulomb,drga")
+    edit(study_file, '["coulomb", "viscous"]', '"tustn"')
+    with pytest.raises(FrictrackError, match=r'study\.toml: model: .*"tustn"') as caught:
+        open_study(study_file)
+    assert caught.value.usage
+
+
+def test_effect_tables_fix_and_bound(study_file: Path) -> None:
+    with study_file.open("a") as f:
+        f.write('\n[[effect]]\neffect = "drag"\nfix = {c = 0.1}\n')
+    drag = open_study(study_file).effects[0]
+    assert drag.fix == {"c": 0.1}
+    edit(study_file, "fix = {c", "fix = {k")
+    edit(study_file, '"viscous"]', '"drag"]')
+    with pytest.raises(FrictrackError, match=r'\[\[effect\]\] "drag": unknown parameter "k"'):
+        open_study(study_file)
+    edit(study_file, "fix = {k = 0.1}", 'tie = {c = "viscous.F_v"}')
+    with pytest.raises(FrictrackError, match="tie is not obeyed by this version"):
+        open_study(study_file)
+
+
+def test_a_wrong_scale_is_found_before_any_work(study_file: Path) -> None:
+    edit(study_file, '[[run]]\nname = "slow"', '[[run]]\nscale = "3 mm/ells"\nname = "slow"')
+    with pytest.raises(FrictrackError, match=r'run "slow": expected the scale .* unknown unit "mm/ells"') as caught:
+        open_study(study_file)
+    assert caught.value.usage
+
+
+def test_a_drive_on_its_own_clock_reaches_the_run(study_file: Path) -> None:
+    folder = study_file.parent
+    np.savetxt(folder / "drive.csv", [[0, 0], [1, 10]], delimiter=",", header="t_s,drive_N", comments="")
+    edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\ndrive = "drive.csv"')
+    work = session(study_file).runs[0]
+    np.testing.assert_allclose(work.record().drive, 10 * np.arange(500) / 4000)
+
+
+def test_a_table_without_sigma_gets_its_white_noise(study_file: Path) -> None:
+    sigma = session(study_file).runs[0].get("displacement").sigma_x
+    np.testing.assert_allclose(sigma, 10e-6, rtol=0.15)
+
+
+def test_restart_forgets_models_and_keeps_runs(study_file: Path, called: list[str], made: list[str]) -> None:
+    work = session(study_file)
+    work.add("drag")
+    work.restart()
+    made.clear()
+    assert work.fit()["model"] == ["coulomb", "viscous"]
+    assert work.tried.groups == ["1_coulomb+viscous"]
+    assert made == []
+
+
+def test_the_key_of_a_fit_knows_roles(study_file: Path) -> None:
+    work = session(study_file)
+    before = work.tried.key(Spec("tustin"))
+    edit(study_file, 'name = "fast"', 'name = "fast"\nrole = "validation"')
+    assert session(study_file).tried.key(Spec("tustin")) != before
+    assert work.tried.key(replace(Spec("tustin"), seed=1)) != before

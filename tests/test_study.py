@@ -1,0 +1,298 @@
+"""The study file: what is written comes out in SI, and every fault is one sentence that says what to do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from frictrack.errors import FrictrackError
+from frictrack.study import find_recordings, load, read_clocked, read_table, resample, write_study
+
+CAMERA = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
+RUN = '[[run]]\nname = "v3"\nvideo = "v3.avi"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("v3.avi", "heavy.avi", "drive.csv"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def sentence(folder: Path, text: str) -> str:
+    with pytest.raises(FrictrackError) as caught:
+        load(written(folder, text))
+    assert caught.value.usage
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_every_key_of_the_design_is_read(folder: Path) -> None:
+    study = load(
+        written(
+            folder,
+            """
+[study]
+name = "course A"
+mass = "350 +/- 2 g"
+model = ["coulomb", "vibration:2"]
+output = "out"
+
+[camera]
+fps = 4000
+scale = {points = [[0, 0], [200, 0]], length = "100 mm"}
+
+[[run]]
+video = "v3.avi"
+
+[[run]]
+name = "heavy"
+video = "heavy.avi"
+mass = 0.7
+fps = "8 kHz"
+scale = 5e-4
+target = [410, 232, 96, 64]
+reference = [0, 0, 50, 50]
+targets = {beam = [1, 2, 3, 4]}
+clamp_x = "20 mm"
+beam_length = "0.3 m"
+axis = [1, 0.1]
+origin_px = [3, 4]
+x_offset = "-5 mm"
+free = ["10 ms", 0.2]
+cutoff = "0.2 kHz"
+incline = "-22 deg"
+normal_load = "7 N"
+drive = "drive.csv"
+impact_energy = "2 J"
+group = "high speed"
+role = "validation"
+note = "oiled"
+
+[[effect]]
+effect = "vibration:2"
+fix = {frequency = 60}
+bounds = {amplitude = [0, 1]}
+prior = {frequency = [60, 1]}
+tie = {frequency = "vibration.frequency"}
+per_run = ["phase"]
+""",
+        )
+    )
+    first, heavy = study.runs
+    assert (study.name, study.model, study.output) == ("course A", ("coulomb", "vibration:2"), folder / "out")
+    assert first.name == "v3"
+    assert first.mass == pytest.approx((0.35, 0.002))
+    assert first.fps == 4000
+    assert first.scale == {"points": [[0, 0], [200, 0]], "length": "100 mm"}
+    assert (first.role, first.x_offset, first.targets) == ("fit", 0.0, {})
+    assert heavy.mass == (0.7, 0.0)
+    assert (heavy.fps, heavy.scale, heavy.cutoff) == (8000, 5e-4, 200)
+    assert heavy.incline == pytest.approx(-22 * math.pi / 180)
+    assert heavy.free == pytest.approx((0.01, 0.2))
+    assert (heavy.clamp_x, heavy.x_offset, heavy.normal_load, heavy.impact_energy) == (0.02, -0.005, 7, 2)
+    assert heavy.targets == {"beam": (1, 2, 3, 4)}
+    assert heavy.drive == folder / "drive.csv"
+    assert study.effects[0].fix == {"frequency": 60}
+
+
+def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path) -> None:
+    written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}")
+    study = load(folder)
+    assert study.output == folder / "study_results"
+    assert study.name == folder.name
+    assert study.model == "tustin"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (f"[study]\nmas = 1\n{CAMERA}{RUN}", '[study], line 2: unknown key "mas"; did you mean "mass"?'),
+        (f"[study]\nmass = 1\nfps = 4000\n{RUN}", '[study], line 3: unknown key "fps"; it belongs in [camera]'),
+        (f"[studdy]\nmass = 1\n{CAMERA}{RUN}", 'unknown table "studdy" (line 1); did you mean "study"?'),
+        (
+            f'[study]\nmass = 1\n{CAMERA}{RUN}vidoe = "a"\n',
+            '[[run]] "v3", line 9: unknown key "vidoe"; did you mean "video"?',
+        ),
+        (f"[study]\nmass = 0\n{CAMERA}{RUN}", "line 2: expected mass above 0 kg but got 0"),
+        (f'[study]\nmass = "1 stone weight"\n{CAMERA}{RUN}', 'the unknown unit "stone weight"'),
+        (f'[study]\nmass = "3 s"\n{CAMERA}{RUN}', 'expected mass as a quantity in kg but got "s"'),
+        (f"[study]\nmass = nan\n{CAMERA}{RUN}", "expected mass as a quantity in kg but got nan"),
+        (f"[study]\nmass = 1\n{RUN}", 'expected a scale but got none; give scale = "0.5 mm/px"'),
+        (f"{CAMERA}{RUN}", 'expected a mass but got none; give mass = "0.35 kg"'),
+        (f"[study]\nmass = 1\n{CAMERA}", "expected at least one [[run]] but got none"),
+        (f"[study]\nmass = 1\n{CAMERA}[run]\nvideo = 'v3.avi'\n", 'expected "run" as a table [[run]]'),
+        (
+            f"[study]\nmass = 1\n{CAMERA}{RUN}{RUN}",
+            'line 10: expected every run to have its own name but got "v3" twice',
+        ),
+        (
+            f"[study]\nmass = 1\n{CAMERA}[[run]]\nname = 'a'\n",
+            'expected either video = "..." or table = "..." but got neither',
+        ),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}table = 'drive.csv'\n", "but got both"),
+        (
+            f"[study]\nmass = 1\n{CAMERA}[[run]]\nvideo = 'v33.avi'\n",
+            '[[run]] number 1, line 7: video: expected a file "v33.avi" but there is none; did you mean "v3.avi"?',
+        ),
+        (
+            f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 3]\n",
+            "expected a rectangle [x, y, width, height] in px but got [1, 2, 3]",
+        ),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}free = [0.2, 0.1]\n", "expected an end after the start but got [0.2, 0.1]"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}incline = 22\n", "expected incline between -1.57 and 1.57 rad but got 22"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", "role: expected 'fit' or 'validation' but got 'val'"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}columns = {{x = 'x'}}\n", "expected columns only beside a table"),
+        (f"[study]\nmass = 'fit'\n{CAMERA}{RUN}", 'expected a measured drive beside mass = "fit" but got none'),
+        (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "expected the name of a model or a list of effects but got 3"),
+        (f"[study]\nmass = 1\n[camera]\nscale = true\n{RUN}", '"0.5 mm/px" or {points'),
+        (
+            f"[study]\nmass = 1\n{CAMERA}[[run]]\nname = '../up'\nvideo = 'v3.avi'\n",
+            "expected a name that can be a file name",
+        ),
+        ("[study]\nmass = \n", "is not valid TOML: Invalid value (at line 2, column 8)"),
+    ],
+)
+def test_every_fault_is_one_sentence(folder: Path, text: str, expected: str) -> None:
+    assert expected in sentence(folder, text)
+
+
+def test_all_faults_come_at_once(folder: Path) -> None:
+    said = sentence(folder, f"[study]\nmas = 1\n[camera]\nfsp = 3\n{RUN}roll = 'a'\n")
+    assert all(word in said for word in ('"mas"', '"fsp"', '"roll"'))
+
+
+def test_the_line_is_that_of_the_right_table(folder: Path) -> None:
+    second = '[[run]]\nname = "b"\nvideo = "heavy.avi"\nmass = -1\n'
+    assert '[[run]] "b", line 13: expected mass above 0 kg' in sentence(
+        folder, f"[study]\nmass = 1\n{CAMERA}{RUN}mass = 2\n{second}"
+    )
+
+
+def test_what_is_no_study_file_is_said(folder: Path) -> None:
+    with pytest.raises(
+        FrictrackError, match=r"expected a study file \(\.toml\) but got v3\.avi; `frictrack run v3\.avi"
+    ):
+        load(folder / "v3.avi")
+    with pytest.raises(
+        FrictrackError, match=r"expected a study file .*absent\.toml but cannot read it; `frictrack init"
+    ):
+        load(folder / "absent.toml")
+    (folder / "latin.toml").write_bytes(b'name = "\xe9"')
+    with pytest.raises(FrictrackError, match="is not a text in UTF-8"):
+        load(folder / "latin.toml")
+
+
+def test_a_written_study_is_read_again(folder: Path) -> None:
+    path = folder / "study.toml"
+    films = [folder / "v3.avi", folder / "heavy.avi"]
+    write_study(path, films, {"mass": "0.35kg", "scale": "0.5mm/px", "fps": 4000.0})
+    study = load(path)
+    assert [run.name for run in study.runs] == ["v3", "heavy"]
+    assert [run.video for run in study.runs] == films
+    assert study.runs[0].mass == (0.35, 0.0)
+    with pytest.raises(FrictrackError, match="is already there"):
+        write_study(path, films)
+
+
+def test_an_initial_study_explains_itself_and_works_once_filled_in(folder: Path) -> None:
+    (folder / "drive.csv").unlink()
+    (folder / "pictures").mkdir()
+    for i in range(3):
+        (folder / "pictures" / f"{i}.png").touch()
+    path = write_study(folder / "study.toml", find_recordings(folder), commented=True)
+    text = path.read_text()
+    assert "frictrack run study.toml" in text
+    assert "friction goes with its square" in text
+    for key in ("mass", "fps", "scale", "model"):
+        text = text.replace(f"# {key} = ", f"{key} = ", 1)
+    study = load(written(folder, text))
+    assert [run.name for run in study.runs] == ["heavy", "pictures", "v3"]
+
+
+def test_a_folder_without_recordings_is_said(tmp_path: Path) -> None:
+    with pytest.raises(FrictrackError, match=r"expected recordings in .* but found none"):
+        find_recordings(tmp_path)
+    with pytest.raises(FrictrackError, match="expected a folder with recordings"):
+        find_recordings(tmp_path / "absent")
+
+
+def table(folder: Path, text: str) -> Path:
+    path = folder / "run.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_plain_table_is_read(folder: Path) -> None:
+    data = read_table(table(folder, "# made by hand\nt_s,x_m,drive_N,other\n0,1,5,a\n0.1,2,6,b\n"))
+    np.testing.assert_array_equal(data.t, [0, 0.1])
+    np.testing.assert_array_equal(data.x, [1, 2])
+    np.testing.assert_array_equal(data.drive, [5, 6])
+    assert data.friction is None
+
+
+def test_columns_name_units_and_signs(folder: Path) -> None:
+    path = table(folder, "Time (ms)\tpos [mm]\tF (uN)\n0\t1\t5\n100\t2\t6\n")
+    data = read_table(path, {"t": "Time (ms)", "x": "pos [mm]", "friction": "-F (uN)"})
+    np.testing.assert_allclose(data.t, [0, 0.1])
+    np.testing.assert_allclose(data.x, [1e-3, 2e-3])
+    np.testing.assert_allclose(data.friction, [-5e-6, -6e-6])
+
+
+def test_a_table_with_decimal_commas_is_read(folder: Path) -> None:
+    data = read_table(table(folder, "t_s;x_m\n0,0;1,5\n0,1;2,5\n"))
+    np.testing.assert_allclose(data.x, [1.5, 2.5])
+
+
+def test_an_excel_table_is_read(folder: Path) -> None:
+    pd.DataFrame({"t_s": [0.0, 0.1], "x_m": [1.0, 2.0]}).to_excel(folder / "run.xlsx", index=False)
+    np.testing.assert_allclose(read_table(folder / "run.xlsx").x, [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "expected"),
+    [
+        ("t_s,pos\n0,1\n1,2\n", {}, 'run.csv: expected a column "x_m" but got t_s, pos'),
+        ("t_s,x_m\n0,1\n1,2\n", {"friction": "F (N)"}, 'expected a column "F (N)" but got t_s, x_m'),
+        ("t_s,x_m\n0,1\n1,\n2,3\n", {}, 'expected numbers in "x_m" but got nan in row 2'),
+        ("t_s,x_m\n0,1\n1,oops\n2,x\n", {}, 'expected numbers in "x_m" but got oops in row 2 and 1 more'),
+        ("t_s,x_m\n0,1\n1,2\n1,3\n", {}, "expected rising time but got 1 s after 1 s in row 3"),
+        ("t_s,x_m\n0,1\n", {}, "expected at least two rows but got 1"),
+        ("t_s,x_m\n", {}, "expected at least two rows but got 0"),
+        ("", {}, "expected a table with a header line but cannot read it"),
+        ("Time (hours of work),x_m\n0,1\n1,2\n", {"t": "Time (hours of work)"}, "unknown unit"),
+    ],
+)
+def test_every_fault_of_a_table_is_said(folder: Path, text: str, columns: dict[str, str], expected: str) -> None:
+    with pytest.raises(FrictrackError) as caught:
+        read_table(table(folder, text), columns)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_film_is_no_table(folder: Path) -> None:
+    (folder / "film.csv").write_bytes(bytes(range(256)) * 4)
+    with pytest.raises(FrictrackError, match=r"film\.csv: expected a table with a header line but cannot read it"):
+        read_table(folder / "film.csv")
+
+
+def test_a_sensor_with_its_own_clock_is_resampled(folder: Path) -> None:
+    data = read_clocked(table(folder, "t_s,drive_N\n0,0\n1,10\n2,20\n"), ("drive",))
+    assert data.drive is not None
+    np.testing.assert_allclose(resample(np.array([0.0, 0.25, 1.5]), data.t, data.drive, "drive.csv"), [0, 2.5, 15])
+    with pytest.raises(
+        FrictrackError, match=r"drive\.csv: expected values over 0 to 3 s, as long as the run, but got 0 to 2 s"
+    ):
+        resample(np.array([0.0, 1.5, 3.0]), data.t, data.drive, "drive.csv")
+    with pytest.raises(FrictrackError, match="expected a column a_m_s2 or friction_N beside t_s but got none"):
+        read_clocked(folder / "run.csv", ("a", "friction"))
