@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import h5py
@@ -14,7 +12,8 @@ import pytest
 from conftest import F_C, F_V, slide
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, Spec, open_study
+from frictrack.flow import Session, Spec, open_study, tried
+from frictrack.flow import session as at_work
 from frictrack.flow import stages as chain
 from frictrack.records import Filtered
 
@@ -35,13 +34,8 @@ class Found:
 
 @pytest.fixture
 def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Compare, diagnose and report stand in for the real ones; what was asked of them is listed."""
+    """Compare and diagnose stand in for the real ones; what was asked of them is listed."""
     calls: list[str] = []
-
-    def stand_in(name: str, **functions: Any) -> None:
-        module = ModuleType(name)
-        vars(module).update(functions)
-        monkeypatch.setitem(sys.modules, name, module)
 
     def errors(fits: list[Any]) -> dict[str, Any]:
         calls.append(f"compare {len(fits)}")
@@ -51,8 +45,9 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         calls.append("diagnose")
         return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": seed})
 
-    stand_in("frictrack.compare", compare=lambda fits: Found(errors(fits)), history=lambda fits: Found(errors(fits)))
-    stand_in("frictrack.diagnose", diagnose=diagnose)
+    for name in ("compare", "history"):
+        monkeypatch.setattr(at_work, name, lambda fits: Found(errors(fits)))
+    monkeypatch.setattr(at_work, "diagnose", diagnose)
     return calls
 
 
@@ -175,8 +170,6 @@ def test_a_damaged_result_is_said(study_file: Path) -> None:
 @pytest.fixture
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The models that were searched for, in order."""
-    from frictrack.flow import tried  # noqa: PLC0415
-
     names: list[str] = []
     original = tried.fit
 
@@ -294,7 +287,7 @@ def test_a_diagnosis_failing_leaves_the_fit(
     def broken(fit: Any, seed: int, progress: Any) -> Found:
         raise FrictrackError("expected frames to bootstrap")
 
-    monkeypatch.setattr(sys.modules["frictrack.diagnose"], "diagnose", broken)
+    monkeypatch.setattr(at_work, "diagnose", broken)
     with pytest.raises(FrictrackError, match="expected frames to bootstrap"):
         session(study_file).diagnose()
     assert session(study_file).tried.groups == ["1_coulomb+viscous"]

@@ -62,6 +62,7 @@ mass = 0.7
 fps = "8 kHz"
 scale = 5e-4
 target = [410, 232, 96, 64]
+template = 30
 reference = [0, 0, 50, 50]
 targets = {beam = [1, 2, 3, 4]}
 clamp_x = "20 mm"
@@ -149,6 +150,7 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
             f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 3]\n",
             "expected a rectangle [x, y, width, height] in px but got [1, 2, 3]",
         ),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}template = 3\n", "expected a target beside template"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}free = [0.2, 0.1]\n", "expected an end after the start but got [0.2, 0.1]"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}incline = 22\n", "expected incline between -1.57 and 1.57 rad but got 22"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", "role: expected 'fit' or 'validation' but got 'val'"),

@@ -1,4 +1,4 @@
-"""Progress bars on stderr, one per kind of work that reports itself."""
+"""Progress bars on stderr."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from frictrack.flow import Progress as Callback
 
+OUTER = ("studies", "runs")  # these keep a bar of their own; below them, one bar says what is being done
+
 
 @contextmanager
 def bars() -> Iterator[Callback]:
-    """A callable ``progress(done, total, what)`` that draws a bar for every `what`; the bars go when done."""
+    """A callable ``progress(done, total, what)`` that draws what it is told; the bars go when all is done."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     tasks: dict[str, TaskID] = {}
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as drawn:
 
         def progress(done: int, total: int, what: str) -> None:
-            if what not in tasks:
-                tasks[what] = drawn.add_task(what, total=total)
-            drawn.update(tasks[what], completed=done, total=total, visible=done < total)
+            bar = what if what in OUTER else "now"
+            if bar not in tasks:
+                tasks[bar] = drawn.add_task(what, total=total)
+            drawn.update(tasks[bar], description=what, completed=done, total=total, visible=done < total)
 
         yield progress

@@ -111,6 +111,8 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
     if result["candidates"]:
         out.print(candidates(result["candidates"]))
+    for remark in result.get("remarks", []):
+        out.print(escape(remark))
     for step in result.get("next_experiment") or []:
         out.print(f"to settle it: {escape(step['what'])} (separates {', '.join(step['separates'])})")
 

@@ -10,6 +10,8 @@ from typing import Any
 
 from frictrack import models, store
 from frictrack.calibration import parse_scale
+from frictrack.compare import compare, history
+from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.summary import summary
@@ -114,7 +116,6 @@ class Session:
 
     def compare(self) -> dict[str, Any]:
         """Errors of all models tried, and where the current one fails: JSON of `compare`."""
-        from frictrack.compare import compare  # noqa: PLC0415
 
         def make() -> dict[str, Any]:
             return {"summary": json.dumps(plain(compare(self._fits()).summary()))}
@@ -123,15 +124,11 @@ class Session:
 
     def history(self) -> dict[str, Any]:
         """Every model tried, in order, with its errors: JSON of `history`."""
-        from frictrack.compare import history  # noqa: PLC0415
-
         found: dict[str, Any] = plain(history(self._fits()).summary())
         return found
 
     def diagnose(self, seed: int = 0) -> dict[str, Any]:
         """Which effect is missing: JSON of `diagnose`."""
-        from frictrack.diagnose import diagnose  # noqa: PLC0415
-
         self.bring_up_to("friction")
         group, spec = self.tried.current()
 

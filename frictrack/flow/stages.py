@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -156,9 +156,7 @@ def _film(work: RunWork) -> Film:
 def _track(work: RunWork, film: Film) -> Track:
     from frictrack.tracking import contact_sheet, track  # noqa: PLC0415
 
-    if work.run.template is not None:
-        raise FrictrackError("expected no template, this version finds its own; take the key out", usage=True)
-    made = track(work.recording, work.run.target, progress=work.progress)
+    made = track(work.recording, work.run.target, template=work.run.template or 0, progress=work.progress)
     contact_sheet(work.recording, made, sheet(work))
     return made
 
@@ -171,8 +169,7 @@ def _tracks(work: RunWork, film: Film) -> dict[str, Track]:
     if work.run.reference:
         wanted["reference"] = work.run.reference
     return {
-        name: replace(track(work.recording, rectangle, progress=work.progress), name=name)
-        for name, rectangle in wanted.items()
+        name: track(work.recording, rectangle, name=name, progress=work.progress) for name, rectangle in wanted.items()
     }
 
 

@@ -195,6 +195,8 @@ def _run_faults(run: RunTable) -> list[str]:
         faults.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
     if run.mass == "fit" and not (run.drive or run.table):
         faults.append('expected a measured drive beside mass = "fit" but got none; give drive = "drive.csv"')
+    if run.template is not None and run.target is None:
+        faults.append("expected a target beside template, the frame in which it stands, but got none")
     if run.columns and run.video:
         faults.append("expected columns only beside a table")
     return faults

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 from frictrack.units import quantity
 
@@ -158,7 +158,7 @@ class RunTable(Keys):
     targets: dict[str, Rectangle] = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
-    template: File | None = None
+    template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands
     axis: Pair | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0
