@@ -130,7 +130,8 @@ def _start_values(solution: Solution, effect: Effect, made: list[Family], picks:
         if p.role == "phase":
             out |= {(p.name, r): float(phase[r]) for r in runs} if p.per_run else {(p.name, None): float(phase[0])}
         elif p.role in ("amplitude", "depth"):
-            own = {(p.name, r): float(size[r]) for r in runs}
+            each = np.resize(size, len(runs))
+            own = {(p.name, r): float(each[r]) for r in runs}
             out |= own if p.per_run else {(p.name, None): float(np.mean(size))}
     return out, frozenset()
 

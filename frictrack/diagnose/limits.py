@@ -1,0 +1,54 @@
+"""Detection limits: the smallest effect that would be called missing in 95 of 100 repeats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import ncx2
+
+from frictrack.diagnose.null import Ensemble
+from frictrack.diagnose.tests import Scanned
+from frictrack.fit.scan import Family
+from frictrack.records import Array
+
+POWER = 0.95
+
+
+def noncentrality(threshold: float, freedom: int) -> float:
+    """Non-centrality of chi-squared with `freedom` degrees that exceeds the threshold with probability `POWER`."""
+    return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-9, 1e6))
+
+
+def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Limit at the least favourable setting, as the JSON has it, and the curve over the settings.
+
+    The amplitude of one coefficient (for events: of the best run) whose expected likelihood ratio passes the
+    threshold of the whole search; phases at their worst.
+    """
+    family = scanned.families[0]
+    threshold = scanned.quantile + critical
+    freedom = family.gram.shape[1]
+    if len(scanned.families) > 1:
+        threshold += 2 * np.log(draws.series.shape[0])
+    shrink = draws.shrinks[int(draws.best[0])]
+    per_amplitude = _unit_gain(family, shrink)
+    needed = np.sqrt(noncentrality(threshold, freedom) / np.maximum(per_amplitude, 1e-300))
+    needed[per_amplitude <= 0] = np.inf
+    worst = int(np.argmax(needed))
+    size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
+    unit = size.unit if size else ""
+    at = {p.name: family.grid[worst][p.name] for p in scanned.effect.nonlinear if p.scan is not None}
+    curve = {name: np.array([g[name] for g in family.grid]) for name in at} | {"limit": needed}
+    value = float(needed[worst]) if np.isfinite(needed[worst]) else None
+    reason = None if value is not None else "the fitted law absorbs it whatever its size"
+    return {"value": value, "unit": unit, "at": at, "power": POWER, "reason": reason}, curve
+
+
+def _unit_gain(family: Family, shrink: Array) -> Array:
+    """Expected likelihood ratio of every form at amplitude one, phases at their worst, (G,)."""
+    schur = family.gram - family.on_basis @ shrink @ family.on_basis.transpose(0, 2, 1)
+    k = family.k
+    blocks = [schur[:, i : i + k, i : i + k] for i in range(0, schur.shape[1], k)]
+    return np.sum([np.maximum(np.linalg.eigvalsh(b)[:, 0], 0.0) for b in blocks], axis=0)

@@ -1,0 +1,39 @@
+"""Rivals: effects whose best fit predicts the same data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack.fit.problem import Problem
+from frictrack.fit.scatter import restraint
+from frictrack.fit.solve import Solution, refine
+
+SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
+NEAR = 40.0  # measured difference beyond which the expected one is not worth computing
+
+
+def separation(best: Solution, rival: Solution) -> float:
+    """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
+    predicted = {id(r.piece): r for r in best.responses}
+    ideal = {_key(r): r.model_y for r in predicted.values()}
+    pieces = [replace(p, y=ideal[p.run, float(p.t[0])]) for p in rival.problem.pieces]
+    problem = Problem(rival.problem.model, rival.problem.layout, pieces)
+    tau = max(best.tau, 1e-3)
+    fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
+    held = restraint(best.problem.layout, best.p, tau)
+    return fitted.objective - float(held @ held)
+
+
+def _key(response: object) -> tuple[int, float]:
+    piece = response.piece  # type: ignore[attr-defined]
+    return piece.run, float(piece.t[0])
+
+
+def information(solution: Solution) -> float:
+    """Bayesian information criterion with the spread of the levels integrated out (Schwarz 1978); smaller is better."""
+    layout = solution.problem.layout
+    count = len(solution.p) - len(layout.levels)
+    basis = solution.basis
+    return solution.objective + basis.logdet(max(solution.tau, 1e-4)) + count * float(np.log(solution.problem.n_frames))

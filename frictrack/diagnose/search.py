@@ -1,0 +1,251 @@
+"""The search for what is missing: test, add the best, test again, until nothing is left or nothing helps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from frictrack.compare import failing_spans
+from frictrack.diagnose.limits import detection_limit
+from frictrack.diagnose.null import Ensemble, ensemble
+from frictrack.diagnose.rivals import NEAR, SAME, information, separation
+from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
+from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.fit.estimate import estimates
+from frictrack.fit.heldout import heldout_rms
+from frictrack.fit.solve import Solution
+from frictrack.fit.start import grow
+from frictrack.records import Array
+
+MOST_ROUNDS = 4  # effects looked for one after the other
+REFINED = 8  # candidates refined beyond those that pass
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect tried on top of the model, refined, with its evidence."""
+
+    effect: str
+    acts_on: str
+    parameters: dict[str, Any]
+    p: float
+    delta_bic: float
+    heldout_before: float | None = None  # m
+    heldout_after: float | None = None
+    heldout: str | None = None
+    indistinguishable_from: tuple[str, ...] = ()
+    words: dict[str, str] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Entry of the JSON of `frictrack diagnose`."""
+        scale = 1e6
+        return {
+            "effect": self.effect,
+            "acts_on": self.acts_on,
+            "parameters": self.parameters,
+            "p": self.p,
+            "delta_bic": self.delta_bic,
+            "heldout_rms_before_um": None if self.heldout_before is None else self.heldout_before * scale,
+            "heldout_rms_after_um": None if self.heldout_after is None else self.heldout_after * scale,
+            "heldout": self.heldout,
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "words": self.words,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in a fitted model, how sure, and what these runs could have shown."""
+
+    model: list[str]
+    verdict: str
+    missing: list[str]
+    noise_um: float
+    reduced_chi2: float
+    p_lack_of_fit: float
+    fails_at: list[dict[str, Any]]
+    candidates: list[Candidate]
+    unexplained: dict[str, Any] | None
+    detection_limits: dict[str, dict[str, Any]]
+    remarks: list[str]
+    figures: dict[str, dict[str, Array]]
+
+    @property
+    def best(self) -> Candidate | None:
+        """The candidate with the strongest evidence."""
+        return self.candidates[0] if self.candidates else None
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON of `frictrack diagnose`."""
+        return {
+            "model": self.model,
+            "verdict": self.verdict,
+            "missing": self.missing,
+            "noise_um": self.noise_um,
+            "reduced_chi2": self.reduced_chi2,
+            "p_lack_of_fit": self.p_lack_of_fit,
+            "fails_at": self.fails_at,
+            "candidates": [c.summary() for c in self.candidates],
+            "unexplained": self.unexplained,
+            "next_experiment": [],
+            "detection_limits": self.detection_limits,
+            "remarks": self.remarks,
+        }
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A candidate refined on top of the current solution."""
+
+    scanned: Scanned
+    solution: Solution
+    delta_bic: float
+    p: float
+
+
+@dataclass(frozen=True)
+class _Round:
+    """One test of one model: the draws, the tests, and the candidates refined, best first."""
+
+    solution: Solution
+    draws: Ensemble
+    tests: Tests
+    tried: list[_Tried]
+
+    @property
+    def passing(self) -> list[_Tried]:
+        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0]
+
+
+def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Diagnosis:
+    """Search the library for what the fitted model lacks.
+
+    p-values hold for the whole search (999 draws, `seed`). Effects are added one after the other while the best
+    passes; what an added effect makes needless is not added. Validation runs are not looked at.
+    """
+    tell = progress or (lambda done, total, what: None)
+    rng = np.random.default_rng(seed)
+    first = _round(fit.solution, rng, lambda what: tell(0, MOST_ROUNDS, what))
+    found: list[_Tried] = []
+    last = first
+    while last.passing and len(found) < MOST_ROUNDS:
+        found.append(last.passing[0])
+        tell(len(found), MOST_ROUNDS, f"added {found[-1].scanned.effect.name}, testing again")
+        last = _round(found[-1].solution, rng, lambda what: tell(len(found), MOST_ROUNDS, what))
+    tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
+    return _conclude(fit, first, last, found)
+
+
+def _round(solution: Solution, rng: np.random.Generator, tell: Callable[[str], None]) -> _Round:
+    tell("drawing what nothing missing looks like")
+    draws = ensemble(solution, rng)
+    tell("trying every effect of the library")
+    tests = run_tests(solution, draws, candidates(solution))
+    order = sorted(tests.scanned, key=lambda s: -s.excess[0])
+    keen = [s for k, s in enumerate(order) if tests.p[s.effect.name] < 0.05 or (k < 2)][: REFINED + 2]
+    bare = information(solution)
+    tried = []
+    for s in keen:
+        tell(f"refining {s.effect.name}")
+        try:
+            grown = grow(solution, s.effect)
+        except FrictrackError:
+            continue
+        tried.append(_Tried(s, grown, bare - information(grown), tests.p[s.effect.name]))
+    tried.sort(key=lambda t: (-(t.p < ALPHA / 2), -t.delta_bic))
+    return _Round(solution, draws, tests, tried)
+
+
+def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Diagnosis:
+    rivals = {t.scanned.effect.name: _rivals(first, t) for t in first.passing[:3]}
+    listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ())) for t in first.tried]
+    leftover = last.tests.p_lack_of_fit < ALPHA / 2
+    clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
+    if clean:
+        verdict = "complete"
+    elif leftover or not found:
+        verdict = "unexplained"
+    else:
+        verdict = "ambiguous" if rivals[found[0].scanned.effect.name] else "missing"
+    limits, curves = _limits(first)
+    return Diagnosis(
+        model=fit.model.names,
+        verdict=verdict,
+        missing=[t.scanned.effect.name for t in found],
+        noise_um=float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)) * 1e6),
+        reduced_chi2=fit.reduced_chi2,
+        p_lack_of_fit=first.tests.p_lack_of_fit,
+        fails_at=[] if clean else failing_spans(fit),
+        candidates=listed,
+        unexplained=unexplained_force(last.solution) if verdict == "unexplained" else None,
+        detection_limits=limits,
+        remarks=_remarks(fit),
+        figures=curves,
+    )
+
+
+def _rivals(first: _Round, best: _Tried) -> tuple[str, ...]:
+    """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`."""
+    out = []
+    for other in first.tried:
+        if other is best or other.solution.objective - best.solution.objective > NEAR:
+            continue
+        if separation(best.solution, other.solution) < SAME:
+            out.append(other.scanned.effect.name)
+    return tuple(out)
+
+
+def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...]) -> Candidate:
+    effect = tried.scanned.effect
+    before = after = how = None
+    if tried.p < ALPHA / 2:
+        after, how = heldout_rms(tried.solution)
+        before, _ = heldout_rms(first.solution, how)
+    parameters = {
+        name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
+        for name, e in estimates(tried.solution).parameters.items()
+        if name.rsplit(".", 1)[0] == effect.name
+    }
+    words = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
+    return Candidate(
+        effect=effect.name,
+        acts_on=effect.acts_on,
+        parameters=parameters,
+        p=tried.p,
+        delta_bic=float(tried.delta_bic),
+        heldout_before=before,
+        heldout_after=after,
+        heldout=how,
+        indistinguishable_from=rivals,
+        words=words,
+    )
+
+
+def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+    limits, curves = {}, {}
+    for s in first.tests.scanned:
+        limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
+        if len(s.families) == 1:
+            curve["rise"] = s.rises[0]
+        curves[s.effect.name] = curve
+    return limits, curves
+
+
+def _remarks(fit: Fit) -> list[str]:
+    pieces = fit.solution.problem.pieces
+    out = []
+    if any(p.path.pixel_pitch is None for p in pieces):
+        out.append("peak_locking was not tried: it needs the pixel pitch (scale in [camera])")
+    if len(fit.runs) == 1:
+        out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
+    out.append(
+        "a constant error of scale, frame rate or mass is absorbed exactly: forces go with mass and scale, and with fps^2"
+    )
+    return out
