@@ -9,7 +9,10 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import tifffile
 from conftest import F_C, F_V, slide
+from scipy.ndimage import gaussian_filter
+from scipy.ndimage import shift as ndimage_shift
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, Spec, open_study, tried
@@ -357,3 +360,50 @@ def test_the_key_of_a_fit_knows_roles(study_file: Path) -> None:
     edit(study_file, 'name = "fast"', 'name = "fast"\nrole = "validation"')
     assert session(study_file).tried.key(Spec("tustin")) != before
     assert work.tried.key(replace(Spec("tustin"), seed=1)) != before
+
+
+@pytest.fixture
+def film_study(tmp_path: Path) -> Path:
+    """A block of smooth random texture that slides over another one, slowing down, as a multi-page TIFF."""
+    rng = np.random.default_rng(4)
+    ground = 100 + 40 * gaussian_filter(rng.normal(size=(48, 160)), 2) * 5
+    block = 120 + 60 * gaussian_filter(rng.normal(size=(20, 24)), 1.5) * 4
+    pictures = []
+    for i in range(40):
+        picture = ground.copy()
+        at = 10 + 2.5 * i - 0.01 * i**2
+        whole = int(at)
+        picture[14:34, whole : whole + 25] = ndimage_shift(np.pad(block, ((0, 0), (0, 1)), "edge"), (0, at - whole))
+        pictures.append(np.clip(picture + rng.normal(size=picture.shape), 0, 255).astype(np.uint8))
+    tifffile.imwrite(tmp_path / "block.tif", np.stack(pictures))
+    path = tmp_path / "study.toml"
+    head = '[study]\nmass = "350 g"\n[camera]\nfps = 1000\nscale = "1 mm/px"\n'
+    keys = "target = [10, 14, 24, 20]\nreference = [2, 36, 40, 12]\n"
+    path.write_text(f'{head}[[run]]\nvideo = "block.tif"\n{keys}')
+    return path
+
+
+def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) -> None:
+    rows = session(film_study).measure("track")["runs"]
+    output = film_study.parent / "study_results"
+    assert rows[0]["found"] == 40
+    assert rows[0]["travel_px"] == pytest.approx(2.5 * 39 - 0.01 * 39**2, abs=0.5)
+    assert rows[0]["target"] == "target = [10, 14, 24, 20]"
+    assert (output / "block_track.png").stat().st_size > 10_000
+    session(film_study).bring_up_to("motion")
+    assert [m.split()[1] for m in made] == ["recording", "track", "tracks", "displacement", "filtered", "motion"]
+    with h5py.File(output / "block.h5") as run:
+        assert run["recording"].attrs["path"] == "block.tif"
+        assert run["recording"].attrs["fps"] == 1000
+        assert run["recording/picture"].shape == (48, 160)
+        assert run["tracks/reference/x_px"].attrs["unit"] == "px"
+        columns = {"t", "x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "score", "reason"}
+        assert columns <= set(run["track"])
+    made.clear()
+    edit(film_study, "1 mm/px", "2 mm/px")
+    session(film_study).bring_up_to("motion")
+    assert made == ["block displacement", "block filtered", "block motion"]
+    made.clear()
+    edit(film_study, "fps = 1000", "fps = 2000")
+    session(film_study).bring_up_to("track")
+    assert made == ["block recording", "block track"]

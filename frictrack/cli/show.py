@@ -11,13 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 ERRORS = {
-    "rms_displacement_um": ("displacement, rms", "µm", 1.0),
-    "heldout_rms_um": ("held out, rms", "µm", 1.0),
-    "heldout_rms_N": ("held out, rms", "N", 1.0),
-    "rms_acceleration": ("acceleration, rms", "m/s²", 1.0),
-    "relative_force_error": ("relative force error", "%", 100.0),
-    "reduced_chi2": ("reduced chi²", "", 1.0),
-}  # key of `errors` -> words, unit, factor
+    "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
+    "heldout_rms_um": ("held out, rms", "held out / µm", 1.0),
+    "heldout_rms_N": ("held out, rms, N", "held out / N", 1.0),
+    "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
+    "relative_force_error": ("relative force error", "force / %", 100.0),
+    "reduced_chi2": ("reduced chi²", "chi²", 1.0),
+}  # key of `errors` -> words, column head with its unit, factor
 VERDICTS = {
     "complete": "complete: nothing more is seen in these runs",
     "missing": "an effect is missing",
@@ -67,11 +67,20 @@ def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
     """One row per error, one column per model."""
     columns = list(columns)
     table = _table("error", *(title for title, _ in columns), "unit")
-    for key, (words, unit, factor) in ERRORS.items():
-        values = [e.get(key) for _, e in columns]
-        if any(v is not None for v in values):
-            table.add_row(words, *(number(None if v is None else v * factor) for v in values), unit)
+    for key, cells in _errors([e for _, e in columns]).items():
+        words, head, _ = ERRORS[key]
+        table.add_row(words, *cells, head.partition(" / ")[2])
     return table
+
+
+def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """The errors that any of the models has, as texts, one per model."""
+    cells = {}
+    for key, (*_, factor) in ERRORS.items():
+        values = [e.get(key) for e in models]
+        if any(v is not None for v in values):
+            cells[key] = [number(None if v is None else v * factor) for v in values]
+    return cells
 
 
 def compare(out: Console, result: dict[str, Any]) -> None:
@@ -82,12 +91,10 @@ def compare(out: Console, result: dict[str, Any]) -> None:
 
 def history(out: Console, result: dict[str, Any]) -> None:
     """Every model tried, in order, one row each."""
-    table = _table("model", *(f"{words}{f' / {unit}' if unit else ''}" for words, unit, _ in ERRORS.values()))
-    for model in result["models"]:
-        values = [model["errors"].get(key) for key in ERRORS]
-        factors = [factor for *_, factor in ERRORS.values()]
-        cells = [number(None if v is None else v * f) for v, f in zip(values, factors, strict=True)]
-        table.add_row(escape(model["name"]), *cells)
+    cells = _errors([model["errors"] for model in result["models"]])
+    table = _table("model", *(ERRORS[key][1] for key in cells))
+    for model, *values in zip(result["models"], *cells.values(), strict=True):
+        table.add_row(escape(model["name"]), *values)
     out.print(table)
 
 
@@ -118,16 +125,22 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:
-    """One row per candidate, best first."""
-    table = _table("candidate", "parameters", "p", "delta BIC", "held out before -> after", "not told apart from")
+    """One row per candidate, best first; what differs from run to run is left to `--json`."""
+    table = _table("candidate", "parameters", "p", "delta BIC", "held out", "not told apart from")
     for c in found:
-        values = (f"{k} {plus_minus(v['value'], v['std'])} {v['unit']}" for k, v in c["parameters"].items())
+        shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
+        values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
         unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
         before, after = (number(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
         rivals = ", ".join(c["indistinguishable_from"])
         held_out = f"{before} -> {after} {unit.replace('u', 'µ')}"
         table.add_row(c["effect"], "\n".join(values), number(c["p"], 2), number(c["delta_bic"], 3), held_out, rivals)
     return table
+
+
+def _with_unit(parameter: dict[str, Any]) -> str:
+    unit = "" if parameter["value"] is None or parameter["unit"] == "1" else parameter["unit"]
+    return f"{plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:
@@ -155,6 +168,9 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 def stages(out: Console, result: dict[str, Any]) -> None:
     """One row per run of `track`, `motion`, `friction`, then what was found on the way."""
+    if not result["runs"]:
+        out.print("no films in this study: its runs are tables")
+        return
     keys = [k for k in result["runs"][0] if k not in ("notes", "reason", "target", "contact_sheet")]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
@@ -195,4 +211,7 @@ def _cell(value: Any) -> str:
 
 
 def _table(*headers: str) -> Table:
-    return Table(*headers, box=None, pad_edge=False, header_style="dim")
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for header in headers:
+        table.add_column(header, overflow="fold")
+    return table

@@ -118,13 +118,18 @@ class Session:
         """Errors of all models tried, and where the current one fails: JSON of `compare`."""
 
         def make() -> dict[str, Any]:
-            return {"summary": json.dumps(plain(compare(self._fits()).summary()))}
+            return {"summary": json.dumps(self._named(compare(self._fits()).summary()))}
 
         return self._summarised("comparison", make, self._history_key())
 
     def history(self) -> dict[str, Any]:
         """Every model tried, in order, with its errors: JSON of `history`."""
-        found: dict[str, Any] = plain(history(self._fits()).summary())
+        return self._named(history(self._fits()).summary())
+
+    def _named(self, summary: dict[str, Any]) -> dict[str, Any]:
+        """The models under the names that they have in the store."""
+        named = [{**model, "name": group} for model, group in zip(summary["models"], self.tried.groups, strict=True)]
+        found: dict[str, Any] = plain({**summary, "models": named})
         return found
 
     def diagnose(self, seed: int = 0) -> dict[str, Any]:

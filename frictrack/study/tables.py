@@ -83,6 +83,8 @@ def _read(path: Path, columns: Mapping[str, str], required: Sequence[str]) -> Ta
             faults.append(f'expected a column "{header}" but got {", ".join(present)}; {_hint(header, present)}')
     if not faults:
         faults += _time_faults(values["t"])
+        if "sigma" in values and not np.all(values["sigma"] > 0):
+            faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     gather(faults, path.name)
     return TableData(**values)
 
