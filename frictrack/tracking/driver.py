@@ -18,7 +18,8 @@ from frictrack.tracking.refine import Fine, Template, refine
 Progress = Callable[[int, int, str], None]
 
 LEAST_SCORE = 0.7
-CHUNK = 256  # cut-outs refined at once
+LEAST_CONTRAST = 3  # grey values
+CHUNK = 64  # cut-outs refined at once: their pictures fit a processor's cache
 
 
 def track(
@@ -36,16 +37,23 @@ def track(
     not found holds NaN and the reason. Raises `FrictrackError` for a rectangle that does not fit the
     picture, a film without contrast, or one in which nothing moves.
     """
+    if progress:
+        progress(0, recording.n_frames, "find the target")
     if target is None:
         rectangle, template = locate(recording)
     else:
         rectangle = _checked(target, recording)
-    coarse = follow(recording, rectangle, template, progress)
+    picture = recording.frame(template)
+    x, y, w, h = rectangle
+    if np.ptp(picture[y : y + h, x : x + w]) < LEAST_CONTRAST:
+        raise FrictrackError(
+            f"{recording.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
+            "choose a rectangle that shows texture or an outline"
+        )
+    coarse = follow(recording, picture[y : y + h, x : x + w].copy(), (x, y) if template == 0 else None, progress)
     if not len(coarse.frame):
         raise FrictrackError(f"{recording.path.name}: the target {list(rectangle)} was found in no frame")
-    first = recording.frame(template)
-    x, y, w, h = rectangle
-    model = learn(coarse, cut_out(first, np.array([x, y]), (h, w)))
+    model = learn(coarse, cut_out(picture, np.array([x, y]), (h, w)))
     fine = _refine_all(coarse, model, progress)
     return _assemble(recording, coarse, fine, rectangle, name)
 
@@ -55,7 +63,7 @@ def _checked(target: Sequence[float], recording: Recording) -> Rectangle:
     height, width = recording.shape
     if len(target) != 4 or not np.all(np.isfinite(target)):
         raise FrictrackError(f"expected a target [x, y, w, h] in px but got {list(target)}")
-    x, y, w, h = (int(round(v)) for v in target)
+    x, y, w, h = (round(v) for v in target)
     if w < 8 or h < 8:
         raise FrictrackError(f"expected a target of at least 8x8 px but got {w}x{h} px")
     if x < 0 or y < 0 or x + w > width or y + h > height:
@@ -101,7 +109,7 @@ def _assemble(recording: Recording, coarse: Coarse, fine: Fine, rectangle: Recta
         score=score,
         reason=reason.astype(str),
         name=name,
-        target=tuple(float(v) for v in rectangle),
+        target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
         notes=(*recording.notes, *key_frames(coarse.change, x, y)),
     )
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
@@ -14,7 +16,8 @@ from frictrack.tracking.follow import Rectangle, correlate
 
 SAMPLES = 60
 SAMPLE_BYTES = 96_000_000
-LEAST_AREA = 30  # px
+LEAST_AREA = 40  # px
+LEAST_SIDE = 8  # px
 LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
@@ -43,7 +46,7 @@ class Body:
 
 
 def find_target(recording: Recording) -> Rectangle:
-    """Rectangle (x, y, w, h) px of the moving body in the first frame that shows it; see `locate`."""
+    """Rectangle (x, y, w, h) px of the moving body; in the first frame, unless `locate` names another one."""
     return locate(recording)[0]
 
 
@@ -92,9 +95,13 @@ def _foreground(difference: Array, noise: float) -> Mask:
     """Where the picture differs from the background by more than noise, as closed patches."""
     energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
     # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
-    mask = (energy > 9 * max(noise, 0.5) ** 2).astype(np.uint8)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
-    return cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    return _tidy(energy > 9 * max(noise, 0.5) ** 2, close=7)
+
+
+def _tidy(mask: Mask, close: int) -> Mask:
+    """The mask without gaps narrower than `close` px and without specks."""
+    bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
+    return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
 def _candidates(sample: Sample) -> list[tuple[int, Rectangle]]:
@@ -111,7 +118,7 @@ def _candidates(sample: Sample) -> list[tuple[int, Rectangle]]:
 def _boxes(mask: Mask) -> list[Rectangle]:
     """Bounding boxes of the connected patches, the largest first, those that fill the picture left out."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    blobs = [s for s in stats[1:] if s[4] >= LEAST_AREA and min(s[2:4]) >= 5 and s[4] < 0.6 * mask.size]
+    blobs = [s for s in stats[1:] if s[4] >= LEAST_AREA and min(s[2:4]) >= LEAST_SIDE and s[4] < 0.6 * mask.size]
     return [(int(x), int(y), int(w), int(h)) for x, y, w, h, _ in sorted(blobs, key=lambda s: -s[4])]
 
 
@@ -120,16 +127,34 @@ def _pursue(sample: Sample, row: int, box: Rectangle) -> Body:
     x, y, w, h = box
     patch = sample.frames[row][y : y + h, x : x + w]
     corner = np.full((len(sample.frames), 2), np.nan)
-    for k, frame in enumerate(sample.frames):
-        scores = correlate(frame, patch)
-        _, score, _, (i, j) = cv2.minMaxLoc(scores)
-        still = not sample.foreground[k][j : j + h, i : i + w].mean() > 0.3
-        if score > MATCH and not still:
+    for k, (frame, foreground) in enumerate(zip(sample.frames, sample.foreground, strict=True)):
+        part = _surrounding(foreground, (h, w))
+        if part is None:
+            continue
+        _, score, _, (i, j) = cv2.minMaxLoc(correlate(frame[part], patch))
+        i, j = i + part[1].start, j + part[0].start
+        if score > MATCH and foreground[j : j + h, i : i + w].mean() > 0.3:
             corner[k] = i, j
     seen = np.isfinite(corner[:, 0])
-    travel = float(np.hypot(*np.ptp(corner[seen], axis=0))) if seen.any() else 0.0
+    travel = _travel(corner[seen])
     merit = seen.sum() * travel * np.sqrt(w * h) if travel > LEAST_TRAVEL else 0.0
     return Body(box, row, corner, float(merit))
+
+
+def _travel(corner: Array) -> float:
+    """Distance covered by the finds (k, 2), px; one stray match does not count."""
+    if len(corner) < 2:
+        return 0.0
+    away = np.sort(np.hypot(*(corner - np.median(corner, axis=0)).T))
+    return 2 * float(away[-2])
+
+
+def _surrounding(foreground: Mask, size: tuple[int, int]) -> tuple[slice, slice] | None:
+    """The part of the picture that holds all foreground and has room for a patch of `size` (h, w) round it."""
+    x, y, w, h = cv2.boundingRect(foreground.astype(np.uint8))
+    if not w:
+        return None
+    return slice(max(y - size[0], 0), y + h + size[0]), slice(max(x - size[1], 0), x + w + size[1])
 
 
 def _outline(sample: Sample, body: Body) -> tuple[Rectangle, int]:
@@ -151,8 +176,8 @@ class Look:
 
     picture: Array  # median of the registered frames
     member: Mask  # pixels that move with the body
-    corner: Array  # (k, 2) corner of the window in each frame that shows the body
-    rows: Array  # (k,) those frames
+    corner: NDArray[np.int64]  # (k, 2) corner of the window in each frame that shows the body
+    rows: NDArray[np.int64]  # (k,) those frames
     misfit: Array  # (k,) share of each that the median does not explain
 
 
@@ -168,9 +193,7 @@ def _look(sample: Sample, body: Body) -> Look:
     picture = np.median(stack, axis=0)
     spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
     differs = cv2.GaussianBlur(np.median((stack - scene) ** 2, axis=0), (0, 0), 1.0)
-    member = (spread < 0.5 * differs).astype(np.uint8)
-    member = cv2.morphologyEx(member, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    member = _largest(cv2.morphologyEx(member, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    member = _largest(_tidy(np.asarray(spread < 0.5 * differs), close=5))
     return Look(picture, member, corner, rows, _misfit(stack[:, member], picture[member]))
 
 
@@ -182,9 +205,9 @@ def _misfit(pictures: Array, picture: Array) -> Array:
     return 1 - np.asarray(pictures @ picture) ** 2 / np.maximum(power, 1e-12)
 
 
-def _largest(mask: Array) -> Mask:
+def _largest(mask: Mask) -> Mask:
     """The largest connected patch of a mask; the whole window when there is none."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     if len(stats) < 2:
         return np.ones(mask.shape, np.bool_)
     return np.asarray(labels == 1 + int(np.argmax(stats[1:, 4])))
@@ -202,7 +225,7 @@ def _rectangle(look: Look) -> Rectangle:
     return (x, y, w, h)
 
 
-def _window(picture: Array, corner: Array, shape: tuple[int, int]) -> Array:
+def _window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Array:
     """A window of the picture, float32, continued by its edge where it reaches beyond."""
     height, width = picture.shape
     rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import IO
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.recording import Frame, Recording
-from frictrack.records import Array, Mask
+from frictrack.records import Array
 from frictrack.tracking.resample import PAD, Patch
 
 Progress = Callable[[int, int, str], None]
@@ -35,8 +37,8 @@ class Coarse:
     score: Array  # (n,)
     reason: list[str]
     patches: Patch  # (m, h + 2 PAD, w + 2 PAD), on disk
-    frame: np.ndarray  # (m,) frame of each cut-out
-    origin: np.ndarray  # (m, 2) px, whole-pixel corner that each cut-out was taken at
+    frame: NDArray[np.int64]  # (m,) frame of each cut-out
+    origin: NDArray[np.int64]  # (m, 2) px, whole-pixel corner that each cut-out was taken at
     background: Array  # (H, W)
     change: Array  # (n,) rms by which the picture differs from the one before, grey values
 
@@ -90,34 +92,41 @@ class Follower:
         return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
-def follow(recording: Recording, target: Rectangle, template: int = 0, progress: Progress | None = None) -> Coarse:
-    """Search the `target`, as it looks in frame number `template`, in every frame of `recording`."""
-    x, y, w, h = target
-    follower = Follower(recording.frame(template)[y : y + h, x : x + w].copy())
-    follower.last = [np.array([x, y], dtype=np.float64)] if template == 0 else []
+def follow(
+    recording: Recording, patch: Frame, start: tuple[int, int] | None = None, progress: Progress | None = None
+) -> Coarse:
+    """Search the `patch` (h, w) in every frame of `recording`; `start` is its corner in the first, if known."""
+    follower = Follower(patch)
+    follower.last = [] if start is None else [np.array(start, dtype=np.float64)]
     n = recording.n_frames
-    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    corner, score, change = np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan)
     reason = ["frame cannot be read"] * n
-    rows, origins, kept, change = [], [], [], np.full(n, np.nan)
+    kept: list[Frame] = []
+    stride = -(-n // _background_frames(recording))
     before: Frame | None = None
-    stride = max(1, n // _background_frames(recording))
     with tempfile.TemporaryFile() as spool:
         for i, frame in enumerate(recording.frames()):
             corner[i], score[i], reason[i] = _one(follower, frame)
             if not reason[i]:
-                rows.append(i)
-                origins.append(np.rint(corner[i]).astype(int))
-                spool.write(cut_out(frame, origins[-1], (h, w)).tobytes())
+                spool.write(cut_out(frame, np.rint(corner[i]).astype(int), patch.shape).tobytes())
             if i % stride == 0:
                 kept.append(frame)
             change[i], before = _change(before, frame), frame
             if progress and i % 50 == 0:
                 progress(i, n, "search")
-        spool.flush()
-        shape = (len(rows), h + 2 * PAD, w + 2 * PAD)
-        patches = np.memmap(spool, follower.patch.dtype, "r", shape=shape) if rows else np.empty(shape)
+        rows = np.flatnonzero([not r for r in reason])
+        patches = _mapped(spool, patch, len(rows))
     background = np.median(np.stack(kept), axis=0)
-    return Coarse(corner, score, reason, patches, np.array(rows, int), np.array(origins), background, change)
+    return Coarse(corner, score, reason, patches, rows, np.rint(corner[rows]).astype(int), background, change)
+
+
+def _mapped(spool: IO[bytes], patch: Frame, count: int) -> Patch:
+    """The cut-outs in the temporary file, read as they are used."""
+    shape = (count, patch.shape[0] + 2 * PAD, patch.shape[1] + 2 * PAD)
+    if not count:
+        return np.empty(shape, patch.dtype)
+    spool.flush()
+    return np.memmap(spool, patch.dtype, "r", shape=shape)
 
 
 def _change(before: Frame | None, frame: Frame) -> float:
@@ -145,7 +154,7 @@ def _one(follower: Follower, frame: Frame) -> tuple[Array, float, str]:
 
 
 def _outside(corner: Array | None, size: tuple[int, ...], shape: tuple[int, ...]) -> bool:
-    """Would a rectangle at `corner` stick out of the frame, or touch its edge?"""
+    """Whether a rectangle at `corner` would stick out of the frame or touch its edge."""
     if corner is None:
         return False
     room = np.array(shape[::-1]) - np.array(size[::-1])
@@ -160,14 +169,14 @@ def _match(frame: Frame, patch: Frame, part: Rectangle | None) -> tuple[Array, f
     return np.array([x + i + _vertex(scores[j], i), y + j + _vertex(scores[:, i], j)]), float(best)
 
 
-def correlate(frame: Frame, patch: Frame) -> Array:
+def correlate(frame: Patch, patch: Patch) -> Patch:
     """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0."""
     if frame.dtype != np.uint8:
         frame, patch = frame.astype(np.float32), patch.astype(np.float32)
     scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED)
     # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
     scores[~(np.abs(scores) <= 1.0001)] = 0
-    return scores
+    return np.asarray(scores)
 
 
 def _vertex(scores: Array, i: int) -> float:
@@ -179,7 +188,7 @@ def _vertex(scores: Array, i: int) -> float:
     return 0.5 * (a - c) / bend if bend < 0 else 0.0
 
 
-def cut_out(frame: Frame, corner: np.ndarray, size: tuple[int, int]) -> Patch:
+def cut_out(frame: Patch, corner: Patch, size: tuple[int, ...]) -> Patch:
     """The target's rectangle and PAD pixels round it, mirrored where the frame ends."""
     x, y = corner - PAD
     h, w = size[0] + 2 * PAD, size[1] + 2 * PAD
@@ -188,14 +197,7 @@ def cut_out(frame: Frame, corner: np.ndarray, size: tuple[int, int]) -> Patch:
     if inside.shape == (h, w):
         return inside
     beyond = (max(-y, 0), max(y + h - height, 0), max(-x, 0), max(x + w - width, 0))
-    return cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101)
-
-
-def usable(coarse: Coarse, size: tuple[int, int], shape: tuple[int, int]) -> Mask:
-    """Cut-outs (m,) whose target lies within the frame."""
-    room = np.array(shape[::-1]) - np.array(size[::-1])
-    at = coarse.corner[coarse.frame]
-    return np.all((at >= -0.5) & (at <= room + 0.5), axis=1)
+    return np.asarray(cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101))
 
 
 def _background_frames(recording: Recording) -> int:

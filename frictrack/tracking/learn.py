@@ -46,13 +46,13 @@ def learn(coarse: Coarse, first: Array) -> Template:
         if np.count_nonzero(good) < 3:
             break
         stack = _registered(patches[good], fine, good)
-        image = np.median(stack, axis=0)
+        image = np.asarray(np.median(stack, axis=0), dtype=np.float64)
         template = Template(image, _weight(stack, image, _registered(scene[good], fine, good)))
         start = fine.at
     return template
 
 
-def _spread(coarse: Coarse, size: int) -> np.ndarray:
+def _spread(coarse: Coarse, size: int) -> NDArray[np.int64]:
     """Cut-outs spread over the path travelled (a long rest must not decide what the target looks like)."""
     step = np.hypot(*np.diff(coarse.corner[coarse.frame], axis=0).T)
     step[step < 0.5] = 0.0
@@ -60,10 +60,11 @@ def _spread(coarse: Coarse, size: int) -> np.ndarray:
     index = np.linspace(0, 1, len(path))
     along = index if path[-1] < 1 else 0.9 * path / path[-1] + 0.1 * index
     count = int(np.clip(BYTES // (8 * size), 16, FRAMES))
-    return np.unique(np.searchsorted(along, np.linspace(0, 1, min(count, len(path))))).clip(0, len(path) - 1)
+    rows = np.searchsorted(along, np.linspace(0, 1, min(count, len(path))))
+    return np.unique(rows.clip(0, len(path) - 1))
 
 
-def _scene(coarse: Coarse, rows: np.ndarray, size: tuple[int, ...]) -> Patch:
+def _scene(coarse: Coarse, rows: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
     """The still background as it lies behind each of these cut-outs."""
     background = coarse.background.astype(np.float32)
     return np.stack([cut_out(background, origin, (size[0], size[1])) for origin in coarse.origin[rows]])

@@ -23,6 +23,7 @@ from frictrack.tracking.resample import MARGIN, REACH, Patch, gradient, resample
 STEPS = 12
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
 UNKNOWNS = 5
+LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,38 +34,43 @@ class Template:
     weight: Array
 
     @cached_property
-    def columns(self) -> Array:
-        """Columns (h w, 5): gradient along x and y, rotation, picture, one."""
+    def design(self) -> Array:
+        """Columns (h w, 5): gradient along x and y, rotation, picture, one; times the root of the weight."""
         inner = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
         gx, gy = (g[inner].ravel() for g in gradient(self.image))
+        weight = self.weight.ravel()
         picture = self.image[inner].ravel()
-        picture = picture - np.average(picture, weights=self.weight.ravel())
-        h, w = self.weight.shape
-        y, x = (c.ravel().astype(np.float64) for c in np.mgrid[0:h, 0:w])
-        gradients = np.stack([gx, gy], axis=1)
-        turn = gx * y - gy * x
-        moment = gradients.T @ (self.weight.ravel() * turn)
-        cy, minus_cx = np.linalg.lstsq(self._stiffness(gradients), moment, rcond=None)[0]
-        turn = turn - gx * cy - gy * minus_cx
-        return np.column_stack([gx, gy, turn, picture, np.ones_like(gx)])
-
-    def _stiffness(self, gradients: Array) -> Array:
-        return gradients.T @ (self.weight.ravel()[:, None] * gradients)
+        picture = picture - np.average(picture, weights=weight)
+        slopes = np.column_stack([gx, gy])
+        turn = _turn(slopes, self.weight)
+        return np.column_stack([slopes, turn, picture, np.ones_like(gx)]) * self.root[:, None]
 
     @cached_property
-    def weighted(self) -> Array:
-        """The columns times the weights (h w, 5)."""
-        return self.columns * self.weight.reshape(-1, 1)
+    def root(self) -> Array:
+        """Square root of the weights (h w,)."""
+        return np.sqrt(self.weight.ravel())
 
     @cached_property
     def covariance(self) -> Array:
         """Inverse normal matrix (5, 5): covariance of the coefficients per unit noise variance."""
-        return np.linalg.pinv(self.columns.T @ self.weighted, hermitian=True)
+        return np.asarray(np.linalg.pinv(self.design.T @ self.design, hermitian=True), dtype=np.float64)
 
-    @property
+    @cached_property
     def n_pixels(self) -> int:
         """Pixels that count."""
         return int(np.count_nonzero(self.weight))
+
+
+def _turn(slopes: Array, weight: Array) -> Array:
+    """Change (h w,) of the picture per rad of rotation about the centre of stiffness.
+
+    About the corner that is g_x y - g_y x; moving the centre takes off the part along the slopes (h w, 2).
+    """
+    y, x = (c.ravel().astype(np.float64) for c in np.mgrid[: weight.shape[0], : weight.shape[1]])
+    turn = slopes[:, 0] * y - slopes[:, 1] * x
+    root = np.sqrt(weight.ravel())
+    shift = np.linalg.lstsq(slopes * root[:, None], turn * root, rcond=None)[0]
+    return np.asarray(turn - slopes @ shift, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,28 +90,31 @@ def refine(patches: Patch, start: Array, template: Template) -> Fine:
     """Position of the template on each cut-out (n, h + 2 PAD, w + 2 PAD), from `start` (n, 2) px."""
     n = len(patches)
     at, settled = np.array(start, dtype=np.float64), np.zeros(n, np.bool_)
-    pixels = np.zeros((n, template.weight.size), np.float32)
-    loss, coefficients = np.ones(n), np.zeros((n, UNKNOWNS))
+    moments, power, loss = np.zeros((n, UNKNOWNS)), np.ones(n), np.ones(n)
     active = np.arange(n)
     for _ in range(STEPS):
         pictures, loss[active] = resample(patches[active], at[active])
-        pixels[active] = pictures.reshape(len(active), -1)
-        coefficients[active] = pixels[active] @ template.weighted @ template.covariance
-        step = _step(coefficients[active])
+        pixels = pictures.reshape(len(active), -1) * template.root
+        moments[active] = pixels @ template.design
+        power[active] = np.einsum("ij,ij->i", pixels, pixels)
+        step = _step(moments[active] @ template.covariance)
         at[active] -= step
         small = np.max(np.abs(step), axis=1) < SETTLED
         settled[active[small]] = True
         active = active[~small & _near(at[active])]
         if not len(active):
             break
-    return _summarise(at, settled, (pixels, loss, coefficients), template)
+    return _summarise(at, settled, (moments, power, loss), template)
 
 
 def _step(coefficients: Array) -> Array:
     """Gauss-Newton step (n, 2) px, at most one pixel long per axis."""
-    gain = coefficients[:, 3:4]
-    safe = np.where(np.abs(gain) > 1e-3, gain, 1e-3)
-    return np.clip(coefficients[:, :2] / safe, -1.0, 1.0)
+    return np.clip(coefficients[:, :2] / _divisor(coefficients)[:, None], -1.0, 1.0)
+
+
+def _divisor(coefficients: Array) -> Array:
+    """The gain (n,), kept away from zero; a target with less than that is not there."""
+    return np.maximum(coefficients[:, 3], LEAST_GAIN)
 
 
 def _near(at: Array) -> Mask:
@@ -113,29 +122,28 @@ def _near(at: Array) -> Mask:
     return np.all(np.abs(at) < REACH + 0.5, axis=1)
 
 
-def _summarise(at: Array, settled: Mask, last: tuple[Array, Array, Array], template: Template) -> Fine:
-    pixels, loss, coefficients = last
-    gain = coefficients[:, 3]
-    safe = np.where(np.abs(gain) > 1e-3, gain, 1e-3)
-    residual = pixels - coefficients @ template.columns.T
-    freedom = max(template.n_pixels - UNKNOWNS, 1)
-    variance = (residual**2 @ template.weight.ravel()) / freedom / loss
+def _summarise(at: Array, settled: Mask, sums: tuple[Array, Array, Array], template: Template) -> Fine:
+    """All that is said of a frame, from its products with the template (n, 5) and its own power (n,)."""
+    moments, power, loss = sums
+    coefficients = moments @ template.covariance
+    gain = _divisor(coefficients)
+    misfit = np.maximum(power - np.sum(coefficients * moments, axis=1), 0.0)
+    # Interpolation took some of the noise out of the pixels, though not out of what the gradient sees.
+    noise = misfit / max(template.n_pixels - UNKNOWNS, 1) / loss
     spread = np.sqrt(np.diag(template.covariance)[:2])
     return Fine(
         at=at,
-        angle=coefficients[:, 2] / safe,
-        sigma=np.sqrt(variance)[:, None] * spread / np.abs(safe)[:, None],
-        score=_correlation(pixels, template),
-        gain=gain,
+        angle=coefficients[:, 2] / gain,
+        sigma=np.sqrt(noise)[:, None] * spread / gain[:, None],
+        score=_correlation(moments, power, template),
+        gain=coefficients[:, 3],
         offset=coefficients[:, 4],
-        settled=settled & (gain > 1e-3),
+        settled=settled & (coefficients[:, 3] > LEAST_GAIN),
     )
 
 
-def _correlation(pixels: Array, template: Template) -> Array:
+def _correlation(moments: Array, power: Array, template: Template) -> Array:
     """Weighted zero-normalised cross-correlation (n,) of the pictures with the template."""
-    weight, picture = template.weight.ravel(), template.columns[:, 3]
-    mean = pixels @ weight / weight.sum()
-    centred = pixels - mean[:, None]
-    power = (centred**2 @ weight) * (picture**2 @ weight)
-    return (centred @ (weight * picture)) / np.sqrt(np.maximum(power, 1e-12))
+    picture = template.design[:, 3]
+    centred = power - moments[:, 4] ** 2 / np.sum(template.weight)
+    return moments[:, 3] / np.sqrt(np.maximum(centred * (picture @ picture), 1e-12))

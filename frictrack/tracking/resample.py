@@ -75,4 +75,4 @@ def gradient(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     still[TAPS] = 1.0
     gx = cv2.sepFilter2D(image, cv2.CV_64F, slope, still)
     gy = cv2.sepFilter2D(image, cv2.CV_64F, still, slope)
-    return gx, gy
+    return np.asarray(gx, dtype=np.float64), np.asarray(gy, dtype=np.float64)

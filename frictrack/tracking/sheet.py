@@ -66,7 +66,7 @@ def _figure(recording: Recording, columns: int) -> Figure:
 def _rectangle(track: Track) -> tuple[int, int, int, int]:
     if track.target is None:
         raise ValueError("expected a track that knows its target rectangle")
-    x, y, w, h = (int(round(v)) for v in track.target)
+    x, y, w, h = (round(v) for v in track.target)
     return x, y, w, h
 
 
@@ -82,7 +82,7 @@ def _kind(reason: str) -> str:
 
 
 def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
-    x, y, w, h = _rectangle(track)
+    w, h = _rectangle(track)[2:]
     _show(panel, picture, bit_depth)
     panel.plot(track.x_px, track.y_px, color=PATH, lw=1.5)
     corner = (track.x_px[i] - w / 2, track.y_px[i] - h / 2)
