@@ -1,8 +1,8 @@
 """The only door to HDF5: records and plain dictionaries in, the same out, a file replaced whole or not at all.
 
 Layout, readable by h5py, HDFView or MATLAB without us: a record is a group; its columns are datasets with the
-attribute `unit`, its numbers and strings are attributes, its tuples are attributes in JSON, a dictionary is a
-subgroup. Every group that a stage wrote carries the attributes of its `Stamp`.
+attribute `unit`, its numbers and strings are attributes, its tuples and lists are attributes in JSON, None is an
+empty attribute, a dictionary is a subgroup. Every group that a stage wrote carries the attributes of its `Stamp`.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from frictrack import __version__
 from frictrack.errors import FrictrackError
 from frictrack.results import plain
 
+VERSION = version("frictrack")
 NOTHING: Mapping[str, Any] = {}
 SCHEMA = 1  # of the layout; a file with a higher number was written by a later frictrack
 _STRING = h5py.string_dtype()
@@ -36,7 +37,7 @@ class Stamp:
     key: str = ""
     input_hash: str = ""
     settings: str = "{}"  # JSON
-    version: str = __version__
+    version: str = VERSION
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ def _reading(path: Path) -> Iterator[h5py.File]:
                 )
             if file.attrs["schema"] > SCHEMA:
                 raise FrictrackError(
-                    f"{path} was written by frictrack {file.attrs['version']}, this is {__version__}; update it"
+                    f"{path} was written by frictrack {file.attrs['version']}, this is {VERSION}; update it"
                 )
             yield file
     except FileNotFoundError as e:
@@ -146,7 +147,7 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
     part = Path(name)
     try:
         with h5py.File(part, "w") as file:
-            file.attrs.update(schema=SCHEMA, version=__version__)
+            file.attrs.update(schema=SCHEMA, version=VERSION)
             if path.exists():
                 with _reading(path) as old:
                     _copy(old, file)
@@ -191,8 +192,8 @@ def _put(group: h5py.Group, content: Any) -> None:
 
 def _put_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> None:
     if value is None:
-        return
-    if isinstance(value, dict) or is_dataclass(value):
+        group.attrs[name] = h5py.Empty("f8")
+    elif isinstance(value, dict) or is_dataclass(value):
         _put(group.create_group(name), value)
     elif isinstance(value, np.ndarray):
         _put_array(group, name, value).attrs["unit"] = unit or ""
@@ -222,7 +223,7 @@ def _array(dataset: h5py.Dataset) -> Any:
 def _take(group: h5py.Group) -> dict[str, Any]:
     """Everything in a group as a dictionary, without the stamp."""
     stamped = {f.name for f in fields(Stamp)}
-    content = {k: _number(v) for k, v in group.attrs.items() if k not in stamped}
+    content = {k: _listed(_number(v)) for k, v in group.attrs.items() if k not in stamped}
     for name, item in group.items():
         content[name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
     return content
@@ -236,12 +237,23 @@ def _record(group: h5py.Group, kind: Any) -> Any:
             values[f.name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
         elif f.name in group.attrs:
             raw = _number(group.attrs[f.name])
-            values[f.name] = _tuple(json.loads(raw)) if str(f.type).startswith("tuple") else raw
+            is_tuple = raw is not None and str(f.type).startswith("tuple")
+            values[f.name] = _tuple(json.loads(raw)) if is_tuple else raw
     return kind(**values)
 
 
 def _number(value: Any) -> Any:
+    if isinstance(value, h5py.Empty):
+        return None
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _listed(value: Any) -> Any:
+    """A list again, where the text is one in JSON."""
+    if isinstance(value, str) and value.startswith("["):
+        with suppress(json.JSONDecodeError):
+            return json.loads(value)
+    return value
 
 
 def _tuple(value: Any) -> Any:

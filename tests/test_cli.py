@@ -110,13 +110,23 @@ def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[
 
 
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "empty").mkdir()
     for argv, sentence in {
         ("fit", "absent.toml"): "expected a study file absent.toml but cannot read it",
         ("add", "study.toml", "texure"): 'expected the name of an effect but got "texure"; did you mean "texture"?',
         ("fit", "slow.csv"): "expected a study file (.toml) but got slow.csv",
         ("run", "study.toml", "--mass", "1kg"): "expected no --mass beside a study file",
-        ("run", "study.toml", "study.toml"): "expected one study file",
-        ("run", "absent.avi", "--mass", "1kg"): "expected a recording absent.avi but there is no such file",
+        ("run", "study.toml", "study.toml"): "expected one study file; `frictrack batch` runs several",
+        ("run", "a.avi"): "expected --mass and --scale beside recordings, as in --mass 0.35kg",
+        ("run", "empty"): "expected a study.toml in empty; `frictrack init empty` writes one",
+        (
+            "run",
+            "absent.avi",
+            "--mass",
+            "1kg",
+            "--scale",
+            "1mm/px",
+        ): "expected a recording absent.avi but there is no such file",
         ("batch", "nowhere"): "expected study files in nowhere but found none",
     }.items():
         code, err = refused(capsys, *argv)

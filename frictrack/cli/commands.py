@@ -41,7 +41,7 @@ def working(study: Path) -> Iterator[Session]:
         yield Session(opened, progress)
 
 
-def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path) -> None:
+def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
     """Print a result for a machine or a person; a person is told where it lies."""
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
@@ -53,7 +53,8 @@ def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path) ->
     out = Console(highlight=False)
     if show:
         getattr(shown, show)(out, result)
-    out.print(f"results: {where}", soft_wrap=True, markup=False)
+    if where:
+        out.print(f"results: {where}", soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -75,14 +76,24 @@ def run(
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     """The study file that is meant, written from bare recordings where these are given."""
     from frictrack.flow import start_study  # noqa: PLC0415
+    from frictrack.study import TABLES  # noqa: PLC0415
 
     one = paths[0]
-    is_study = one.suffix == ".toml" or (one / "study.toml").exists()
     given = [key for key, value in keys.items() if value is not None]
-    if is_study and (len(paths) > 1 or given):
-        many = "one study file" if len(paths) > 1 else f"no --{given[0]} beside a study file, it stands in it"
-        raise FrictrackError(f"expected {many}; `frictrack batch` runs several studies", usage=True)
-    return one if is_study else start_study(Path("study.toml"), paths, keys).path
+    if one.suffix == ".toml" or (one / "study.toml").exists():
+        if len(paths) > 1:
+            raise FrictrackError("expected one study file; `frictrack batch` runs several", usage=True)
+        if given:
+            raise FrictrackError(f"expected no --{given[0]} beside a study file, it stands in it", usage=True)
+        return one
+    if one.is_dir() and not given:
+        raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
+    filmed = any(path.suffix.lower() not in TABLES for path in paths)
+    lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ("mass",)) if key not in given]
+    if lacking:
+        example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
+        raise FrictrackError(f"expected {' and '.join(lacking)} beside recordings, as in {example}", usage=True)
+    return start_study(Path("study.toml"), paths, keys).path
 
 
 @app.command()
@@ -208,7 +219,7 @@ def effects(as_json: Json = False) -> None:
     """The library: equations, parameters with units, what an effect looks like and is mistaken for."""
     from frictrack.effects import catalogue  # noqa: PLC0415
 
-    tell({"effects": catalogue()}, as_json, "effects", "`frictrack add STUDY EFFECT` puts one into the model")
+    tell({"effects": catalogue()}, as_json, "effects")
 
 
 @app.command()

@@ -192,6 +192,7 @@ def effects(out: Console, result: dict[str, Any]) -> None:
             *(escape(text) for text in (e["name"], e["equation"], units)), e["looks_like"], _cell(e["mistaken_for"])
         )
     out.print(table)
+    out.print("`frictrack add STUDY EFFECT` puts one into the model")
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:

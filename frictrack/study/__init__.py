@@ -7,9 +7,10 @@ were measured by something other than a camera.
 from frictrack.study.load import Study, load
 from frictrack.study.schema import EffectTable, RunTable
 from frictrack.study.tables import TableData, read_clocked, read_table, resample
-from frictrack.study.write import find_recordings, write_study
+from frictrack.study.write import TABLES, find_recordings, write_study
 
 __all__ = [
+    "TABLES",
     "EffectTable",
     "RunTable",
     "Study",
