@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar
 
@@ -10,6 +11,9 @@ import tifffile
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording, grey
+
+# What tifffile would log about broken files, `Recording` says in words.
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 _MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
 
