@@ -202,11 +202,13 @@ def test_the_values_that_a_person_reads() -> None:
 
 def test_help_comes_at_once() -> None:
     call = [sys.executable, "-c", "from frictrack.cli import main; main(['--help'])"]
-    start = time.perf_counter()
-    done = subprocess.run(call, capture_output=True, text=True, check=True)
-    took = time.perf_counter() - start
-    assert "diagnose" in done.stdout
-    assert took < 1.0  # 0.2 s on an idle machine
+    took = []
+    for _ in range(3):  # the fastest of three, as other work may share the machine
+        start = time.perf_counter()
+        done = subprocess.run(call, capture_output=True, text=True, check=True)
+        took.append(time.perf_counter() - start)
+        assert "diagnose" in done.stdout
+    assert min(took) < 1.0  # 0.2 s on an idle machine
 
 
 def test_help_loads_no_science() -> None:

@@ -261,6 +261,9 @@ def test_comparison_and_diagnosis_are_kept_until_the_model_changes(study_file: P
     assert called == ["diagnose", "compare 1"]
     assert session(study_file).diagnose(seed=5)["seed"] == 5
     session(study_file).add("drag")
+    with h5py.File(study_file.parent / "study_results" / "study.h5") as study:
+        assert "diagnosis" not in study
+        assert "comparison" not in study
     session(study_file).compare()
     session(study_file).diagnose()
     assert called[2:] == ["diagnose", "compare 2", "diagnose"]

@@ -144,7 +144,8 @@ class Session:
         self.tried.fit(group)  # a refit drops the old diagnosis
         inside = f"models/{group}/diagnosis"
         found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec)]), seed)
-        store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
+        if store.stamp(self.path, "diagnosis") != store.stamp(self.path, inside):
+            store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         return found
 
     def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:

@@ -147,7 +147,9 @@ class Tried:
             f"models/{earlier}": {"current": False} for earlier in self.groups[-1:]
         }
         links = {f"runs/{work.run.name}": work.path.name for work in self._works}
-        store.write(self.path, {f"models/{group}": self._entry(spec, fitted, current=True)}, links=links, marks=marks)
+        entry = {f"models/{group}": self._entry(spec, fitted, current=True)}
+        stale = ("comparison", "diagnosis")  # they speak of the model before
+        store.write(self.path, entry, remove=stale, links=links, marks=marks)
         self._fits[group] = fitted
         return group, spec
 
