@@ -1,3 +1,60 @@
-"""frictrack: from a film of a sliding mass to a friction law, and to the physical effect that it lacks."""
+"""frictrack: from a film of a sliding mass to a friction law, and to the physical effect that it lacks.
+
+    import frictrack as ft
+    track = ft.track(ft.open_recording("strike_01.avi", fps=4000))
+    disp = ft.calibrate(track, scale="0.5 mm/px")
+    run = ft.Run(disp, ft.differentiate(ft.low_pass(disp)), mass=0.35)
+    fit = ft.fit("tustin", [run])
+    print(ft.diagnose(fit).verdict)
+
+Names are imported when they are first used, so that `frictrack --help` is quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "open_recording": "recording",
+    "track": "tracking",
+    "contact_sheet": "tracking",
+    "calibrate": "calibration",
+    "low_pass": "motion",
+    "differentiate": "motion",
+    "free_section": "friction",
+    "friction": "friction",
+    "fit": "fit",
+    "compare": "compare",
+    "history": "compare",
+    "diagnose": "diagnose",
+    "Run": "records",
+    "FrictrackError": "errors",
+}
+_MODULES = ("models", "effects", "search", "simulate")
+
+__all__ = [*_HOME, *_MODULES]
+
+
+class _Package(ModuleType):
+    """The package itself; a function keeps its name although the module it lives in has the same one."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _HOME:
+            value = getattr(import_module(f"frictrack.{_HOME[name]}"), name)
+            setattr(self, name, value)
+            return value
+        if name in _MODULES:
+            return import_module(f"frictrack.{name}")
+        raise AttributeError(f"module 'frictrack' has no attribute {name!r}")
+
+
+sys.modules[__name__].__class__ = _Package

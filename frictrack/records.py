@@ -114,7 +114,7 @@ class Filtered(Table):
     t: Array = column("s")
     x: Array = column("m")
     y: Array = column("m", nan=True)
-    sigma_x: Array = column("m")  # of the unfiltered input, inf where a frame was missing (filled by the filter)
+    sigma_x: Array = column("m", nan=True)  # of the unfiltered input, inf where a frame was missing (it was filled)
     sigma_y: Array = column("m", nan=True)
     cutoff: float = scalar("Hz", default=float("nan"))
     cutoff_y: float = scalar("Hz", default=float("nan"))

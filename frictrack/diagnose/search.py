@@ -23,7 +23,8 @@ from frictrack.fit.start import grow
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other
-REFINED = 8  # candidates refined beyond those that pass
+BEHIND = 0.4  # of the best candidate's rise that another must reach to be refined
+HELD_OUT = 3  # candidates whose held-out error is computed
 
 Progress = Callable[[int, int, str], None]
 
@@ -148,11 +149,9 @@ def _round(solution: Solution, rng: np.random.Generator, tell: Callable[[str], N
     draws = ensemble(solution, rng)
     tell("trying every effect of the library")
     tests = run_tests(solution, draws, candidates(solution))
-    order = sorted(tests.scanned, key=lambda s: -s.excess[0])
-    keen = [s for k, s in enumerate(order) if tests.p[s.effect.name] < 0.05 or (k < 2)][: REFINED + 2]
     bare = information(solution)
     tried = []
-    for s in keen:
+    for s in _worth_refining(tests):
         tell(f"refining {s.effect.name}")
         try:
             grown = grow(solution, s.effect)
@@ -163,9 +162,17 @@ def _round(solution: Solution, rng: np.random.Generator, tell: Callable[[str], N
     return _Round(solution, draws, tests, tried)
 
 
+def _worth_refining(tests: Tests) -> list[Scanned]:
+    """Candidates that stand out by themselves and are not far behind the best; the best two in any case."""
+    order = sorted(tests.scanned, key=lambda s: -s.excess[0])
+    top = order[0].statistic[0] if order else 0.0
+    near = [s for s in order if tests.p[s.effect.name] < 0.05 and s.statistic[0] > BEHIND * top - NEAR]
+    return near if len(near) >= 2 else order[:2]
+
+
 def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Diagnosis:
     rivals = {t.scanned.effect.name: _rivals(first, t) for t in first.passing[:3]}
-    listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ())) for t in first.tried]
+    listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ()), k) for k, t in enumerate(first.tried)]
     leftover = last.tests.p_lack_of_fit < ALPHA / 2
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
@@ -192,25 +199,29 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
 
 
 def _rivals(first: _Round, best: _Tried) -> tuple[str, ...]:
-    """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`."""
+    """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`.
+
+    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation.
+    """
     out = []
     for other in first.tried:
-        if other is best or other.solution.objective - best.solution.objective > NEAR:
+        behind = other.solution.objective - best.solution.objective
+        if other is best or behind > NEAR or best.delta_bic - other.delta_bic > 2 * SAME:
             continue
         if separation(best.solution, other.solution) < SAME:
             out.append(other.scanned.effect.name)
     return tuple(out)
 
 
-def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...]) -> Candidate:
+def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int) -> Candidate:
     effect = tried.scanned.effect
     before = after = how = None
-    if tried.p < ALPHA / 2:
+    if tried.p < ALPHA / 2 and place < HELD_OUT:
         after, how = heldout_rms(tried.solution)
         before, _ = heldout_rms(first.solution, how)
     parameters = {
         name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-        for name, e in estimates(tried.solution).parameters.items()
+        for name, e in estimates(tried.solution, profile=False).parameters.items()
         if name.rsplit(".", 1)[0] == effect.name
     }
     words = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}

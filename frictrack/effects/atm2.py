@@ -37,7 +37,7 @@ def atm2(order: int) -> Effect:
         for kind in ("sliding", "viscous")
         for i in range(1, order + 1)
         for parameter in (
-            Parameter(f"{kind}_frequency_{i}", "Hz", (0.1, np.inf), scan=frequencies),
+            Parameter(f"{kind}_frequency_{i}", "Hz", scan=frequencies),
             Parameter(f"{kind}_phase_{i}", "rad", (-np.pi, np.pi), per_run=True, role="phase"),
         )
     )

@@ -16,12 +16,13 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 def times(span: Span) -> Array:
     """Moments worth trying, s since release."""
-    return np.arange(2.0 / span.fps, span.duration, max(2.0 / span.fps, span.duration / 120))
+    edge = 8.0 / span.fps  # closer to either end a blow is only another start or end speed
+    return np.linspace(edge, max(span.duration - edge, 2 * edge), 121)
 
 
 def widths(span: Span) -> Array:
     """Durations worth trying, s: below a few frames the film cannot tell them apart."""
-    return np.array([2.0, 6.0]) / span.fps
+    return np.array([1.0, 3.0]) / span.fps
 
 
 collision = Effect(
@@ -30,8 +31,8 @@ collision = Effect(
     equation="J exp(-((t - time)/width)^2/2)/(width sqrt(2 pi))",
     parameters=(
         Parameter("J", "N s", linear=True, per_run=True),
-        Parameter("time", "s", (0.0, np.inf), per_run=True, scan=times),
-        Parameter("width", "s", (5e-5, 0.01), scan=widths),
+        Parameter("time", "s", per_run=True, scan=times, signed=True),
+        Parameter("width", "s", scan=widths),
     ),
     columns=columns,
     what="The mass strikes a joint, an edge or the course itself.",

@@ -25,7 +25,7 @@ lens = Effect(
     equation="y: k (x - x_c)^3",
     parameters=(
         Parameter("k", "1/m^2", linear=True, role="amplitude"),
-        Parameter("x_c", "m", scan=centres),
+        Parameter("x_c", "m", scan=centres, signed=True),
     ),
     columns=columns,
     what="The lens magnifies the middle and the edge of the picture differently.",

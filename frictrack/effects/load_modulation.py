@@ -19,7 +19,7 @@ load_modulation = Effect(
     equation="(coulomb + stribeck) depth sin(2 pi frequency t + phase)",
     parameters=(
         Parameter("depth", "1", (-1.0, 1.0), role="depth"),
-        Parameter("frequency", "Hz", (0.1, np.inf), scan=frequencies),
+        Parameter("frequency", "Hz", scan=frequencies),
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,

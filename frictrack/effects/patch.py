@@ -31,8 +31,8 @@ patch = Effect(
     equation="F L s exp(-((x - x_c)/w)^2/2)",
     parameters=(
         Parameter("F", "N", linear=True),
-        Parameter("x_c", "m", scan=places),
-        Parameter("w", "m", (1e-4, np.inf), scan=widths),
+        Parameter("x_c", "m", scan=places, signed=True),
+        Parameter("w", "m", scan=widths),
     ),
     columns=columns,
     scales_with="load",

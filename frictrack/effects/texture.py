@@ -27,7 +27,7 @@ texture = Effect(
     equation="amplitude L s sin(2 pi x/period + phase)",
     parameters=(
         Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("period", "m", (1e-4, np.inf), scan=periods),
+        Parameter("period", "m", scan=periods),
         Parameter("phase", "rad", role="phase"),
     ),
     columns=columns,

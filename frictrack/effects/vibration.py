@@ -19,7 +19,7 @@ vibration = Effect(
     equation="amplitude sin(2 pi frequency t + phase)",
     parameters=(
         Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", (0.1, np.inf), scan=frequencies),
+        Parameter("frequency", "Hz", scan=frequencies),
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,

@@ -11,7 +11,7 @@ import numpy as np
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
-from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, span_of
+from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
 from frictrack.fit.result import Fit
 from frictrack.fit.scan import grid_of
 from frictrack.fit.solve import Solution, refine
@@ -85,7 +85,7 @@ def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     """A validation run under the fitted law: only its start is free; its own phases are taken as free too."""
     old = solution.problem.layout
     pieces = pieces_of(run, 0, free_section(run)[0], reference)
-    layout = Layout(old.model, (run.name,), old.span)
+    layout = Layout(old.model, (run.name,), (old.span,))
     known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
     p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
     problem = Problem(old.model, layout, [q.refined(max(e.fine for e in old.model.effects)) for q in pieces])
@@ -120,7 +120,8 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     free = {tuple(pair) for pair in saved["free"]}
     law = models.of([_as_fitted(name, own, free) for name in saved["effects"]])
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
-    layout = replace(Layout(law, tuple(r.name for r in fitted), span_of(pieces, _fps(fitted))), absent=absent)
+    spans = spans_of(pieces, len(fitted), _fps(fitted))
+    layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
     problem = Problem(law, layout, [q.refined(max(e.fine for e in law.effects)) for q in pieces])
     tau = float(saved["tau"])
     solution = refine(problem, np.asarray(saved["p"]), list(np.asarray(saved["starts"])), tau=tau, max_steps=1)

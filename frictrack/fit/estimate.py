@@ -67,8 +67,11 @@ def _inverse(jac: Array) -> tuple[Array, Array]:
     return half.T @ half, unseen
 
 
-def estimates(solution: Solution) -> Estimates:
-    """Parameters with deviations; what the data do not determine is null with a reason."""
+def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
+    """Parameters with deviations; what the data do not determine is null with a reason.
+
+    `profile` also looks at the profile of F_s and v_s, which takes further fits.
+    """
     layout = solution.problem.layout
     names = layout.names
     covariance, unseen = covariance_of(solution)
@@ -77,7 +80,7 @@ def estimates(solution: Solution) -> Estimates:
     values = dict(zip(names, p, strict=True))
     quoted, jacobian = _quoted(solution, values)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
-    unsure = undetermined(solution)
+    unsure = undetermined(solution) if profile else {}
     out: dict[str, Estimate] = {}
     shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
     for row, i in enumerate(shown):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from frictrack.effects import Effect, Span
+from frictrack.effects import Effect, Parameter, Span
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -40,7 +40,7 @@ class Layout:
 
     model: Model
     run_names: tuple[str, ...]
-    span: Span
+    spans: tuple[Span, ...]  # how far each run reaches
     absent: frozenset[tuple[str, int]] = frozenset()
     levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
     slots: tuple[Slot, ...] = field(init=False)
@@ -55,7 +55,7 @@ class Layout:
                     fixed[effect.name, p.name] = p.fixed
                     continue
                 for run in self._runs_of(effect, p.per_run):
-                    bounds = reach(effect, p.name, self.span)
+                    bounds = reach(p, self.span if run is None else self.spans[run])
                     slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
         if len(self.run_names) > 1 and self.scales:
             slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
@@ -66,6 +66,11 @@ class Layout:
         if not per_run:
             return [None]
         return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
+
+    @property
+    def span(self) -> Span:
+        """How far all runs reach together."""
+        return together(self.spans)
 
     @property
     def scales(self) -> bool:
@@ -117,18 +122,29 @@ class Layout:
         raise KeyError((effect, parameter, run))
 
 
-def reach(effect: Effect, name: str, span: Span) -> tuple[float, float]:
-    """Bounds of a parameter for these runs: its own, and for scanned ones not far beyond the scan."""
-    p = effect.parameter(name)
+def reach(p: Parameter, span: Span) -> tuple[float, float]:
+    """Bounds of a parameter for these runs: its own, and where it has none, one step beyond its scan."""
     low, high = p.bounds
-    if p.scan is not None:
-        grid = p.scan(span)
-        margin = max(float(np.ptp(grid)) * 0.1, 0.0)
-        low = max(low, float(grid.min()) - margin) if np.isfinite(low) else float(grid.min()) - margin
-        high = min(high, float(grid.max()) + margin)
-        if p.bounds[0] >= 0:
-            low = max(low, p.bounds[0], float(grid.min()) / 4)
+    if p.scan is None:
+        return low, high
+    grid = np.sort(p.scan(span))
+    if not np.isfinite(low):
+        low = float(grid[0] - (grid[1] - grid[0]) if p.signed else grid[0] ** 2 / grid[1])
+    if not np.isfinite(high):
+        high = float(grid[-1] + (grid[-1] - grid[-2]) if p.signed else grid[-1] ** 2 / grid[-2])
     return low, high
+
+
+def together(spans: Sequence[Span]) -> Span:
+    """The span of several runs."""
+    return Span(
+        duration=max(s.duration for s in spans),
+        x_min=min(s.x_min for s in spans),
+        x_max=max(s.x_max for s in spans),
+        v_min=min(s.v_min for s in spans),
+        v_max=max(s.v_max for s in spans),
+        fps=spans[0].fps,
+    )
 
 
 def settle(layout: Layout, p: Array) -> Array:

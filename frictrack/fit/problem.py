@@ -315,11 +315,15 @@ def _moved(p: Array, i: int, step: float) -> Array:
     return out
 
 
-def span_of(pieces: Sequence[Piece], fps: float) -> Span:
-    """How far the pieces reach in time, place and speed."""
+def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
+    """How far every run reaches in time since release, place and speed."""
+    return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))
+
+
+def _span(pieces: Sequence[Piece], fps: float) -> Span:
     speeds = np.concatenate([np.abs(p.v_hat) for p in pieces])
     return Span(
-        duration=max(float(p.t[-1] - p.t[0]) for p in pieces),
+        duration=max(float(p.t[-1]) for p in pieces),
         x_min=min(float(p.y.min()) for p in pieces),
         x_max=max(float(p.y.max()) for p in pieces),
         v_min=float(speeds.min()),

@@ -103,7 +103,10 @@ def per_run_coefficients(effect: Effect) -> bool:
 
 
 def _family(solution: Solution, effect: Effect, basis: Basis, members: list[int]) -> Family:
-    grid = grid_of(effect, solution.problem.layout.span)
+    layout = solution.problem.layout
+    own_scan = any(p.scan is not None and p.per_run for p in effect.nonlinear)
+    run = solution.responses[members[0]].piece.run
+    grid = grid_of(effect, layout.spans[run] if own_scan else layout.span)
     starts = np.cumsum([0, *[len(r.r) for r in solution.responses]])
     columns = [_columns(solution, solution.responses[i], effect, grid) for i in members]
     slices = [slice(int(starts[i]), int(starts[i + 1])) for i in members]

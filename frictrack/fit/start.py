@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi2_distribution
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
-from frictrack.fit.problem import Piece, Problem, span_of
+from frictrack.fit.problem import Piece, Problem, spans_of
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
 from frictrack.models import Model
@@ -25,11 +25,11 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
-    span = span_of(pieces, fps)
+    spans = spans_of(pieces, len(names), fps)
     plain = tuple(e for e in model.effects if not _needs_scan(e))
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = Layout(Model(plain), names, span)
+    layout = Layout(Model(plain), names, spans)
     problem = Problem(layout.model, layout, pieces)
     solution = settle_scatter(problem, _first_guess(problem), problem.first_starts())
     for effect in model.effects:

@@ -1,0 +1,207 @@
+"""A scene file becomes films of known truth: what slides, under which law, and how it is filmed.
+
+    name = "course A"
+    mass = 0.35                     # kg, the reference at which the law's newtons are quoted
+    scatter = 0.03                  # relative, of dry friction from run to run
+    [law.coulomb]                   # any effects of the library, parameters by their names
+    F_c = 8.0
+    [camera]                        # fps, width, height, scale (m/px), exposure, bit_depth, full_well, read_noise
+    [[run]]
+    name = "v4"
+    v = 4.0                         # m/s; negative moves toward -x
+    frames = 200
+    push = 0.004                    # s of pushing from rest before the free slide (default 0: it starts moving)
+
+A folder as target gets the films, a study file that says nothing of the truth, and `truth.json`.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from frictrack import models
+from frictrack.errors import FrictrackError
+from frictrack.models import Model
+from frictrack.records import Array
+from frictrack.simulate.camera import Camera
+from frictrack.simulate.film import write_film
+from frictrack.simulate.render import Target, render
+from frictrack.simulate.slide import Conditions, Slide, simulate
+from frictrack.simulate.texture import Surface
+
+Progress = Callable[[int, int, str], None]
+KEYS = {"name", "mass", "scatter", "law", "camera", "target", "run", "format"}
+RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline"}
+MARGIN = 14.0  # px between the block and the edge of the first frame
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A parsed scene: the law (values as the effects take them), the camera and the runs."""
+
+    name: str
+    mass: float
+    scatter: float
+    law: dict[str, dict[str, float]]
+    camera: dict[str, Any]
+    target: dict[str, float]
+    runs: tuple[dict[str, Any], ...]
+    format: str = "avi"
+
+    @property
+    def model(self) -> Model:
+        """The law as a model."""
+        return models.of(list(self.law))
+
+
+def read_scene(text: str) -> Scene:
+    """Scene from TOML text.
+
+    Raises FrictrackError (usage) for a key that a scene does not have, or a scene without law or runs.
+    """
+    raw = tomllib.loads(text)
+    faults = [f'unknown key "{k}"' for k in raw if k not in KEYS]
+    faults += [f'unknown key "{k}" in a run' for run in raw.get("run", []) for k in run if k not in RUN_KEYS]
+    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in _camera_keys()]
+    if not raw.get("law") or not raw.get("run"):
+        faults.append("expected a [law.coulomb] table or the like and at least one [[run]]")
+    if faults:
+        raise FrictrackError("scene: " + "; ".join(faults), usage=True)
+    return Scene(
+        name=str(raw.get("name", "scene")),
+        mass=float(raw.get("mass", 0.35)),
+        scatter=float(raw.get("scatter", 0.0)),
+        law={k: dict(v) for k, v in raw["law"].items()},
+        camera=raw.get("camera", {}),
+        target=raw.get("target", {}),
+        runs=tuple(raw["run"]),
+        format=str(raw.get("format", "avi")),
+    )
+
+
+def _camera_keys() -> set[str]:
+    return {f.name for f in fields(Camera) if f.name not in ("flicker", "shake_x", "shake_y")}
+
+
+def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
+    """Film a scene file into the folder `out`: films, study.toml, truth.json.
+
+    Raises FrictrackError for a scene file that is missing or wrong.
+    """
+    if not path.is_file():
+        raise FrictrackError(f"expected a scene file but found none at {path}; see `frictrack render --help`")
+    try:
+        scene = read_scene(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as fault:
+        raise FrictrackError(f"{path}: expected TOML but got a fault: {fault}", usage=True) from None
+    film_scene(scene, out, seed=seed, progress=progress)
+
+
+def sample_study(folder: Path, progress: Progress | None = None) -> None:
+    """The sample study of four short films with a hidden effect, rendered into `folder`."""
+    text = resources.files("frictrack.simulate").joinpath("sample.toml").read_text(encoding="utf-8")
+    film_scene(read_scene(text), folder, progress=progress)
+
+
+def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
+    """Simulate, render and write every run of a scene."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    truth: dict[str, Any] = {"scene": scene.name, "mass": scene.mass, "law": scene.law, "seed": seed, "runs": []}
+    for i, run in enumerate(scene.runs):
+        if progress:
+            progress(i, len(scene.runs), f"rendering {run['name']}")
+        level = float(run.get("level", 1 + scene.scatter * rng.standard_normal()))
+        camera = Camera(**(scene.camera | ({"width": run["width"]} if "width" in run else {})))
+        slide = slide_of(scene, run, camera, level)
+        film = f"{run['name']}.{scene.format}"
+        write_film(_frames(scene, run, camera, slide, rng), folder / film, camera.fps)
+        truth["runs"].append({"name": run["name"], "level": level, "v": run["v"], "x_m": slide.x.tolist()})
+    (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
+    (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
+    if progress:
+        progress(len(scene.runs), len(scene.runs), "rendered")
+
+
+def slide_of(scene: Scene, run: dict[str, Any], camera: Camera, level: float) -> Slide:
+    """True motion of one run at its frames; a pushed run starts at rest."""
+    mass = float(run.get("mass", scene.mass))
+    v, push = float(run["v"]), float(run.get("push", 0.0))
+    t = np.arange(int(run["frames"])) / camera.fps
+    ratio = mass / scene.mass
+
+    def drive(at: Array) -> Array:
+        # a smooth push that would bring the mass to v without friction
+        phase = np.clip(np.asarray(at) / push, 0.0, 1.0)
+        return 2 * mass * v / push * np.sin(np.pi * phase) ** 2
+
+    conditions = Conditions(
+        mass=mass,
+        load=ratio * level,
+        mass_ratio=ratio,
+        pixel_pitch=camera.scale,
+        incline=float(run.get("incline", 0.0)),
+        drive=drive if push else None,
+    )
+    return simulate(scene.model, _values(scene), conditions, t, (0.0, 0.0 if push else v))
+
+
+def _values(scene: Scene) -> dict[str, dict[str, float]]:
+    """Values as the effects take them: F_s above F_c, phases zero, fixed ones filled in."""
+    out = {}
+    for effect in scene.model.effects:
+        given = scene.law[effect.name]
+        known = {p.name for p in effect.parameters}
+        wrong = [k for k in given if k not in known]
+        if wrong:
+            raise FrictrackError(f"scene: {effect.name} has {', '.join(known)} but not {wrong[0]}", usage=True)
+        out[effect.name] = {p.name: float(given.get(p.name, p.fixed or 0.0)) for p in effect.parameters}
+    if "stribeck" in out and "coulomb" in out:
+        out["stribeck"]["F_s"] -= out["coulomb"]["F_c"]
+    return out
+
+
+def _frames(scene: Scene, run: dict[str, Any], camera: Camera, slide: Slide, rng: np.random.Generator) -> Any:
+    target = Target(
+        width=float(scene.target.get("width", 90)),
+        height=float(scene.target.get("height", 56)),
+        surface=Surface(size=float(scene.target.get("speckle", 4.0)), seed=11),
+    )
+    edge = MARGIN + target.width / 2
+    begin = edge if run["v"] > 0 else camera.width - 1 - edge
+    x = begin + (slide.x + slide.shift - slide.x[0]) / camera.scale
+    y = np.full_like(x, camera.height / 2 - 4)
+    spline = CubicSpline(slide.t, x)
+
+    def position(t: Array) -> tuple[Array, Array]:
+        return spline(t), np.interp(t, slide.t, y)
+
+    return render(position, camera, target, rng, n_frames=len(x))
+
+
+def _study_text(scene: Scene) -> str:
+    camera = Camera(**scene.camera)
+    lines = [
+        "[study]",
+        f'name = "{scene.name}"',
+        f'mass = "{scene.mass:g} kg"',
+        'model = "tustin"                # the first guess; `frictrack diagnose` says what it lacks',
+        "",
+        "[camera]",
+        f"fps = {camera.fps:g}",
+        f'scale = "{camera.scale * 1e3:g} mm/px"',
+    ]
+    for run in scene.runs:
+        lines += ["", "[[run]]", f'name = "{run["name"]}"', f'video = "{run["name"]}.{scene.format}"']
+        if "mass" in run:
+            lines.append(f'mass = "{run["mass"]:g} kg"')
+    return "\n".join(lines) + "\n"
