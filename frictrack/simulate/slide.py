@@ -14,11 +14,17 @@ import numpy as np
 from scipy.optimize import brentq
 
 from frictrack.effects import Path
+from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import NODES, Panels, solve
 
 WINDOW = 64  # panels solved at once
+AGREE = 1e-10  # m, within which two cuts of time must agree on the displacement
+HALVINGS = 6  # of the panels, at most
+
+
+States = dict[float, tuple[float, float, float]]  # t -> x, v, s
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class _Walk:
     model: Model
     values: Values
     conditions: Conditions
-    states: dict[float, tuple[float, float, float]] = field(default_factory=dict)  # t -> x, v, s
+    states: States = field(default_factory=dict)
 
     def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
         c = self.conditions
@@ -77,24 +83,39 @@ class _Walk:
         return s * (self.push(t) - self.model.force(self.path(zero + x, zero, t, s), self.values))
 
 
-def simulate(
-    model: Model,
-    values: Values,
-    conditions: Conditions,
-    t: Array,
-    start: tuple[float, float],
-    *,
-    per_frame: int = 2,
-) -> Slide:
-    """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release."""
+def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
+    """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release.
+
+    Panels are halved until the displacement stays within 0.1 nm, so that a blow much shorter than a frame is
+    followed too. Raises FrictrackError when 1 nm cannot be reached.
+    """
     walk = _Walk(model, values, conditions)
+    per_frame = max(2, *(e.fine for e in model.effects))
+    slide, change = _collect(walk, t, _walked(walk, t, start, per_frame)), np.inf
+    for _ in range(HALVINGS):
+        per_frame *= 2
+        coarse, slide = slide, _collect(walk, t, _walked(walk, t, start, per_frame))
+        change = float(np.max(np.abs(slide.x - coarse.x)))
+        if change <= AGREE:
+            return slide
+    if change > 10 * AGREE:
+        raise FrictrackError(
+            f"expected a motion that can be followed to 1 nm but got one that still moves by {change * 1e9:.2g} nm when "
+            f"every frame is cut into {per_frame} parts; give more frames per second, or wider pulses"
+        )
+    return slide
+
+
+def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> States:
+    """States at the frames and in between, through every stop and release."""
+    walk.states.clear()
     edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
     now, x, v = float(edges[0]), float(start[0]), float(start[1])
     while now < edges[-1] - 1e-12:
         ahead = np.concatenate([[now], edges[edges > now + 1e-12]])
         s = np.sign(v) if v else _starts(walk, x, now)
         now, x, v = _slide(walk, ahead, (x, v), float(s)) if s else _rest(walk, ahead, x)
-    return _collect(walk, t)
+    return dict(walk.states)
 
 
 def _starts(walk: _Walk, x: float, now: float) -> float:
@@ -140,15 +161,21 @@ def _stop(
     tau = float(brentq(curve, 0.0, h)) if curve(0.0) * curve(h) < 0 else h
     if tau < 1e-12:
         return float(begin) + 1e-9, float(state[0]), 0.0
-    piece = Panels(np.array([begin, begin + tau]))
-    motion, _ = solve(law, piece, (float(state[0]), float(state[1])), np.full(3, float(a[3 * k])))
+    for _ in range(4):  # the polynomial only guesses the moment: the law itself settles it
+        piece = Panels(np.array([begin, begin + tau]))
+        motion, _ = solve(law, piece, (float(state[0]), float(state[1])), np.full(3, float(a[3 * k])))
+        braking = float(law(motion.x_edge[-1:], motion.v_edge[-1:], piece.edges[-1:])[0])
+        late = float(motion.v_edge[-1]) / braking if braking else 0.0
+        if abs(late) < 1e-13:
+            break
+        tau = float(np.clip(tau - late, 0.5 * tau, h))
     return float(begin) + tau, float(motion.x_edge[-1]), 0.0
 
 
-def _collect(walk: _Walk, t: Array) -> Slide:
-    known = np.array(sorted(walk.states))
+def _collect(walk: _Walk, t: Array, states: States) -> Slide:
+    known = np.array(sorted(states))
     nearest = known[np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)]
-    x, v, s = np.array([walk.states[k] for k in nearest]).T
+    x, v, s = np.array([states[k] for k in nearest]).T
     a, force = np.zeros_like(x), np.zeros_like(x)
     for direction in (-1.0, 0.0, 1.0):
         here = s == direction
