@@ -299,6 +299,7 @@ def test_frames_that_cannot_be_read():
     assert result.found[:60].all()
     assert set(result.reason[60:]) == {"frame cannot be read"}
     assert result.notes[0].startswith("truncated film")
+    assert result.notes[1].startswith("60 of 80 frames could be read")
 
 
 # ---- a still reference, repeatability, progress
@@ -374,3 +375,12 @@ def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
     i = np.arange(600)
     change = 2 + 0.3 * rng.random(600) + flicker * np.abs(np.sin(np.pi * i / 15))
     assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
+
+
+def test_a_target_that_never_returns():
+    """Every frame is another speckle: nothing can be followed, and this is said."""
+    frames = [expose(128 + speckle(SHAPE, np.random.default_rng([1, i])), None) for i in range(20)]
+    with pytest.raises(
+        FrictrackError, match=r"the target \[40, 10, 40, 40\] is found in fewer than two frames; choose"
+    ):
+        track(Film(lambda i: frames[i], 20, SHAPE), [40, 10, 40, 40])

@@ -11,7 +11,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Track
 from frictrack.tracking.find import locate
 from frictrack.tracking.findings import key_frames
-from frictrack.tracking.follow import Coarse, Rectangle, cut_out, follow
+from frictrack.tracking.follow import UNREAD, Coarse, Rectangle, cut_out, follow
 from frictrack.tracking.learn import learn
 from frictrack.tracking.refine import Fine, Template, refine
 
@@ -51,11 +51,14 @@ def track(
             "choose a rectangle that shows texture or an outline"
         )
     coarse = follow(recording, picture[y : y + h, x : x + w].copy(), (x, y) if template == 0 else None, progress)
-    if not len(coarse.frame):
-        raise FrictrackError(f"{recording.path.name}: the target {list(rectangle)} was found in no frame")
     model = learn(coarse, cut_out(picture, np.array([x, y]), (h, w)))
-    fine = _refine_all(coarse, model, progress)
-    return _assemble(recording, coarse, fine, rectangle, name)
+    result = _assemble(recording, coarse, _refine_all(coarse, model, progress), rectangle, name)
+    if np.count_nonzero(result.found) < 2:
+        raise FrictrackError(
+            f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
+            "choose a rectangle that fits the moving body, in a frame that shows it well"
+        )
+    return result
 
 
 def _checked(target: Sequence[float], recording: Recording) -> Rectangle:
@@ -110,8 +113,14 @@ def _assemble(recording: Recording, coarse: Coarse, fine: Fine, rectangle: Recta
         reason=reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        notes=(*recording.notes, *key_frames(coarse.change, x, y)),
+        notes=(*recording.notes, *_unread(coarse), *key_frames(coarse.change, x, y)),
     )
+
+
+def _unread(coarse: Coarse) -> tuple[str, ...]:
+    count = coarse.reason.count(UNREAD)
+    total = len(coarse.reason)
+    return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
 
 
 def _reasons(corner: Array, fine: Fine, size: tuple[int, int], shape: tuple[int, int]) -> list[str]:

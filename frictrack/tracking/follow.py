@@ -23,6 +23,7 @@ from frictrack.tracking.resample import PAD, Patch
 Progress = Callable[[int, int, str], None]
 Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 
+UNREAD = "frame cannot be read"
 NEAR = 0.8  # share of the usual score that a find near the prediction needs
 ANYWHERE = 0.5  # least score of a find anywhere
 BACKGROUND_FRAMES = 25
@@ -100,7 +101,7 @@ def follow(
     follower.last = [] if start is None else [np.array(start, dtype=np.float64)]
     n = recording.n_frames
     corner, score, change = np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    reason = ["frame cannot be read"] * n
+    reason = [UNREAD] * n
     kept: list[Frame] = []
     stride = -(-n // _background_frames(recording))
     before: Frame | None = None
