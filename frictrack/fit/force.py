@@ -1,0 +1,210 @@
+"""The papers' domain: accelerations after low-pass and double difference, the model through the same chain.
+
+For a fixed cut-off the chain is a linear map K from the frames of a piece to accelerations. Measured minus modelled
+acceleration is then K (y - y_model) and its sensitivities are K J: the displacement's problem, seen through K. The
+residuals count alike, as in the papers; their noise does not (it grows with the square of the frequency), so the
+deviations come from the sandwich H^-1 J' V J H^-1 with V = K diag(sigma^2) K' (White 1982, Econometrica 50).
+Start position and speed are those that suit the displacement best: the chain hardly sees them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.sparse import csr_array
+from scipy.stats import t as student
+
+from frictrack.fit.estimate import Estimate, Estimates, _correlations, _inverse, _quoted, estimates
+from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response
+from frictrack.fit.scatter import MIN_RUNS, restraint_rows
+from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.motion.derivative import NODES, _stencils
+from frictrack.motion.grid import frame_grid
+from frictrack.motion.smoother import BAND, _equations, deviations, penalty, weights
+from frictrack.records import Array, Run
+
+CERTAIN = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Low-pass and double difference of one piece: a linear map from its n frames to m accelerations, m/s^2.
+
+    The frames within the run's guard of either end are smoothed but not compared.
+    """
+
+    rows: Array  # place of every frame on the regular grid of N frames
+    weight: Array  # of the smoother, (N,), 0 where a frame is missing
+    lu: Array  # factors of the smoother's equations
+    pivots: Array
+    second: csr_array  # second derivative at the compared frames, (m, N)
+    sigma_a: Array  # noise of the accelerations, (m,)
+
+    def apply(self, columns: Array) -> Array:
+        """Accelerations (m, k) of displacements (n, k)."""
+        full = np.zeros((len(self.weight), columns.shape[1]))
+        full[self.rows] = columns
+        out: Array = self.second @ self._solve(self.weight[:, None] * full)
+        return out
+
+    def transposed(self, columns: Array) -> Array:
+        """K' times columns (m, k), shape (n, k)."""
+        out: Array = (self.weight[:, None] * self._solve(self.second.T @ columns))[self.rows]
+        return out
+
+    def _solve(self, right: Array) -> Array:
+        """(W + lambda D'D)^-1 times columns, through the smoother's own equations."""
+        both = np.zeros((2 * len(self.weight), right.shape[1]))
+        both[0::2] = right
+        out: Array = dgbtrs(self.lu, BAND, BAND, both, self.pivots)[0][0::2]
+        return out
+
+
+def chain_of(run: Run, piece: Piece) -> Chain:
+    """The chain of one piece at the cut-off of its run."""
+    grid = frame_grid(piece.t)
+    n, m = len(piece.t), run.motion.guard
+    guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
+    kept = grid.frames[guard : n - guard]
+    weight = grid.spread(weights(piece.sigma, np.ones(n, dtype=bool)))
+    lam = penalty(run.motion.cutoff, grid.interval)
+    start, stencils = _stencils(grid)
+    noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
+    spread = noise * deviations(weight, lam, 0.0, start, stencils[2:])[0]
+    columns = (start[kept, None] + np.arange(NODES)).ravel()
+    second = csr_array(
+        (stencils[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
+    )
+    lu, pivots, _ = dgbtrf(_equations(weight, lam), BAND, BAND)
+    return Chain(grid.frames, weight, lu, pivots, second, spread[kept])
+
+
+@dataclass(frozen=True)
+class ForceResponse(Response):
+    """A response seen through the chain; `plain` is the displacement's own."""
+
+    plain: Response
+
+    def start_step(self, step: Array) -> Array:
+        """Change of (x0, v0) that the displacement asks for."""
+        return self.plain.start_step(step)
+
+
+class ForceProblem(Problem):
+    """The problem of the displacement seen through the chains, one per piece, in units of one noise for all."""
+
+    def __init__(self, problem: Problem, chains: Sequence[Chain]) -> None:
+        super().__init__(problem.model, problem.layout, problem.pieces)
+        self.chains = list(chains)
+        self.noise = noise_of(chains)
+
+    def _respond(self, i: int, p: Array, start: Array) -> Response:
+        plain = super()._respond(i, p, start)
+        both = np.column_stack([plain.jac, plain.r]) * plain.piece.sigma[:, None]
+        seen = self.chains[i].apply(both) / self.noise
+        known = {name: getattr(plain, name) for name in Response.__dataclass_fields__}
+        return ForceResponse(**known | {"jac": seen[:, :-1], "r": seen[:, -1], "r_full": seen[:, -1]}, plain=plain)
+
+    def noise_in(self, responses: Sequence[Response], columns: Array) -> Array:
+        """Noise of the displacement, frame by frame in units of sigma, that enters products with columns (M, k).
+
+        The result Z (N, k) has Z'Z = columns' V columns.
+        """
+        out, at = [], 0
+        for chain, response in zip(self.chains, responses, strict=True):
+            mine = columns[at : at + len(response.r)]
+            at += len(response.r)
+            back = response.piece.sigma[:, None] * chain.transposed(mine) / self.noise
+            out.append(back - response.q @ (response.q.T @ back))
+        return np.concatenate(out)
+
+
+def noise_of(chains: Sequence[Chain]) -> float:
+    """Root mean square noise of all compared accelerations, m/s^2."""
+    return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
+
+
+def chains_of(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[Chain]:
+    """The chains of all pieces."""
+    return [chain_of(runs[piece.run], piece) for piece in pieces]
+
+
+def seen(solution: Solution, runs: Sequence[Run]) -> Solution:
+    """The same law, linearised in the force domain."""
+    problem = ForceProblem(solution.problem, chains_of(runs, solution.problem.pieces))
+    return refine(problem, solution.p, solution.starts, tau=solution.tau, max_steps=0)
+
+
+def solve_force(solution: Solution, runs: Sequence[Run]) -> Solution:
+    """The law that minimises the squared acceleration residuals, from the best one of the displacement."""
+    problem = ForceProblem(solution.problem, chains_of(runs, solution.problem.pieces))
+    return settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+
+
+def at_rest(problem: Problem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+    """A given law in the displacement's domain: only the starts are fitted."""
+    return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool))
+
+
+def reduced_chi2(solution: Solution) -> float:
+    """Chi-squared over what the coloured noise leaves beside the fitted unknowns on average."""
+    problem = solution.problem
+    assert isinstance(problem, ForceProblem)
+    z = problem.noise_in(solution.responses, solution.basis.u)
+    return solution.chi2 / (len(solution.residual) - float(np.sum(z**2)))
+
+
+def sandwich(solution: Solution) -> Array:
+    """Covariance of the unknowns (P, P); the share of scattering levels is widened to Student's t as elsewhere."""
+    problem = solution.problem
+    assert isinstance(problem, ForceProblem)
+    layout = problem.layout
+    jac = solution.jac
+    z = problem.noise_in(solution.responses, jac)
+    rows = restraint_rows(layout, solution.tau or 0.03)
+    bread, _ = _inverse(np.vstack([jac, rows]))
+    if len(layout.levels) < MIN_RUNS:
+        return bread @ (z.T @ z) @ bread
+    full = bread @ (z.T @ z + rows.T @ rows) @ bread
+    held, _ = _inverse(np.vstack([jac, rows * solution.tau / 1e-6]))
+    fixed = held @ (z.T @ z) @ held
+    widen = float(student.ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
+    return fixed + widen * (full - fixed)
+
+
+def linear_estimates(solution: Solution) -> Estimates:
+    """Parameters with deviations from the law linearised where it stands, best or not, in either domain."""
+    plain = estimates(solution, profile=False)
+    layout, names = solution.problem.layout, solution.problem.layout.names
+    covariance = sandwich(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
+    _, jacobian = _quoted(solution, dict(zip(names, solution.p, strict=True)))
+    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
+    shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
+    out = dict(plain.parameters)
+    for i, s in zip(shown, std, strict=True):
+        known = out[names[i]]
+        out[names[i]] = known if known.std is None else replace(known, std=float(s))
+    for address, why in _unsettled(solution, covariance).items():
+        out[address] = Estimate(None, None, out[address].unit, out[address].at_bound, why)
+    return Estimates(out, covariance, _correlations(names, shown, covariance))
+
+
+def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
+    """Stribeck parameters that the linearised law does not settle, with the reason."""
+    layout = solution.problem.layout
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    out = {}
+    for effect in (e for e in layout.model.effects if e.kind == "stribeck"):
+        rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
+        why = None
+        if solution.p[rise] < CERTAIN * std[rise]:
+            why = "F_s - F_c is not distinguishable from zero"
+        elif solution.p[speed] < CERTAIN * std[speed]:
+            why = "v_s is not bounded on both sides"
+        if why:
+            text = f"{why}; the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
+            out |= {f"{effect.name}.{p.name}": text for p in effect.parameters if p.fixed is None}
+    return out
