@@ -377,6 +377,25 @@ def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
     assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
 
 
+def test_a_false_find_is_given_up_when_the_target_appears():
+    """While the block is hidden something like it matches; that must not be followed once the block is back."""
+    source = a_film(60 + 1.5 * np.arange(N), noise=False)
+    decoy = source.frame(60)[20:44, 140:170].astype(float)
+
+    def draw(i):
+        frame = source.frame(i).copy()
+        if i < 30:
+            frame[8:56, :150] = 90
+        spoilt = 0.5 * decoy + 0.5 * (128 + speckle(decoy.shape, np.random.default_rng(11)))
+        frame[36:60, 4:34] = spoilt
+        return frame
+
+    recording = Film(draw, N, SHAPE)
+    result = track(recording, [140, 20, 30, 24], template=60)
+    assert result.found[30:].all()
+    assert np.std((result.x_px - 1.5 * np.arange(N))[30:]) < 0.005
+
+
 def test_a_target_that_never_returns():
     """Every frame is another speckle: nothing can be followed, and this is said."""
     frames = [expose(128 + speckle(SHAPE, np.random.default_rng([1, i])), None) for i in range(20)]

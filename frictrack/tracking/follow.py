@@ -25,6 +25,8 @@ Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 
 UNREAD = "frame cannot be read"
 NEAR = 0.8  # share of the usual score that a find near the prediction needs
+SURE = 0.8  # a score below makes the rest of the picture worth a look, or a false find would be followed for ever
+BETTER = 0.1  # by this much must another place match better
 ANYWHERE = 0.5  # least score of a find anywhere
 BACKGROUND_FRAMES = 25
 BACKGROUND_BYTES = 64_000_000
@@ -60,12 +62,14 @@ class Follower:
 
     def find(self, frame: Frame) -> tuple[Array, float]:
         """Corner (x, y) px of the best match in `frame`, and its score; near the prediction if that will do."""
-        near = self._near(frame)
-        if near is not None:
-            corner, score = _match(frame, self.patch, near)
-            if score >= max(ANYWHERE, NEAR * self.usual):
-                return corner, score
-        return _match(frame, self.patch, None)
+        part = self._near(frame)
+        near = None if part is None else _match(frame, self.patch, part)
+        if near is not None and near[1] >= max(SURE, NEAR * self.usual):
+            return near
+        anywhere = _match(frame, self.patch, None)
+        if near is not None and near[1] >= max(ANYWHERE, NEAR * self.usual, anywhere[1] - BETTER):
+            return near
+        return anywhere
 
     def predicted(self) -> Array | None:
         """Where the corner should be now, from the last two finds."""
