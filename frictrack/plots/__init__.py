@@ -1,0 +1,32 @@
+"""Records and results -> matplotlib figures. Nothing here computes physics or opens a file.
+
+    plots.motion(run).savefig("v3.pdf")
+"""
+
+from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained
+from frictrack.plots.measured import film, friction, motion
+from frictrack.plots.model import failing, fit, noise_um, routes
+from frictrack.plots.style import number, plain_name, png, svg, unit
+
+__all__ = [
+    "candidates",
+    "failing",
+    "film",
+    "fit",
+    "friction",
+    "history",
+    "limited",
+    "limits",
+    "motion",
+    "noise_um",
+    "number",
+    "passes",
+    "plain_name",
+    "png",
+    "routes",
+    "scan",
+    "scanned",
+    "svg",
+    "unexplained",
+    "unit",
+]

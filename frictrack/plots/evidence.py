@@ -1,0 +1,271 @@
+"""What is missing: evidence for each candidate, how the error falls, and what these runs could not have shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+
+from frictrack import effects
+from frictrack.errors import FrictrackError
+from frictrack.plots import style
+from frictrack.plots.model import noise_um
+from frictrack.plots.style import axis, blank, number, plain_name, styled
+from frictrack.records import Array
+from frictrack.results import ModelResults
+
+SIGNIFICANT = 0.005  # half of alpha = 0.01: the share of the candidates (DESIGN section 7)
+SPREAD = 30.0  # ratio of the largest to the smallest evidence from which the axis is logarithmic
+RESULTS = ("limit", "rise")  # curves of a candidate that are no settings
+
+
+def passes(candidate: Mapping[str, Any]) -> bool:
+    """Whether a candidate stands by itself: significant for the whole search, and worth its parameters."""
+    return bool(candidate["p"] < SIGNIFICANT and candidate["delta_bic"] > 0)
+
+
+@styled
+def candidates(diagnosis: Mapping[str, Any]) -> Figure:
+    """Evidence of every candidate as a horizontal bar of delta BIC, best on top.
+
+    Those that pass are filled, the others hatched; those that predict the same data are joined at the right.
+    """
+    found = diagnosis["candidates"]
+    figure = blank(0.45 * max(len(found), 2) + 1.5, _candidates_title(diagnosis))
+    ax = figure.subplots()
+    gains = np.array([max(c["delta_bic"], 0.0) for c in found])
+    logarithmic = _spreads(gains)
+    floor = 1.0 if logarithmic else 0.0
+    for y, c in enumerate(found):
+        good = passes(c)
+        look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
+        ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
+        told = f" {_gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
+        ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
+    if logarithmic:
+        ax.set_xscale("log")
+    top = float(gains.max()) if len(gains) and gains.max() > 0 else 1.0
+    ax.set_xlim(floor, top ** (1.45) if logarithmic else 1.45 * top)
+    ax.set_yticks(range(len(found)), [c["effect"] for c in found])
+    ax.set_ylim(len(found) - 0.4, -0.6)
+    ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
+    _join(ax, found)
+    handles = [
+        Patch(color=style.BLUE, label="passes: significant for the whole search"),
+        Patch(fc="white", ec="#777777", hatch="////", label="does not pass"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=2)
+    return figure
+
+
+def _gain(delta_bic: float) -> str:
+    return f"{delta_bic:+.0f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _spreads(gains: Array) -> bool:
+    positive = gains[gains > 1]
+    return len(positive) > 1 and float(positive.max() / positive.min()) > SPREAD
+
+
+def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
+    good = [c["effect"] for c in diagnosis["candidates"] if passes(c)]
+    if not diagnosis["candidates"]:
+        return "No effect of the library could be tried"
+    if not good:
+        return "No candidate passes: chance explains as much"
+    rivals = diagnosis["candidates"][0].get("indistinguishable_from") or []
+    if rivals:
+        return f"{good[0]} explains most, but {' and '.join(rivals)} cannot be told apart from it"
+    return f"{good[0]} explains most" + (f", {len(good) - 1} more pass but less well" if len(good) > 1 else "")
+
+
+def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
+    """A bracket at the right over each group whose members predict the same data."""
+    places = {c["effect"]: y for y, c in enumerate(found)}
+    drawn: set[frozenset[int]] = set()
+    for c in found:
+        group = frozenset(places[e] for e in (c["effect"], *c.get("indistinguishable_from", ())) if e in places)
+        if len(group) < 2 or any(group <= earlier for earlier in drawn):
+            continue
+        x = 0.985 - 0.03 * len(drawn)
+        drawn.add(group)
+        across = ax.get_yaxis_transform()
+        ax.plot([x, x], [min(group), max(group)], transform=across, color="black", lw=1.5)
+        for y in group:
+            ax.plot([x - 0.012, x], [y, y], transform=across, color="black", lw=1.5)
+        ax.text(
+            x - 0.018, (min(group) + max(group)) / 2, "cannot be\ntold apart",
+            transform=across, ha="right", va="center", fontsize=8.5, style="italic",
+        )  # fmt: skip
+
+
+def scanned(curves: Mapping[str, Array]) -> str | None:
+    """The setting along which a candidate's rise can be drawn; None where there is nothing to draw."""
+    if "rise" not in curves:
+        return None
+    settings = [name for name in curves if name not in RESULTS and len(np.unique(curves[name])) > 4]
+    return max(settings, key=lambda name: len(np.unique(curves[name])), default=None)
+
+
+@styled
+def scan(effect: str, curves: Mapping[str, Array]) -> Figure:
+    """How far chi-squared falls with the effect, against the setting at which it was tried; others at their best.
+
+    Raises ValueError for an effect without a setting that was scanned.
+    """
+    name = scanned(curves)
+    if name is None:
+        raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
+    at, rise = envelope(curves[name], curves["rise"], np.maximum)
+    best = float(at[np.argmax(rise)])
+    written = _unit(effect, name)
+    factor, shown = style.scaled(at, written)
+    where = f"{number(factor * best, 2)} {style.unit(shown)}".strip()
+    figure = blank(3.2, f"{effect} stands out at a {_words(name)} near {where}")
+    ax = figure.subplots()
+    ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
+    ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)
+    ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILLION, markersize=8)
+    _abscissa(ax, name, shown)
+    ax.set(ylabel="fall of chi-squared", ylim=(0, None))
+    return figure
+
+
+def envelope(at: Array, values: Array, best: Any) -> tuple[Array, Array]:
+    """Best value over all other settings at each setting, sorted: (k,), (k,)."""
+    places, which = np.unique(at, return_inverse=True)
+    out = np.full(len(places), -np.inf if best is np.maximum else np.inf)
+    best.at(out, which, values)
+    return places, out
+
+
+def _words(name: str) -> str:
+    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
+
+
+def _unit(effect: str, name: str) -> str:
+    try:
+        return effects.get(effect).parameter(name).unit
+    except (FrictrackError, StopIteration):  # an effect that a study defines itself
+        return ""
+
+
+def _abscissa(ax: Axes, name: str, written: str) -> None:
+    """The axis of a setting: frequencies and periods logarithmic, with 10 and 100 rather than powers of ten."""
+    if name in ("frequency", "period"):
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.set_xlabel(axis(_words(name), written))
+    ax.margins(x=0.01)
+
+
+@styled
+def history(models: Sequence[ModelResults]) -> Figure:
+    """Held-out error of every model in the order tried, with the noise as a line."""
+    unit, values, noise = _held_out(models)
+    figure = blank(3.3, _history_title(models, values, noise, unit))
+    ax = figure.subplots()
+    places = np.arange(len(models))
+    ax.plot(places, values, color=style.BLUE, marker="o", markersize=8, lw=1.8)
+    for x, y in zip(places, values, strict=True):
+        ax.annotate(number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
+    if noise is not None:
+        ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
+        ax.annotate(f"noise {number(noise)} {unit}", (1, noise), (-4, -5), xycoords=("axes fraction", "data"),
+                    textcoords="offset points", ha="right", va="top")  # fmt: skip
+    ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in models])
+    ax.set_xlim(-0.5, len(models) - 0.5)
+    ax.set_ylim(0, 1.2 * max(np.nanmax(values, initial=0.0), noise or 0.0) or 1.0)
+    ax.set_ylabel(axis("held-out error, rms", unit))
+    return figure
+
+
+def _held_out(models: Sequence[ModelResults]) -> tuple[str, Array, float | None]:
+    """Unit, held-out errors (NaN where unknown) and noise: um, or N where forces were fitted."""
+    errors = [m.summary["errors"] for m in models]
+    in_um = any(e.get("heldout_rms_um") is not None for e in errors)
+    key, unit = ("heldout_rms_um", "µm") if in_um else ("heldout_rms_N", "N")
+    values = np.array([np.nan if e.get(key) is None else e[key] for e in errors], dtype=float)
+    noise = noise_um(models[-1]) if in_um else (models[-1].diagnosis or {}).get("noise_N")
+    return unit, values, noise
+
+
+def _history_title(models: Sequence[ModelResults], values: Array, noise: float | None, unit: str) -> str:
+    against = "" if noise is None else f"; the noise is {number(noise)} {unit}"
+    if len(models) == 1:
+        return f"Held-out error of {plain_name(models[0].name)}: {number(float(values[0]))} {unit}{against}"
+    falls = "falls" if values[-1] < values[0] else "does not fall:"
+    return f"Held-out error {falls} from {number(float(values[0]))} to {number(float(values[-1]))} {unit}{against}"
+
+
+def _wrapped(name: str) -> str:
+    return name.replace(" + ", "\n+ ")
+
+
+def limited(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
+    """Effects whose detection limit depends on a setting, so that a curve says more than the table."""
+    found = []
+    for effect in diagnosis["detection_limits"]:
+        curves = figures.get(effect, {})
+        if any(k not in RESULTS and len(np.unique(v)) > 4 for k, v in curves.items()):
+            if np.any(np.isfinite(curves["limit"])):
+                found.append(effect)
+    return found
+
+
+@styled
+def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> Figure:
+    """The smallest amplitude that would be found, against the setting on which it depends, one panel per effect.
+
+    Raises ValueError when no limit depends on a setting.
+    """
+    shown = limited(diagnosis, figures)
+    if not shown:
+        raise ValueError("expected the curve of a detection limit but got none")
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = blank(2.3 * rows + 0.6, "What would have been found: amplitudes above the line, 95 times in 100")
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for ax, effect in zip(np.ravel(panels), shown, strict=False):
+        _limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])
+    for ax in np.ravel(panels)[len(shown) :]:
+        ax.set_axis_off()
+    return figure
+
+
+def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
+    settings = [name for name in curves if name not in RESULTS]
+    name = max(settings, key=lambda n: len(np.unique(curves[n])))
+    at, limit = envelope(curves[name], curves["limit"], np.maximum)
+    good = np.isfinite(limit) & (limit > 0)
+    at, limit = at[good], limit[good]
+    factor, shown = style.scaled(at, _unit(effect, name))
+    size, size_unit = style.scaled(limit, written)
+    ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)
+    ax.fill_between(factor * at, size * limit, 1.3 * size * limit.max(), color=style.SKY, alpha=0.25, lw=0)
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    if limit.max() / limit.min() < 10:
+        ax.set_yscale("linear")
+    ax.set_title(effect, fontweight="normal")
+    ax.set_ylabel(axis("amplitude", size_unit))
+    _abscissa(ax, name, shown)
+
+
+@styled
+def unexplained(found: Mapping[str, Any]) -> Figure:
+    """Force that no effect explains, over the axis on which it repeats best."""
+    name = {"x": axis("displacement x", "m"), "t": axis("time since release t", "s"), "v": axis("velocity v", "m/s")}
+    curve = np.asarray(found["curve"], dtype=float)
+    figure = blank(3.2, f"What no effect explains repeats best along {found['axis']}")
+    ax = figure.subplots()
+    ax.axhline(0, color="#666666", lw=0.7)
+    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILLION, marker="o", markersize=4)
+    ax.set(xlabel=name[found["axis"]], ylabel="unexplained force / N")
+    return figure

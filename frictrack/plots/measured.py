@@ -1,0 +1,163 @@
+"""What was measured: the film with its track, the motion with its bands, the friction force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from frictrack.plots import style
+from frictrack.plots.style import axis, band, blank, number, styled
+from frictrack.records import Array, Motion
+from frictrack.results import RunResults
+
+MARK, PATH = style.ORANGE, style.SKY
+RESTS = 0.02  # of the highest speed: below it a motion has as good as stopped
+
+
+@styled
+def film(run: RunResults) -> Figure:
+    """The first frame of the film with the target's rectangle and the path of its centre.
+
+    Raises ValueError for a run without a film or without a track.
+    """
+    if run.film is None or run.track is None:
+        raise ValueError(f'expected a run with a film and a track but "{run.name}" is a table')
+    picture, track = run.film.picture, run.track
+    rows, columns = picture.shape
+    found, frames = int(np.sum(track.found)), len(track)
+    title = f"{run.name}: target found in {found} of {frames} frames, to {number(_typical(track.sigma_px), 2)} px"
+    figure = blank(float(np.clip(style.WIDTH * rows / columns + 1.0, 2.4, 7.0)), title)
+    ax = figure.subplots()
+    low, high = np.percentile(picture, [0.5, 99.5])
+    ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
+    ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
+    ax.plot(track.x_px, track.y_px, color=PATH, lw=1.8)
+    if track.target is not None:
+        x, y, w, h = track.target
+        ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec="black", lw=3.8))
+        ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=MARK, lw=2.0, ls="--"))
+    ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px"))
+    handles = [
+        Line2D([], [], color=PATH, lw=1.8, label="path of its centre"),
+        Patch(fill=False, ec=MARK, lw=2.0, ls="--", label="target"),
+    ]
+    figure.legend(handles=handles, loc="outside lower right", ncols=2)
+    return figure
+
+
+def _typical(values: Array) -> float:
+    return float(np.nanmedian(values)) if np.any(np.isfinite(values)) else float("nan")
+
+
+@styled
+def motion(run: RunResults) -> Figure:
+    """x, v and a against time with their bands; the free section shaded, the ends the filter smears hatched."""
+    m = run.motion
+    figure = blank(6.2, _motion_title(run), width=style.WIDTH / 2)
+    panels = figure.subplots(3, 1, sharex=True)
+    inside = _inside(m)
+    for ax, values, sigma, label in zip(
+        panels,
+        (m.x, m.v, m.a),
+        (m.sigma_x, m.sigma_v, m.sigma_a),
+        (axis("displacement x", "m"), axis("velocity v", "m/s"), axis("acceleration a", "m/s^2")),
+        strict=True,
+    ):
+        _ground(ax, run)
+        band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
+        ax.plot(1e3 * m.t, values, color=style.MEASURED, lw=1.3)
+        ax.set_ylabel(label)
+        style.robust(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
+    figure.align_ylabels(panels)
+    panels[-1].set_xlabel(axis("time t", "ms"))
+    panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
+    figure.legend(handles=_ground_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
+    return figure
+
+
+def _motion_title(run: RunResults) -> str:
+    m = run.motion
+    at = run.friction.free if run.friction is not None and np.any(run.friction.free) else np.ones(len(m), bool)
+    v = m.v[at]
+    start, end = abs(float(v[0])), abs(float(v[-1]))
+    change = "slows" if end < start else "speeds up"
+    if min(start, end) < RESTS * max(start, end):
+        return f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_most(start, end)}"
+    return f"{run.name} {change} from {number(start)} to {number(end)} m/s"
+
+
+def _most(start: float, end: float) -> str:
+    return f"{number(start)} m/s to a stop" if end < start else f"{number(end)} m/s"
+
+
+def _inside(m: Motion) -> slice:
+    """Frames away from the smeared ends; all of them in a record too short to have any."""
+    return slice(m.guard, len(m) - m.guard) if len(m) > 2 * m.guard + 2 else slice(None)
+
+
+def _ground(ax: Axes, run: RunResults) -> None:
+    """Free section shaded, smeared ends hatched, behind everything else."""
+    t, guard = 1e3 * run.motion.t, run.motion.guard
+    if run.friction is not None:
+        for s in style.stretches(run.friction):
+            ax.axvspan(t[s.start], t[s.stop - 1], color=style.FREE, lw=0, zorder=0)
+    if guard:
+        for a, b in ((t[0], t[min(guard, len(t) - 1)]), (t[max(len(t) - 1 - guard, 0)], t[-1])):
+            ax.axvspan(a, b, fill=False, hatch="///", lw=0, ec="#AAAAAA", zorder=0.5)
+
+
+def _ground_handles(run: RunResults) -> list[Patch]:
+    handles = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.SIGMAS:g} std")]
+    if run.friction is not None:
+        handles.append(Patch(color=style.FREE, label="free section"))
+    if run.motion.guard:
+        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="smeared by the filter"))
+    return handles
+
+
+@styled
+def friction(runs: Sequence[RunResults]) -> Figure:
+    """Friction force of all runs on their free sections, against time and against velocity, with bands.
+
+    Raises ValueError when no run has a friction force.
+    """
+    able = [run for run in runs if run.friction is not None and np.any(run.friction.free)]
+    if not able:
+        raise ValueError("expected a run with a friction force but got none; a mass is needed")
+    figure = blank(4.4, _friction_title(able))
+    left, right = figure.subplots(1, 2, sharey=True)
+    everything = []
+    for run, look in zip(able, style.RUNS * (len(able) // len(style.RUNS) + 1), strict=False):
+        f = run.friction
+        assert f is not None
+        shown = style.broken(f.F, style.clear(f, run.motion.guard))
+        for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
+            band(ax, at, shown, f.sigma_F, color=look["color"], alpha=0.18)
+            ax.plot(at, shown, lw=1.2, label=run.name, **look)
+        everything += [shown - f.sigma_F, shown + f.sigma_F]
+    style.robust(left, everything)
+    left.set(xlabel=axis("time since the free section begins", "ms"), ylabel=axis("friction force F", "N"))
+    right.set_xlabel(axis("velocity v", "m/s"))
+    for ax in (left, right):
+        ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
+    right.axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
+    if len(able) <= 18:
+        handles, names = left.get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower left", ncols=min(len(able), 8))
+    return figure
+
+
+def _friction_title(runs: Sequence[RunResults]) -> str:
+    rows = [style.clear(run.friction, run.motion.guard) for run in runs if run.friction is not None]
+    size = np.concatenate([np.abs(r.friction.F[at]) for r, at in zip(runs, rows, strict=True) if r.friction is not None])
+    speed = np.concatenate([np.abs(run.motion.v[at]) for run, at in zip(runs, rows, strict=True)])
+    low, high = np.percentile(size, [5, 95])
+    return (
+        f"Friction between {number(low, 2)} and {number(high, 2)} N "
+        f"at speeds from {number(float(speed.min()), 2)} to {number(float(speed.max()), 2)} m/s"
+    )

@@ -1,0 +1,220 @@
+"""The model against the measurement: force over force, and the displacement that is left over.
+
+Displacement itself is too close by eye: over a slide of half a metre an error of 30 um is a hair's breadth. So
+the force is shown, and the displacement only as measured minus modelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.plots import style
+from frictrack.plots.style import axis, band, blank, number, plain_name, styled
+from frictrack.records import Curve
+from frictrack.results import ModelResults, RunResults
+
+MOST_PANELS = 12  # runs drawn; of more, those that fit worst
+ACROSS = 3
+AFTER = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
+
+
+@styled
+def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
+    """Per run, F of the model on the measured F(t), and below it the residual displacement on the noise band."""
+    shown = worst_runs(model)
+    columns = min(ACROSS, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = blank(3.3 * rows + 0.7, fit_title(model))
+    panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
+    by_name = {run.name: run for run in runs}
+    for k, name in enumerate(shown):
+        force, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
+        curves = of_run(model, name)
+        _force(force, curves, by_name.get(name))
+        residual(left, curves)
+        force.set_title(_panel_title(model, name), fontweight="normal")
+        force.sharex(left)
+        force.tick_params(labelbottom=False)
+    _share_y(panels[1::2])
+    _label_grid(panels, ("friction force F / N", axis("residual", "µm")), len(shown))
+    figure.align_ylabels(panels[:, 0])
+    handles: list[Any] = [
+        Line2D([], [], color=style.MEASURED, lw=1.0, label="measured"),
+        Line2D([], [], color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)), label="model"),
+        Line2D([], [], color=style.BLUE, label="measured minus modelled displacement", **style.DOTS),
+        Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+@styled
+def failing(
+    model: ModelResults, spans: Sequence[dict[str, Any]], better: ModelResults | None = None
+) -> Figure:
+    """Residual displacement of every run with the failing spans marked and labelled with their share of the error.
+
+    `better` is a later model, whose residual is drawn on top.
+    """
+    shown = worst_runs(model)
+    columns = min(ACROSS, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = blank(2.0 * rows + 0.9, _failing_title(model, spans))
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for k, name in enumerate(shown):
+        ax = panels[k // columns, k % columns]
+        curves = of_run(model, name)
+        if better is not None:
+            residual(ax, of_run(better, name), with_band=False, **AFTER)
+        residual(ax, curves, color=style.VERMILLION, zorder=3)
+        ax.set_title(_panel_title(model, name), fontweight="normal")
+        _mark(ax, [s for s in spans if s["run"] == name])
+    _label_grid(panels, (axis("residual", "µm"),), len(shown))
+    handles: list[Any] = [Line2D([], [], color=style.VERMILLION, label=plain_name(model.name), **style.DOTS)]
+    if better is not None:
+        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
+    handles.append(Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"))
+    if spans:
+        handles.append(Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error"))
+    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+@styled
+def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figure:
+    """Measured force of one run beside the force of both routes: displacement domain and the papers' own."""
+    figure = blank(3.4, f"{run.name}: both routes on the measured force")
+    ax = figure.subplots()
+    _measured(ax, run)
+    for model, look in (
+        (default, {"color": style.MODEL, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
+        (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
+    ):
+        for k, curve in enumerate(of_run(model, run.name)):
+            ax.plot(1e3 * curve.t, curve.F_model, lw=2.0, **(look if k == 0 else look | {"label": None}))
+    ax.set(xlabel=axis("time t", "ms"), ylabel="friction force F / N")
+    figure.legend(loc="outside lower left", ncols=3)
+    return figure
+
+
+def fit_title(model: ModelResults) -> str:
+    """The finding in words: residual against noise, and whether that is as good as it can be."""
+    rms, noise = model.summary["errors"]["rms_displacement_um"], noise_um(model)
+    name = plain_name(model.name)
+    if rms is None or noise is None:
+        return f"{name} against the measurement"
+    figures = f"residual {number(rms)} µm against {number(noise)} µm noise"
+    verdict = (model.diagnosis or {}).get("verdict")
+    if verdict is None:
+        return f"{name}: {figures}"
+    return f"{name} {'holds' if verdict == 'complete' else 'fails'}: {figures}"
+
+
+def _failing_title(model: ModelResults, spans: Sequence[dict[str, Any]]) -> str:
+    if not spans:
+        return fit_title(model)
+    worst = max(spans, key=lambda s: s["share_of_error"])
+    t0, t1 = (number(1e3 * t) for t in worst["t"])
+    share = f"{100 * worst['share_of_error']:.0f} % of the error"
+    return f"{plain_name(model.name)} fails most in {worst['run']} from {t0} to {t1} ms: {share}"
+
+
+def noise_um(model: ModelResults) -> float | None:
+    """Noise of the fitted runs together, um; None where no displacement was fitted."""
+    if model.diagnosis and model.diagnosis.get("noise_um"):
+        return float(model.diagnosis["noise_um"])
+    levels = [row.get("noise_um") for row in model.summary["per_run"] if row["role"] == "fit"]
+    known = [level for level in levels if level is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+
+def of_run(model: ModelResults, name: str) -> list[Curve]:
+    """The curves of one run, one per segment."""
+    return [curve for curve in model.curves if curve.run == name]
+
+
+def worst_runs(model: ModelResults) -> list[str]:
+    """Runs in their order; of more than `MOST_PANELS`, those with the largest residual over its noise."""
+    names = list(dict.fromkeys(curve.run for curve in model.curves))
+    if len(names) <= MOST_PANELS:
+        return names
+    size = {n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2)) for n in names}
+    kept = set(sorted(names, key=lambda n: -size[n])[:MOST_PANELS])
+    return [n for n in names if n in kept]
+
+
+def residual(ax: Axes, curves: Sequence[Curve], *, with_band: bool = True, **look: Any) -> None:
+    """Measured minus modelled displacement over the noise band, um against ms."""
+    together = sum(len(c) for c in curves)
+    for c in curves:
+        t = 1e3 * c.t
+        if with_band:
+            band(ax, t, np.zeros(len(c)), 1e6 * c.sigma_x, color=style.NOISE, zorder=0)
+        dots = {"color": style.BLUE, "rasterized": together > 4 * style.MOST_POINTS} | style.DOTS | look
+        ax.plot(t, 1e6 * c.residual, **dots)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+
+
+def _force(ax: Axes, curves: Sequence[Curve], run: RunResults | None) -> None:
+    if run is not None:
+        _measured(ax, run)
+    for c in curves:
+        ax.plot(1e3 * c.t, c.F_model, color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
+
+
+def _measured(ax: Axes, run: RunResults) -> None:
+    """Measured friction force of the free section with its band; what the filter smears is not drawn."""
+    f = run.friction
+    if f is None:
+        return
+    F = style.broken(f.F, style.clear(f, run.motion.guard))
+    band(ax, 1e3 * f.t, F, f.sigma_F, color="#BBBBBB", alpha=0.6)
+    ax.plot(1e3 * f.t, F, color=style.MEASURED, lw=1.0, label="measured")
+
+
+def _panel_title(model: ModelResults, name: str) -> str:
+    row = next((r for r in model.summary["per_run"] if r["run"] == name), None)
+    if row is None or row["errors"].get("rms_displacement_um") is None:
+        return name
+    told = ", not fitted" if row["role"] == "validation" else ""
+    return f"{name}: {number(row['errors']['rms_displacement_um'])} µm{told}"
+
+
+def _mark(ax: Axes, spans: Sequence[dict[str, Any]]) -> None:
+    top = ax.get_xaxis_transform()
+    for s in spans:
+        a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
+        ax.axvspan(a, b, fc=style.FAILS, ec="#999999", hatch="\\\\", lw=0, zorder=0.5, alpha=0.7)
+        share = f"{100 * s['share_of_error']:.0f} %"
+        ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
+
+
+def _share_y(panels: Any) -> None:
+    """One scale for all."""
+    reach = [ax.get_ylim() for ax in np.ravel(panels) if ax.has_data()]
+    for ax in np.ravel(panels):
+        ax.set_ylim(min(low for low, _ in reach), max(high for _, high in reach))
+
+
+def _label_grid(panels: Any, labels: Sequence[str], used: int) -> None:
+    """Labels at the left and below the lowest panel of each column; panels without a run are taken out."""
+    each = len(labels)
+    rows, columns = panels.shape[0] // each, panels.shape[1]
+    for k in range(rows * columns):
+        cell = panels[each * (k // columns) : each * (k // columns + 1), k % columns]
+        if k >= used:
+            for ax in cell:
+                ax.set_axis_off()
+        elif k + columns >= used:
+            cell[-1].set_xlabel(axis("time t", "ms"))
+        if k % columns == 0 and k < used:
+            for ax, label in zip(cell, labels, strict=True):
+                ax.set_ylabel(label)
+
