@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy import cos, exp, pi, sin
@@ -39,7 +40,6 @@ HIDDEN = {
     "peak_locking": {"amplitude": 0.05, "phase": 0.5},
     "camera_shake": {"amplitude": 4e-5, "frequency": 83.0, "phase": 0.9},
 }
-PICTURE = ("lens", "peak_locking", "camera_shake")
 
 
 @dataclass(frozen=True)
@@ -53,61 +53,58 @@ class Slider:
     push: Callable[[float], float] = lambda t: 0.0
 
 
+def sine(q, frequency, t, phase="phase"):
+    return sin(2 * pi * q[frequency] * t + q[phase])
+
+
+def _atm2_1(q, x, v, t, s, slider):
+    level = sine(q, "sliding_frequency_1", t, "sliding_phase_1") * q["f_c"]
+    dry = level + (q["f_s"] - level) * exp(-abs(v) / q["v_s"])
+    return slider.load * s * dry + sine(q, "viscous_frequency_1", t, "viscous_phase_1") * q["f_v"] * v
+
+
+# The table of the design by hand: N that each effect adds, at place x, velocity v, time t, direction s.
+LAWS = {
+    "coulomb": lambda q, x, v, t, s, slider: slider.load * s * q["F_c"] + 0 * v,
+    "stribeck": lambda q, x, v, t, s, slider: slider.load * s * q["F_s"] * exp(-((abs(v) / q["v_s"]) ** q["delta"])),
+    "viscous": lambda q, x, v, t, s, slider: q["F_v"] * v,
+    "drag": lambda q, x, v, t, s, slider: q["c"] * v * abs(v),
+    "vibration": lambda q, x, v, t, s, slider: q["amplitude"] * sine(q, "frequency", t),
+    "texture": lambda q, x, v, t, s, slider: (
+        slider.load * s * q["amplitude"] * sin(2 * pi * x / q["period"] + q["phase"])
+    ),
+    "patch": lambda q, x, v, t, s, slider: slider.load * s * q["F"] * exp(-((x - q["x_c"]) ** 2) / (2 * q["w"] ** 2)),
+    "collision": lambda q, x, v, t, s, slider: (
+        q["J"] / q["width"] / np.sqrt(2 * pi) * exp(-((t - q["time"]) ** 2) / (2 * q["width"] ** 2))
+    ),
+    "spring": lambda q, x, v, t, s, slider: q["k"] * x + q["x_0"],  # the linear coefficient x_0 is k x_0, N
+    "asymmetry": lambda q, x, v, t, s, slider: q["dF"] * slider.load + q["dF_v"] * abs(v),
+    "slope": lambda q, x, v, t, s, slider: q["F"] * slider.mass_ratio + 0 * v,
+    "atm2:1": _atm2_1,
+}
+# Metres that each effect shifts the picture.
+SHIFTS = {
+    "lens": lambda q, x, t, slider: q["k"] * (x - q["x_c"]) ** 3,
+    "peak_locking": lambda q, x, t, slider: q["amplitude"] * slider.pitch * sin(2 * pi * x / slider.pitch + q["phase"]),
+    "camera_shake": lambda q, x, t, slider: q["amplitude"] * cos(2 * pi * q["frequency"] * t + q["phase"] - pi / 2),
+}
+DRY = ("coulomb", "stribeck")  # what a load modulation reshapes
+
+
 def force(values, x, v, t, s, slider=Slider()):
-    """Friction force in N at place x, velocity v, time t, direction s: the table of the design, by hand."""
-    speed = abs(v)
-    q, total, dry = values, 0.0, 0.0
-    if "coulomb" in q:
-        dry = dry + q["coulomb"]["F_c"]
-    if "stribeck" in q:
-        dry = dry + q["stribeck"]["F_s"] * exp(-((speed / q["stribeck"]["v_s"]) ** q["stribeck"]["delta"]))
-    if "load_modulation" in q:
-        m = q["load_modulation"]
-        dry = dry * (1 + m["depth"] * sin(2 * pi * m["frequency"] * t + m["phase"]))
-    if "texture" in q:
-        m = q["texture"]
-        dry = dry + m["amplitude"] * sin(2 * pi * x / m["period"] + m["phase"])
-    if "patch" in q:
-        dry = dry + q["patch"]["F"] * exp(-((x - q["patch"]["x_c"]) ** 2) / (2 * q["patch"]["w"] ** 2))
-    total = total + slider.load * s * dry
-    if "viscous" in q:
-        total = total + q["viscous"]["F_v"] * v
-    if "drag" in q:
-        total = total + q["drag"]["c"] * v * speed
-    if "vibration" in q:
-        m = q["vibration"]
-        total = total + m["amplitude"] * sin(2 * pi * m["frequency"] * t + m["phase"])
-    if "collision" in q:
-        m = q["collision"]
-        z = (t - m["time"]) / m["width"]
-        total = total + m["J"] * exp(-z * z / 2) / (m["width"] * np.sqrt(2 * pi))
-    if "spring" in q:
-        total = total + q["spring"]["k"] * x + q["spring"]["x_0"]
-    if "asymmetry" in q:
-        total = total + q["asymmetry"]["dF"] * slider.load + q["asymmetry"]["dF_v"] * speed
-    if "slope" in q:
-        total = total + q["slope"]["F"] * slider.mass_ratio
-    if "atm2:1" in q:
-        m = q["atm2:1"]
-        s_c = sin(2 * pi * m["sliding_frequency_1"] * t + m["sliding_phase_1"])
-        s_v = sin(2 * pi * m["viscous_frequency_1"] * t + m["viscous_phase_1"])
-        hook = exp(-speed / m["v_s"])
-        total = total + slider.load * s * (s_c * m["f_c"] + (m["f_s"] - s_c * m["f_c"]) * hook) + s_v * m["f_v"] * v
-    return total
+    """Friction force in N."""
+    swing = values.get("load_modulation")
+    factor = 1 + swing["depth"] * sine(swing, "frequency", t) if swing else 1.0
+    return sum(
+        LAWS[name](q, x, v, t, s, slider) * (factor if name in DRY else 1.0)
+        for name, q in values.items()
+        if name in LAWS
+    )
 
 
 def picture(values, x, t, slider=Slider()):
     """Measurement shift in m of a mass at x at time t."""
-    total = 0.0 * x
-    if "lens" in values:
-        total = total + values["lens"]["k"] * (x - values["lens"]["x_c"]) ** 3
-    if "peak_locking" in values:
-        m = values["peak_locking"]
-        total = total + m["amplitude"] * slider.pitch * sin(2 * pi * x / slider.pitch + m["phase"])
-    if "camera_shake" in values:
-        m = values["camera_shake"]
-        total = total + m["amplitude"] * cos(2 * pi * m["frequency"] * t + m["phase"] - pi / 2)
-    return total
+    return sum(SHIFTS[name](q, x, t, slider) for name, q in values.items() if name in SHIFTS)
 
 
 def integrate(values, slider, t, start, *, max_step=np.inf):
@@ -122,10 +119,9 @@ def integrate(values, slider, t, start, *, max_step=np.inf):
             now = release + 1e-9
             continue
         inside = (t >= now - 1e-12) & np.isnan(x)
-        ends = t[-1]
         solved = solve_ivp(
             lambda tau, z, s=s: [z[1], (slider.push(tau) - force(values, z[0], z[1], tau, s, slider)) / slider.mass],
-            (now, ends),
+            (now, t[-1]),
             [place, speed],
             method="DOP853",
             dense_output=True,
@@ -159,7 +155,7 @@ def _sets_off(values, slider, t, x):
 
 def _release(values, slider, now, x, end):
     steps = np.arange(now, end, 1e-4)
-    for a, b in zip(steps[:-1], steps[1:], strict=True):
+    for a, b in pairwise(steps):
         for s in (1.0, -1.0):
             if _gap(values, slider, b, x, s) > 1e-9:
                 return brentq(lambda tau, s=s: _gap(values, slider, tau, x, s) - 1e-9, a, b, xtol=1e-15)

@@ -100,8 +100,8 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
             return slide
     if change > 10 * AGREE:
         raise FrictrackError(
-            f"expected a motion that can be followed to 1 nm but got one that still moves by {change * 1e9:.2g} nm when "
-            f"every frame is cut into {per_frame} parts; give more frames per second, or wider pulses"
+            f"expected a motion that can be followed to 1 nm but got one that still moves by {change * 1e9:.2g} nm "
+            f"when every frame is cut into {per_frame} parts; give more frames per second, or wider pulses"
         )
     return slide
 

@@ -1,0 +1,115 @@
+"""The integrator against closed forms, scipy's order-8 Runge-Kutta and finite differences of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from runs import BASE, FPS, HIDDEN, MASS, SHIFTS, Slider, force, integrate
+
+from frictrack.errors import FrictrackError
+from frictrack.simulate.dynamics import Linear, Panels, solve
+
+NM = 1e-9
+
+
+def solved(law, edges, start):
+    panels = Panels(np.asarray(edges))
+    return solve(law, panels, start, np.zeros(len(panels.t)))
+
+
+def frames(duration=0.1, fps=FPS):
+    return np.arange(round(duration * fps) + 1) / fps
+
+
+def test_constant_deceleration_is_a_parabola():
+    t = frames()
+    motion, _ = solved(lambda x, v, t: np.full_like(x, -20.0), t, (0.3, 4.0))
+    np.testing.assert_allclose(motion.x_edge, 0.3 + 4 * t - 10 * t**2, atol=1e-14)
+    np.testing.assert_allclose(motion.v_edge, 4 - 20 * t, atol=1e-13)
+    nodes = motion.panels.t
+    np.testing.assert_allclose(motion.x, 0.3 + 4 * nodes - 10 * nodes**2, atol=1e-14)
+    np.testing.assert_allclose(motion.v, 4 - 20 * nodes, atol=1e-13)
+
+
+def test_viscous_decay_and_harmonic_spring_follow_their_closed_forms():
+    t = frames(0.4)
+    motion, _ = solved(lambda x, v, t: -12.0 * v, t, (0.0, 4.0))
+    np.testing.assert_allclose(motion.x_edge, 4 / 12 * (1 - np.exp(-12 * t)), atol=1e-12)
+    omega = 2 * np.pi * 30
+    motion, _ = solved(lambda x, v, t: -(omega**2) * x, t, (0.01, 2.0))
+    np.testing.assert_allclose(motion.x_edge, 0.01 * np.cos(omega * t) + 2 / omega * np.sin(omega * t), atol=1e-11)
+
+
+def test_drag_follows_its_logarithm_over_uneven_panels():
+    edges = np.cumsum(np.r_[0.0, np.random.default_rng(0).uniform(1e-4, 6e-4, 300)])
+    motion, _ = solved(lambda x, v, t: -2.0 * v * np.abs(v), edges, (0.0, 5.0))
+    np.testing.assert_allclose(motion.x_edge, np.log1p(2.0 * 5.0 * edges) / 2.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("s", [1.0, -1.0])
+@pytest.mark.parametrize(
+    "hidden",
+    [(), ("drag", "vibration"), ("texture", "spring", "slope"), ("load_modulation", "patch", "asymmetry")],
+    ids=lambda names: "+".join(names) or "tustin",
+)
+def test_sums_of_effects_agree_with_runge_kutta_to_below_a_nanometre(hidden, s):
+    values = BASE | {name: HIDDEN[name] for name in hidden}
+    t, start = frames(), (0.0 if s > 0 else 0.6, s * 4.0)
+    motion, _ = solved(lambda x, v, t: -force(values, x, v, t, s) / MASS, t, start)
+    assert np.max(np.abs(motion.x_edge - integrate(values, Slider(), t, start))) < 0.1 * NM
+    assert not any(name in SHIFTS for name in hidden)
+
+
+def test_edges_converge_with_order_six():
+    def law(x, v, t):
+        return -(60.0**2) * np.sin(x) - 0.01 * v**3 + 40 * np.cos(90 * t)
+
+    exact = solved(law, np.linspace(0, 0.2, 4001), (0.3, 2.0))[0].x_edge[-1]
+    errors = [abs(solved(law, np.linspace(0, 0.2, n + 1), (0.3, 2.0))[0].x_edge[-1] - exact) for n in (16, 32, 64)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 6) < 0.5), orders
+
+
+def test_linear_response_is_the_derivative_of_the_motion():
+    panels = Panels(frames(0.08))
+    nodes = panels.t
+
+    def law(c):
+        def acceleration(x, v, t):
+            return -25.0 - 3 * v - 0.2 * v**3 - 900.0 * np.sin(8 * x) + c * np.sin(300 * t) * v
+
+        return acceleration
+
+    motion, linear = solve(law(0.2), panels, (0.1, 3.0), np.zeros(len(nodes)))
+    g = (np.sin(300 * nodes) * motion.v)[:, None]
+    nodes_by_c, by_c = linear.respond(g, np.zeros((2, 1)))
+    _, by_start = linear.respond(np.zeros((len(nodes), 2)), np.eye(2))
+
+    def difference(step, c=0.0, x=0.0, v=0.0):
+        ends = [solve(law(0.2 + k * c), panels, (0.1 + k * x, 3.0 + k * v), motion.a)[0] for k in (step, -step)]
+        return [(getattr(ends[0], name) - getattr(ends[1], name)) / (2 * step) for name in ("x_edge", "v_edge", "a")]
+
+    for column, truth in (
+        (by_c[:, :, 0], difference(1e-4, c=1.0)),
+        (by_start[:, :, 0], difference(1e-5, x=1.0)),
+        (by_start[:, :, 1], difference(1e-5, v=1.0)),
+    ):
+        np.testing.assert_allclose(column[:, 0], truth[0], atol=2e-6 * np.max(np.abs(truth[0])))
+        np.testing.assert_allclose(column[:, 1], truth[1], atol=2e-6 * np.max(np.abs(truth[1])))
+    # The response of the acceleration at the nodes: what moves there less the input itself.
+    truth = difference(1e-4, c=1.0)[2]
+    np.testing.assert_allclose(nodes_by_c[:, 0], truth, atol=2e-6 * np.max(np.abs(truth)))
+
+
+def test_linear_response_of_a_free_mass_is_exact():
+    panels = Panels(np.array([0.0, 0.1, 0.25, 0.3]))
+    free = Linear(panels, np.zeros(9), np.zeros(9))
+    _, edges = free.respond(np.column_stack([np.ones(9), panels.t]), np.zeros((2, 2)))
+    np.testing.assert_allclose(edges[:, 0, 0], panels.edges**2 / 2, atol=1e-15)
+    np.testing.assert_allclose(edges[:, 0, 1], panels.edges**3 / 6, atol=1e-15)
+    np.testing.assert_allclose(edges[:, 1, 1], panels.edges**2 / 2, atol=1e-15)
+
+
+def test_a_law_without_a_motion_is_an_error_not_a_number():
+    with pytest.raises(FrictrackError, match="the model's motion could not be integrated"):
+        solved(lambda x, v, t: np.sign(x) * 1e9 * np.cos(1e9 * x), frames(0.02), (0.0, 1.0))

@@ -1,0 +1,219 @@
+"""Every effect of the library keeps one contract, and its formula is the one of the table, written out again."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, Slider, sine
+
+from frictrack import effects
+from frictrack.effects import LIBRARY, Path, Span
+from frictrack.errors import FrictrackError
+
+SPAN = Span(duration=0.15, x_min=-0.02, x_max=0.6, v_min=0.05, v_max=6.0, fps=4000.0)
+ALL = [*LIBRARY.values(), effects.atm2(1), effects.atm2(2)]
+ATM2 = {
+    **{"f_c": 3.0, "f_s": 9.0, "f_v": 1.0, "v_s": 0.5},
+    **{"sliding_frequency_1": 30.0, "sliding_phase_1": 1.0, "viscous_frequency_1": 50.0, "viscous_phase_1": 2.0},
+}
+SETTINGS = BASE | HIDDEN | {"atm2:1": ATM2}
+# What carries an effect's columns from run to run (design, section 1): L the load, M the mass, - nothing.
+SCALING = {
+    **{"coulomb": "L", "stribeck": "L", "viscous": "-", "drag": "-", "vibration": "-", "texture": "L", "patch": "L"},
+    **{"spring": "--", "collision": "-", "asymmetry": "L-", "slope": "M", "lens": "-", "peak_locking": "-"},
+    **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-"},
+}
+
+
+def path_of(n=40, *, s=1.0, load=1.0, mass_ratio=1.0):
+    """A motion that begins at rest and reaches every place and time of `SPAN`."""
+    t = np.linspace(0, SPAN.duration, n)
+    x = np.linspace(SPAN.x_min, SPAN.x_max, n)[:: int(s)]
+    return Path(t, x, s * np.linspace(0, SPAN.v_max, n), np.full(n, s), load, mass_ratio, PITCH)
+
+
+def values_tried(parameter):
+    """A few values of a non-linear parameter: its scan, its bounds, or its fixed value and either side of zero."""
+    if parameter.scan is not None:
+        grid = parameter.scan(SPAN)
+        return grid[[0, len(grid) // 2, -1]]
+    if parameter.role == "phase":
+        return np.array([-np.pi, 0.3, np.pi])
+    return np.array([b for b in (*parameter.bounds, parameter.fixed) if b is not None and np.isfinite(b)])
+
+
+def settings_tried(effect):
+    """Every combination of first, middle and last value of the non-linear parameters, at most 200."""
+    names = [p.name for p in effect.nonlinear]
+    every = list(product(*(values_tried(p) for p in effect.nonlinear)))
+    return [dict(zip(names, point, strict=True)) for point in every[:: max(1, len(every) // 200)]]
+
+
+def columns(effect, path, nonlinear):
+    """The effect's columns; a modifier is given two columns to reshape."""
+    if effect.modifies:
+        return effect.columns(path, nonlinear, np.column_stack([np.ones_like(path.t), path.x]))
+    return effect.columns(path, nonlinear)
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_columns_are_finite_and_of_the_declared_shape_wherever_a_fit_may_look(effect):
+    for s in (1.0, -1.0):
+        path = path_of(s=s)
+        before = {name: getattr(path, name).copy() for name in ("t", "x", "v", "s")}
+        for nonlinear in settings_tried(effect):
+            made = columns(effect, path, nonlinear)
+            assert made.shape == (len(path.t), 2 if effect.modifies else len(effect.linear))
+            assert np.all(np.isfinite(made)), nonlinear
+        assert all(np.array_equal(getattr(path, name), value) for name, value in before.items())
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_an_effect_declares_itself_in_full(effect):
+    assert effect.acts_on in ("force", "measurement")
+    assert effect.scales_with in ("load", "mass", "nothing")
+    for words in (effect.what, effect.looks_like, effect.mistaken_for, effect.confirm, effect.source):
+        assert len(words) > 4
+    names = [p.name for p in effect.parameters]
+    assert len(set(names)) == len(names) > 0
+    for p in effect.parameters:
+        assert p.unit
+        assert p.bounds[0] < p.bounds[1]
+        stem = p.name.split("_")[1] if effect.kind.startswith("atm2") and p.name[-1].isdigit() else p.name
+        assert stem in effect.equation
+        # A non-linear parameter can be started from: by a scan, at a phase or depth, or it is held.
+        assert p.linear or p.scan is not None or p.role in ("phase", "depth") or p.fixed is not None
+        if p.fixed is not None:
+            assert p.bounds[0] <= p.fixed <= p.bounds[1]
+
+
+@pytest.mark.parametrize("effect", ALL, ids=lambda e: e.name)
+def test_scans_rise_or_fall_within_their_bounds_even_for_very_short_runs(effect):
+    short = Span(duration=0.004, x_min=0.1, x_max=0.104, v_min=0.9, v_max=1.0, fps=4000.0)
+    for span in (SPAN, short):
+        for p in (p for p in effect.nonlinear if p.scan is not None):
+            grid = p.scan(span)
+            steps = np.diff(grid)
+            assert len(grid) >= 2
+            assert np.all(steps > 0) or np.all(steps < 0)
+            assert np.all((grid >= p.bounds[0]) & (grid <= p.bounds[1]))
+
+
+@pytest.mark.parametrize("effect", [e for e in ALL if not e.modifies], ids=lambda e: e.name)
+def test_load_and_mass_scale_what_the_design_says(effect):
+    nonlinear = settings_tried(effect)[-1]
+    plain = effect.columns(path_of(), nonlinear)
+    for change, letter in (({"load": 1.7}, "L"), ({"mass_ratio": 1.7}, "M")):
+        factor = np.array([1.7 if mark == letter else 1.0 for mark in SCALING[effect.name]])
+        np.testing.assert_allclose(effect.columns(path_of(**change), nonlinear), plain * factor, rtol=1e-12)
+
+
+@pytest.mark.parametrize("s", [1.0, -1.0])
+@pytest.mark.parametrize("name", [*LAWS, *SHIFTS])
+def test_formula_is_the_one_of_the_table(name, s):
+    effect, q = effects.get(name), SETTINGS[name]
+    path = path_of(s=s, load=1.3, mass_ratio=2.0)
+    coefficients = np.array([q[p.name] for p in effect.linear])
+    made = effect.columns(path, {p.name: q[p.name] for p in effect.nonlinear}) @ coefficients
+    slider = Slider(load=1.3, mass_ratio=2.0, pitch=PITCH)
+    if name in SHIFTS:
+        truth = SHIFTS[name](q, path.x, path.t, slider)
+    else:
+        truth = LAWS[name](q, path.x, path.v, path.t, s, slider)
+    np.testing.assert_allclose(made, truth, rtol=1e-12, atol=1e-11 * np.max(np.abs(truth)))
+
+
+def test_atm2_of_order_two_sums_its_sines():
+    q = ATM2 | {"sliding_frequency_2": 55.0, "sliding_phase_2": 0.2, "viscous_frequency_2": 8.0, "viscous_phase_2": 1.0}
+    path = path_of()
+    f_c, f_s, f_v = effects.atm2(2).columns(path, q).T
+    s_c = sine(q, "sliding_frequency_1", path.t, "sliding_phase_1")
+    s_c += sine(q, "sliding_frequency_2", path.t, "sliding_phase_2")
+    s_v = sine(q, "viscous_frequency_1", path.t, "viscous_phase_1")
+    s_v += sine(q, "viscous_frequency_2", path.t, "viscous_phase_2")
+    hook = np.exp(-path.v / q["v_s"])
+    np.testing.assert_allclose(3 * f_c + 9 * f_s + f_v, s_c * 3 + (9 - s_c * 3) * hook + s_v * path.v, rtol=1e-12)
+
+
+def test_load_modulation_multiplies_what_it_is_given():
+    path, q = path_of(), HIDDEN["load_modulation"]
+    inner = np.column_stack([path.v, path.x, np.ones_like(path.t)])
+    made = LIBRARY["load_modulation"].columns(path, q, inner)
+    np.testing.assert_allclose(made, inner * (1 + 0.1 * sine(q, "frequency", path.t))[:, None], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "effect", [e for e in ALL if any(p.role == "phase" for p in e.parameters)], ids=lambda e: e.name
+)
+def test_amplitude_and_phase_are_a_sine_and_a_cosine(effect):
+    phases = [p.name for p in effect.parameters if p.role == "phase"]
+    q = settings_tried(effect)[len(settings_tried(effect)) // 2]
+    path = path_of()
+
+    def at(phase):
+        return columns(effect, path, q | dict.fromkeys(phases, phase))
+
+    still = columns(effect, path, q | {"depth": 0.0}) if effect.modifies else at(0.0) / 2 + at(np.pi) / 2
+    a, b = 0.6, -1.1
+    mixed = a * (at(0.0) - still) + b * (at(np.pi / 2) - still)
+    one = np.hypot(a, b) * (at(np.arctan2(b, a)) - still)
+    np.testing.assert_allclose(one, mixed, atol=1e-12 * np.max(np.abs(mixed)))
+
+
+def test_dry_friction_keeps_its_side_where_the_velocity_passes_zero():
+    v = np.array([-1e-9, 0.0, 1e-9])
+    path = Path(np.zeros(3), np.zeros(3), v, np.ones(3))
+    np.testing.assert_allclose(LIBRARY["coulomb"].columns(path, {})[:, 0], 1.0)
+    np.testing.assert_allclose(LIBRARY["stribeck"].columns(path, {"v_s": 0.1, "delta": 1.0})[:, 0], 1.0, rtol=1e-7)
+
+
+def test_get_finds_kinds_instances_and_orders():
+    assert effects.get("texture") is LIBRARY["texture"]
+    second = effects.get("vibration:2")
+    assert (second.name, second.kind) == ("vibration:2", "vibration")
+    assert [p.name for p in second.parameters] == [p.name for p in LIBRARY["vibration"].parameters]
+    assert effects.get("atm2").name == "atm2:2"
+    assert len(effects.get("atm2:2").parameters) == 12  # first paper: 12 parameters at order 2
+    assert effects.get("atm2:3").kind == "atm2:3"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("textur", 'expected the name of an effect but got "textur"; did you mean "texture"?'),
+        ("atm3", 'did you mean "atm2"?'),
+        ("zzz", "known are coulomb, stribeck, viscous"),
+        ("vibration:x", 'expected a number after the colon but got "vibration:x"'),
+        ("vibration:0", "expected a number after the colon"),
+    ],
+)
+def test_a_wrong_name_is_answered_with_the_nearest_right_one(name, said):
+    with pytest.raises(FrictrackError) as caught:
+        effects.get(name)
+    assert said in str(caught.value)
+    assert caught.value.usage
+
+
+def test_catalogue_lists_every_effect_with_the_keys_of_the_contract():
+    entries = effects.catalogue()
+    assert [e["name"] for e in entries] == [*LIBRARY, "atm2:2"]
+    keys = {"name", "acts_on", "equation", "parameters", "looks_like", "mistaken_for"}
+    for entry in entries:
+        assert keys <= entry.keys()
+        for p in entry["parameters"]:
+            assert p.keys() == {"name", "unit", "linear", "bounds", "per_run"}
+            assert all(b is None or np.isfinite(b) for b in p["bounds"])
+
+
+def test_adjusted_changes_only_what_is_named():
+    free = LIBRARY["stribeck"].adjusted(delta={"fixed": None})
+    assert free.parameter("delta").fixed is None
+    assert free.parameter("v_s") == LIBRARY["stribeck"].parameter("v_s")
+    assert LIBRARY["stribeck"].parameter("delta").fixed == 1.0
+
+
+def test_quoted_values_follow_from_the_fitted_ones():
+    assert LIBRARY["stribeck"].quote({"F_s": 6.0}, {"coulomb.F_c": 8.0}) == {"F_s": 14.0}
+    assert LIBRARY["spring"].quote({"k": 4.0, "x_0": 2.0}, {}) == {"x_0": 0.5}
