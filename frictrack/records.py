@@ -82,7 +82,9 @@ class Track(Table):
     score: Array = column("1", nan=True)
     reason: NDArray[np.str_] = column("", kind=np.str_)
     name: str = "target"
-    target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in the first frame, px
+    target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in frame `template`, px
+    template: int = 0  # number of the frame in which `target` stands
+    picture: Array | None = None  # the target averaged over the run, grey values
     notes: tuple[str, ...] = ()  # measurement findings, in words
 
     @property

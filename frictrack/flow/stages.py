@@ -104,7 +104,16 @@ class RunWork:
         """Keys of the inputs and hashes of the files that a stage reads."""
         stage = self.stages[name]
         paths = [getattr(self.run, key) for key in stage.settings]
-        return [self.key(i) for i in stage.inputs] + [self._content(p) for p in paths if isinstance(p, Path)]
+        beside = [self.anchor.key("track")] if name == "displacement" and self.anchor else []
+        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in paths if isinstance(p, Path)]
+
+    @cached_property
+    def anchor(self) -> RunWork | None:
+        """The study's first film, whose point of the body all films follow; None for itself and for tables."""
+        first = next((r for r in self.study.runs if r.video), None)
+        if first is None or not self.run.video or first.name == self.run.name:
+            return None
+        return RunWork(self.study, first, self._progress)
 
     def _content(self, path: Path) -> str:
         if path == self.run.video:
@@ -179,9 +188,11 @@ def sheet(work: RunWork) -> Path:
 
 
 def _calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
-    run = work.run
+    from frictrack.tracking import aligned  # noqa: PLC0415
+
+    run, anchor = work.run, work.anchor
     return calibrate(
-        track,
+        aligned(track, anchor.get("track")) if anchor else track,
         run.scale,
         axis=run.axis,
         origin_px=run.origin_px,

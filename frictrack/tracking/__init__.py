@@ -2,6 +2,7 @@
 
 from frictrack.tracking.driver import track
 from frictrack.tracking.find import find_target
+from frictrack.tracking.register import aligned
 from frictrack.tracking.sheet import contact_sheet, target_line
 
-__all__ = ["contact_sheet", "find_target", "target_line", "track"]
+__all__ = ["aligned", "contact_sheet", "find_target", "target_line", "track"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,6 +54,7 @@ def track(
     coarse = follow(recording, picture[y : y + h, x : x + w].copy(), (x, y) if template == 0 else None, progress)
     model = learn(coarse, cut_out(picture, np.array([x, y]), (h, w)))
     result = _assemble(recording, coarse, _refine_all(coarse, model, progress), rectangle, name)
+    result = replace(result, template=template, picture=model.image)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "

@@ -22,15 +22,7 @@ def target_line(track: Track) -> str:
     """The lines for the study file that repeat this track: its rectangle, and its frame if not the first."""
     x, y, w, h = _rectangle(track)
     line = f"target = [{x}, {y}, {w}, {h}]"
-    frame = template_frame(track)
-    return line if frame == 0 else f"{line}\ntemplate = {frame}"
-
-
-def template_frame(track: Track) -> int:
-    """The frame in which the target stands in its rectangle; the first one where several do."""
-    x, y, w, h = _rectangle(track)
-    off = np.hypot(track.x_px - (x + (w - 1) / 2), track.y_px - (y + (h - 1) / 2))
-    return int(np.argmax(off <= max(0.5, float(np.nanmin(off)))))
+    return line if track.template == 0 else f"{line}\ntemplate = {track.template}"
 
 
 def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
@@ -40,8 +32,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
     """
     found = np.flatnonzero(track.found)
     shown = np.unique(found[np.linspace(0, len(found) - 1, FRAMES).astype(int)])
-    template = template_frame(track)
-    wanted = np.unique([*shown, template])
+    wanted = np.unique([*shown, track.template])
     pictures = dict(zip(wanted.tolist(), recording.pick(wanted.tolist()), strict=True))
     columns = 2 if recording.shape[1] > 2 * recording.shape[0] else 3
     figure = _figure(recording, columns)
@@ -50,7 +41,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
         _frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
     for panel in panels[len(shown) : -1]:
         panel.set_axis_off()
-    _zoom(panels[-1], pictures[template], track, recording.bit_depth)
+    _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
     figure.suptitle(_headline(recording, track), fontsize=15)
     figure.supxlabel(target_line(track).replace("\n", "      "), fontsize=18, family="monospace")
     FigureCanvasAgg(figure).print_png(str(path))
@@ -99,7 +90,7 @@ def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
     panel.set_xlim(x - margin, x + w + margin)
     panel.set_ylim(y + h + margin, y - margin)
     sigma = float(np.nanmedian(track.sigma_px))
-    panel.set_title(f"target, sigma {sigma:.4f} px, frame {template_frame(track)}", fontsize=14)
+    panel.set_title(f"target, sigma {sigma:.4f} px, frame {track.template}", fontsize=14)
 
 
 def _show(panel: Axes, picture: Frame, bit_depth: int) -> None:
