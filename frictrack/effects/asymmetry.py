@@ -17,7 +17,7 @@ asymmetry = Effect(
     name="asymmetry",
     acts_on="force",
     equation="dF L + dF_v |v|",
-    parameters=(Parameter("dF", "N", linear=True), Parameter("dF_v", "N s/m", linear=True)),
+    parameters=(Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True)),
     columns=columns,
     scales_with="load",
     what="The surfaces resist more one way than the other: wear, tilted asperities, a screw.",

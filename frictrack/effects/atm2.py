@@ -49,8 +49,8 @@ def atm2(order: int) -> Effect:
             f"S = sum of {order} sines sin(2 pi frequency t + phase)"
         ),
         parameters=(
-            Parameter("f_c", "N", linear=True),
-            Parameter("f_s", "N", linear=True),
+            Parameter("f_c", "N", linear=True, loaded=True),
+            Parameter("f_s", "N", linear=True, loaded=True),
             Parameter("f_v", "N s/m", linear=True),
             Parameter("v_s", "m/s", (0.001, 2.0), scan=speeds),
             *lines,

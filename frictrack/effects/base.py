@@ -68,6 +68,7 @@ class Parameter:
     role: Literal["", "phase", "depth", "amplitude"] = ""
     scan: Callable[[Span], Array] | None = None
     fixed: float | None = None
+    loaded: bool = False  # a coefficient whose column carries the load and the run's friction level
     signed: bool = False  # a place, which may lie on either side of zero; others are positive sizes
 
 

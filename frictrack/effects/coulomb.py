@@ -17,7 +17,7 @@ coulomb = Effect(
     name="coulomb",
     acts_on="force",
     equation="F_c L s",
-    parameters=(Parameter("F_c", "N", (0.0, np.inf), linear=True),),
+    parameters=(Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),),
     columns=columns,
     scales_with="load",
     what="Dry friction of the sliding pair at its steady level.",

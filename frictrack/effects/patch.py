@@ -30,7 +30,7 @@ patch = Effect(
     acts_on="force",
     equation="F L s exp(-((x - x_c)/w)^2/2)",
     parameters=(
-        Parameter("F", "N", linear=True),
+        Parameter("F", "N", linear=True, loaded=True),
         Parameter("x_c", "m", scan=places, signed=True),
         Parameter("w", "m", scan=widths),
     ),

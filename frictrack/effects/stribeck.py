@@ -29,7 +29,7 @@ stribeck = Effect(
     acts_on="force",
     equation="(F_s - F_c) L s exp(-(|v|/v_s)^delta)",
     parameters=(
-        Parameter("F_s", "N", (0.0, np.inf), linear=True),
+        Parameter("F_s", "N", (0.0, np.inf), linear=True, loaded=True),
         Parameter("v_s", "m/s", (0.001, 2.0), scan=speeds),
         Parameter("delta", "1", (0.5, 2.0), fixed=1.0),
     ),

@@ -26,7 +26,7 @@ texture = Effect(
     acts_on="force",
     equation="amplitude L s sin(2 pi x/period + phase)",
     parameters=(
-        Parameter("amplitude", "N", linear=True, role="amplitude"),
+        Parameter("amplitude", "N", linear=True, loaded=True, role="amplitude"),
         Parameter("period", "m", scan=periods),
         Parameter("phase", "rad", role="phase"),
     ),

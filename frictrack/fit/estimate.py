@@ -113,8 +113,11 @@ def _quoted(solution: Solution, values: dict[str, float]) -> tuple[Array, Array]
         out = dict(known)
         for effect in layout.model.effects:
             if effect.quote is not None:
-                own = {s.parameter: known[n] for n, s in zip(layout.names, layout.slots, strict=True)
-                       if s.effect == effect.name}
+                own = {
+                    s.parameter: known[n]
+                    for n, s in zip(layout.names, layout.slots, strict=True)
+                    if s.effect == effect.name
+                }
                 out |= {f"{effect.name}.{k}": v for k, v in effect.quote(own, known).items()}
         return np.array([out[layout.names[i]] for i in shown])
 

@@ -59,9 +59,7 @@ def _left_out(solution: Solution, run: int) -> Array:
     mine = [i for i, piece in enumerate(problem.pieces) if piece.run == run]
     others = Problem(problem.model, layout, [problem.pieces[i] for i in rest])
     known = refine(others, solution.p, _of(solution.starts, rest), tau=solution.tau or 0.03, free=~own, max_steps=6)
-    alone = Problem(
-        problem.model, replace(layout, levels_free=True), [_odd_unseen(problem.pieces[i]) for i in mine]
-    )
+    alone = Problem(problem.model, replace(layout, levels_free=True), [_odd_unseen(problem.pieces[i]) for i in mine])
     return _odd_residuals(refine(alone, known.p, _of(solution.starts, mine), free=own, max_steps=6))
 
 

@@ -164,6 +164,27 @@ def settle(layout: Layout, p: Array) -> Array:
     return p
 
 
+def balanced(layout: Layout, p: Array) -> Array:
+    """The same law with levels about one: their common factor is given to the coefficients that carry the load.
+
+    The factor is the one that brings the levels closest to one; the motion does not change.
+    """
+    levels = layout.levels
+    if not levels or layout.levels_free:
+        return p
+    factor = float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
+    p = np.array(p)
+    p[levels] /= factor
+    loaded = [
+        i
+        for e in layout.model.effects
+        for i, s in enumerate(layout.slots)
+        if s.effect == e.name and e.parameter(s.parameter).loaded
+    ]
+    p[loaded] *= factor
+    return p
+
+
 _SIZES = ("amplitude", "depth")
 
 

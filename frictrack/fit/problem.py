@@ -50,9 +50,7 @@ class Piece:
         edges = np.interp(np.arange((len(self.t) - 1) * per_frame + 1) / per_frame, np.arange(len(self.t)), self.t)
         panels = Panels(edges)
         old, new = self.panels.t, panels.t
-        moved = {
-            name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")
-        }
+        moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
         drive = None if self.path.drive is None else np.interp(new, old, self.path.drive)
         still = np.zeros_like(new)
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
@@ -90,8 +88,9 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame:
     if run.mass is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
     disp = run.displacement
-    noise = relative_noise(disp.sigma_x, free & disp.valid)
-    noise = noise * noise_level(disp.x / noise, free & disp.valid)[0]
+    use = free & disp.valid
+    noise = relative_noise(disp.sigma_x, use)
+    noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
     release = release_time(run)
     made = []
     for section in moving_sections(run):

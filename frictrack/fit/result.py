@@ -102,8 +102,7 @@ class Fit:
     def _per_run(self) -> list[dict[str, Any]]:
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.runs)]
         return rows + [
-            _row(s, 0, run, "validation", self.curves)
-            for s, run in zip(self.predictions, self.validation, strict=True)
+            _row(s, 0, run, "validation", self.curves) for s, run in zip(self.predictions, self.validation, strict=True)
         ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import settle
+from frictrack.fit.layout import balanced, settle
 from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
 from frictrack.records import Array, Mask
@@ -69,7 +69,7 @@ def refine(
     *,
     tau: float = 0.03,
     free: Mask | None = None,
-    max_steps: int = 40,
+    max_steps: int = 20,
 ) -> Solution:
     """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
 
@@ -78,7 +78,13 @@ def refine(
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
-    state = _state(problem, np.clip(p, low, high), list(starts), tau)
+
+    def plain(p: Array) -> Array:
+        """Back within the bounds, in plain form, the levels about one."""
+        p = settle(problem.layout, np.clip(p, low, high))
+        return balanced(problem.layout, p) if free is None else p
+
+    state = _state(problem, plain(p), list(starts), tau)
     damping = 1e-8
     for _ in range(max_steps):
         step, gain = _step(state, damping, (low, high))
@@ -86,7 +92,7 @@ def refine(
             break
         try:
             new_starts = [s + r.start_step(step[r.active]) for s, r in zip(state.starts, state.responses, strict=True)]
-            trial = _state(problem, np.clip(state.p + step, low, high), new_starts, tau)
+            trial = _state(problem, plain(state.p + step), new_starts, tau)
         except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
             damping *= 100
             continue
@@ -103,7 +109,6 @@ def refine(
 
 
 def _state(problem: Problem, p: Array, starts: list[Array], tau: float) -> Solution:
-    p = settle(problem.layout, p)
     responses = problem.evaluate(p, starts)
     held = restraint(problem.layout, p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(held @ held)
@@ -148,7 +153,7 @@ def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
 
 def settle_scatter(problem: Problem, p: Array, starts: Sequence[Array], tau: float = 0.03) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
-    for _ in range(6):
+    for _ in range(4):
         solution = refine(problem, p, starts, tau=tau)
         basis = solution.basis
         if not basis.random or problem.layout.levels_free:

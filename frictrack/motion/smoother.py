@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 
 from frictrack.records import Array, Mask
 
-MISSING = 1e6  # m, standard deviation of a frame that was not measured
+MISSING = float("inf")  # m, standard deviation of a frame that was not measured
 D3 = np.array([-1.0, 3.0, -3.0, 1.0])  # third difference
 BAND = 3  # half bandwidth of the equations
 BLOCK = 8  # frames per block of the covariance

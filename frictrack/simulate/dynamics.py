@@ -30,6 +30,9 @@ _B = np.array([5 / 18, 4 / 9, 5 / 18])
 _AA = _A @ _A
 _BA = _B @ _A
 
+MOST_STEPS = 30
+SETTLING = 1e-6  # m, a Newton step below which the linear response is kept
+
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
 
 
@@ -116,13 +119,11 @@ def _chain(step: Array) -> Array:
 
 
 def slopes(acceleration: Acceleration, x: Array, v: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Acceleration and its slopes in x and v at the nodes, by central differences."""
-    ex = 1e-6 * max(float(np.ptp(x)), 1e-3)
-    ev = 1e-6 * max(float(np.max(np.abs(v))), 1e-3)
+    """Acceleration and its slopes in x and v at the nodes, by differences."""
+    ex = 1e-7 * max(float(np.ptp(x)), 1e-3)
+    ev = 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
     f = acceleration(x, v, t)
-    f_x = (acceleration(x + ex, v, t) - acceleration(x - ex, v, t)) / (2 * ex)
-    f_v = (acceleration(x, v + ev, t) - acceleration(x, v - ev, t)) / (2 * ev)
-    return f, f_x, f_v
+    return f, (acceleration(x + ex, v, t) - f) / ex, (acceleration(x, v + ev, t) - f) / ev
 
 
 def solve(
@@ -133,13 +134,20 @@ def solve(
     Returns the motion and its linear response. Raises FrictrackError when Newton's method does not settle.
     """
     a = np.array(guess, dtype=float)
-    for _ in range(30):
+    moved = np.inf
+    for _ in range(MOST_STEPS):
         x, v, x_edge, v_edge = panels.integrate(a, *start)
-        f, f_x, f_v = slopes(acceleration, x, v, panels.t)
-        response = Linear(panels, f_x, f_v)
+        if moved > SETTLING:  # near the solution the slopes no longer change
+            f, f_x, f_v = slopes(acceleration, x, v, panels.t)
+            response = Linear(panels, f_x, f_v)
+        else:
+            f = acceleration(x, v, panels.t)
         step, edges = response.respond((f - a)[:, None], np.zeros((2, 1)))
         a = a + step[:, 0]
-        if np.max(np.abs(edges[:, 0])) <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
+        moved = float(np.max(np.abs(edges[:, 0])))
+        if not np.isfinite(moved):
+            break
+        if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
             x, v, x_edge, v_edge = panels.integrate(a, *start)
             return Motion6(panels, x, v, a, x_edge, v_edge), response
     raise FrictrackError("the model's motion could not be integrated: Newton's method did not settle in 30 steps")
