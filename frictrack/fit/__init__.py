@@ -11,8 +11,10 @@ import numpy as np
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
+from frictrack.fit.papers import check_how, scaffold
 from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
 from frictrack.fit.result import Fit
+from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.scan import grid_of
 from frictrack.fit.solve import Solution, refine
 from frictrack.fit.start import grow, solve_model, without
@@ -36,9 +38,13 @@ def fit(
 ) -> Fit:
     """Fit a model to runs, all at once.
 
+    `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); `search` is
+    "varpro" or one of `search.METHODS`, which look for all parameters at once, `seed` theirs.
     Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
-    the first run's. Raises FrictrackError when no run can be fitted.
+    the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
+    unknown domain or search.
     """
+    check_how(domain, search)
     law = model if isinstance(model, Model) else models.parse(model)
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
@@ -47,8 +53,13 @@ def fit(
     reference = reference_of(fitted, reference_mass)
     pieces = _pieces(fitted, reference)
     names = tuple(r.name for r in fitted)
-    solution = solve_model(law, pieces, names, _fps(fitted))
-    return _finish(solution, runs, reference, (domain, search, seed))
+    route = Route(domain, search, seed)
+    if search == "varpro":
+        solution = solve_model(law, pieces, names, _fps(fitted))
+        found = in_force(solution, fitted) if domain == "force" else Found(solution)
+    else:
+        found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)
+    return _finish(found, runs, reference, route)
 
 
 def _pieces(runs: Sequence[Run], reference: Reference) -> list[Piece]:
@@ -66,18 +77,15 @@ def _names_differ(runs: Sequence[Run]) -> None:
         raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
 
 
-def _finish(solution: Solution, runs: Sequence[Run], reference: Reference, how: tuple[str, str, int]) -> Fit:
-    domain, search, seed = how
+def _finish(found: Found, runs: Sequence[Run], reference: Reference, route: Route) -> Fit:
     validation = tuple(r for r in runs if r.role == "validation")
     return Fit(
-        solution=solution,
+        found=found,
         runs=tuple(r for r in runs if r.role == "fit"),
         validation=validation,
-        predictions=tuple(_predict(solution, r, reference) for r in validation),
+        predictions=tuple(_predict(found.solution, r, reference) for r in validation),
         reference=reference,
-        domain=domain,
-        search=search,
-        seed=seed,
+        route=route,
     )
 
 
@@ -108,6 +116,8 @@ def state(result: Fit) -> dict[str, Any]:
         "domain": result.domain,
         "search": result.search,
         "seed": result.seed,
+        "optima": result.found.optima,
+        "costs": result.found.costs,
     }
 
 
@@ -124,8 +134,14 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
     problem = Problem(law, layout, [q.refined(max(e.fine for e in law.effects)) for q in pieces])
     tau = float(saved["tau"])
-    solution = refine(problem, np.asarray(saved["p"]), list(np.asarray(saved["starts"])), tau=tau, max_steps=1)
-    return _finish(solution, runs, reference, (saved["domain"], saved["search"], int(saved["seed"])))
+    route = Route(saved["domain"], saved["search"], int(saved["seed"]))
+    p, starts = np.asarray(saved["p"]), list(np.asarray(saved["starts"]))
+    if route.plain:
+        found = Found(refine(problem, p, starts, tau=tau, max_steps=1))
+    else:
+        optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
+        found = standing(problem, p, (starts, tau), fitted, route, optima)
+    return _finish(found, runs, reference, route)
 
 
 def _as_fitted(name: str, own: set[tuple[Any, ...]], free: set[tuple[Any, ...]]) -> Any:

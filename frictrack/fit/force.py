@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 from scipy.sparse import csr_array
 from scipy.stats import t as student
@@ -24,7 +25,7 @@ from frictrack.fit.solve import Solution, refine, settle_scatter
 from frictrack.motion.derivative import NODES, _stencils
 from frictrack.motion.grid import frame_grid
 from frictrack.motion.smoother import BAND, _equations, deviations, penalty, weights
-from frictrack.records import Array, Run
+from frictrack.records import Array, Mask, Run
 
 CERTAIN = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
 
@@ -36,12 +37,14 @@ class Chain:
     The frames within the run's guard of either end are smoothed but not compared.
     """
 
-    rows: Array  # place of every frame on the regular grid of N frames
+    rows: NDArray[np.int64]  # place of every frame on the regular grid of N frames
     weight: Array  # of the smoother, (N,), 0 where a frame is missing
     lu: Array  # factors of the smoother's equations
     pivots: Array
     second: csr_array  # second derivative at the compared frames, (m, N)
     sigma_a: Array  # noise of the accelerations, (m,)
+    kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
+    cutoff: float  # Hz
 
     def apply(self, columns: Array) -> Array:
         """Accelerations (m, k) of displacements (n, k)."""
@@ -54,6 +57,11 @@ class Chain:
         """K' times columns (m, k), shape (n, k)."""
         out: Array = (self.weight[:, None] * self._solve(self.second.T @ columns))[self.rows]
         return out
+
+    def only(self, rows: Mask) -> Chain:
+        """The same chain, compared only at the marked frames (n,) of the piece."""
+        use = rows[self.kept]
+        return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
 
     def _solve(self, right: Array) -> Array:
         """(W + lambda D'D)^-1 times columns, through the smoother's own equations."""
@@ -68,7 +76,8 @@ def chain_of(run: Run, piece: Piece) -> Chain:
     grid = frame_grid(piece.t)
     n, m = len(piece.t), run.motion.guard
     guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
-    kept = grid.frames[guard : n - guard]
+    inside = np.arange(guard, n - guard)
+    kept = grid.frames[inside]
     weight = grid.spread(weights(piece.sigma, np.ones(n, dtype=bool)))
     lam = penalty(run.motion.cutoff, grid.interval)
     start, stencils = _stencils(grid)
@@ -79,7 +88,7 @@ def chain_of(run: Run, piece: Piece) -> Chain:
         (stencils[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
     )
     lu, pivots, _ = dgbtrf(_equations(weight, lam), BAND, BAND)
-    return Chain(grid.frames, weight, lu, pivots, second, spread[kept])
+    return Chain(grid.frames, weight, lu, pivots, second, spread[kept], inside, run.motion.cutoff)
 
 
 @dataclass(frozen=True)
@@ -135,7 +144,8 @@ def chains_of(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[Chain]:
 def seen(solution: Solution, runs: Sequence[Run]) -> Solution:
     """The same law, linearised in the force domain."""
     problem = ForceProblem(solution.problem, chains_of(runs, solution.problem.pieces))
-    return refine(problem, solution.p, solution.starts, tau=solution.tau, max_steps=0)
+    held = np.zeros(len(solution.p), dtype=bool)
+    return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
 def solve_force(solution: Solution, runs: Sequence[Run]) -> Solution:
@@ -196,7 +206,7 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
     """Stribeck parameters that the linearised law does not settle, with the reason."""
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    out = {}
+    out: dict[str, str] = {}
     for effect in (e for e in layout.model.effects if e.kind == "stribeck"):
         rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
         why = None
@@ -208,3 +218,11 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
             text = f"{why}; the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
             out |= {f"{effect.name}.{p.name}": text for p in effect.parameters if p.fixed is None}
     return out
+
+
+def quoted(solution: Solution, p: Array) -> dict[str, float]:
+    """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
+    layout = solution.problem.layout
+    values, _ = _quoted(replace(solution, p=p), dict(zip(layout.names, p, strict=True)))
+    shown = [n for n, s in zip(layout.names, layout.slots, strict=True) if s.effect != "level"]
+    return dict(zip(shown, map(float, values), strict=True))

@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.fit import routes
 from frictrack.fit.estimate import Estimates, estimates
+from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.problem import Reference, Response
+from frictrack.fit.routes import Found, Route
 from frictrack.fit.scatter import MIN_RUNS
 from frictrack.fit.solve import Solution
 from frictrack.models import Model
@@ -20,16 +23,34 @@ from frictrack.records import Array, Curve, Run
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A model fitted to runs. `solution` holds the unknowns and the model linearised there."""
+    """A model fitted to runs."""
 
-    solution: Solution
+    found: Found
     runs: tuple[Run, ...]  # those that were fitted
     validation: tuple[Run, ...] = ()
     predictions: tuple[Solution, ...] = ()  # of the validation runs, shared parameters held
     reference: Reference = field(default=Reference(1.0, 1.0))
-    domain: str = "displacement"
-    search: str = "varpro"
-    seed: int = 0
+    route: Route = field(default=Route())
+
+    @property
+    def solution(self) -> Solution:
+        """The unknowns and the model of the displacement linearised there."""
+        return self.found.solution
+
+    @property
+    def domain(self) -> str:
+        """What was compared: "displacement" or "force"."""
+        return self.route.domain
+
+    @property
+    def search(self) -> str:
+        """How the parameters were sought."""
+        return self.route.search
+
+    @property
+    def seed(self) -> int:
+        """Seed of the search."""
+        return self.route.seed
 
     @property
     def model(self) -> Model:
@@ -39,7 +60,7 @@ class Fit:
     @cached_property
     def estimates(self) -> Estimates:
         """Parameters with deviations."""
-        return estimates(self.solution)
+        return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -49,7 +70,9 @@ class Fit:
     @cached_property
     def heldout(self) -> tuple[float, str]:
         """Held-out root mean square, m, and how it was held out."""
-        return heldout_rms(self.solution)
+        if self.route.plain:
+            return heldout_rms(self.solution)
+        return routes.heldout_rms(self.found, self.runs, self.route)
 
     @property
     def degrees(self) -> int:
@@ -60,7 +83,9 @@ class Fit:
 
     @property
     def reduced_chi2(self) -> float:
-        """Chi-squared per degree of freedom."""
+        """Chi-squared per degree of freedom, of what was compared."""
+        if self.found.force is not None:
+            return reduced_chi2(self.found.force)
         return self.solution.chi2 / max(self.degrees, 1)
 
     @cached_property
@@ -97,7 +122,15 @@ class Fit:
             "correlations": [list(c) for c in self.estimates.correlations],
             "errors": self.errors,
             "per_run": self._per_run(),
-        }
+        } | ({"optima": self._optima()} if len(self.found.optima) else {})
+
+    def _optima(self) -> list[dict[str, Any]]:
+        """The distinct optima within 1 % of the best that the search met, best first."""
+        found = self.found
+        return [
+            {"misfit": float(cost), "parameters": quoted(found.solution, p)}
+            for p, cost in zip(found.optima, found.costs, strict=True)
+        ]
 
     def _per_run(self) -> list[dict[str, Any]]:
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.runs)]
