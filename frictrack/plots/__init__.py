@@ -1,6 +1,6 @@
 """Records and results -> matplotlib figures. Nothing here computes physics or opens a file.
 
-    plots.motion(run).savefig("v3.pdf")
+plots.motion(run).savefig("v3.pdf")
 """
 
 from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained

@@ -82,7 +82,9 @@ def failing(
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
     handles.append(Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"))
     if spans:
-        handles.append(Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error"))
+        handles.append(
+            Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error")
+        )
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
@@ -145,7 +147,10 @@ def worst_runs(model: ModelResults) -> list[str]:
     names = list(dict.fromkeys(curve.run for curve in model.curves))
     if len(names) <= MOST_PANELS:
         return names
-    size = {n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2)) for n in names}
+    size = {
+        n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2))
+        for n in names
+    }
     kept = set(sorted(names, key=lambda n: -size[n])[:MOST_PANELS])
     return [n for n in names if n in kept]
 
@@ -217,4 +222,3 @@ def _label_grid(panels: Any, labels: Sequence[str], used: int) -> None:
         if k % columns == 0 and k < used:
             for ax, label in zip(cell, labels, strict=True):
                 ax.set_ylabel(label)
-

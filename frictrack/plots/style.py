@@ -88,7 +88,12 @@ def svg(figure: Figure) -> str:
     """The figure as an `<svg>` element: no header, no metadata, coordinates to a hundredth of a point."""
     with mpl.rc_context(STYLE):
         held = io.StringIO()
-        figure.savefig(held, format="svg", dpi=200, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            held,
+            format="svg",
+            dpi=200,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
     text = held.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
@@ -173,6 +178,11 @@ def number(value: float | None, digits: int = 3) -> str:
 def plain_name(group: str) -> str:
     """The name of a model in words: ``"2_tustin+texture"`` -> ``"Tustin + texture"``."""
     words = group.split("_", 1)[-1].split("+")
-    known = {"tustin": "Tustin", "coulomb": "Coulomb", "stribeck": "Stribeck", "stribeck-model": "Stribeck model"}
+    known = {
+        "tustin": "Tustin",
+        "coulomb": "Coulomb",
+        "stribeck": "Stribeck",
+        "stribeck-model": "Stribeck model",
+    }
     words = [known.get(w, w.upper() if w.startswith("atm") else w) for w in words]
     return " + ".join(words)

@@ -1,0 +1,167 @@
+"""Results -> one HTML page that needs nothing else: figures as SVG, film frames as PNG, all inside it."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from frictrack import plots
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+from frictrack.report import tables, words
+from frictrack.report.numbers import formula, quantity
+from frictrack.results import ModelResults, Results, RunResults
+
+MOST_RUNS = 12  # whose motion is drawn; of more, the first ones
+IDS = re.compile(r'(\bid="|url\(#|xlink:href="#)')
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model that failed, and the evidence on what it lacks."""
+
+    name: str
+    diagnosis: Mapping[str, Any]
+    residual: Markup
+    spans: tables.Table
+    evidence: Markup
+    cards: list[tables.Card]
+    scan: Markup
+    unexplained: Markup
+
+
+def write(results: Results, path: Path) -> Path:
+    """Write the report to `path`, whole or not at all, and return the path.
+
+    Raises `FrictrackError` when the folder cannot be written.
+    """
+    text = render(results)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=".report_", suffix=".part", dir=path.parent)
+        part = Path(name)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            part.chmod(0o644)
+            part.replace(path)
+        finally:
+            with suppress(FileNotFoundError):
+                part.unlink()
+    except OSError as e:
+        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
+    return path
+
+
+def render(results: Results) -> str:
+    """The report as HTML."""
+    loader = PackageLoader("frictrack", "report")
+    page = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("page.html.j2")
+    draw = _Draw()
+    return page.render(
+        results=results,
+        verdict=words.verdict(results),
+        model=results.current,
+        written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        films=[_picture(run) for run in results.runs if run.film is not None and run.track is not None],
+        motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
+        friction=draw(plots.friction(results.runs)) if _forces(results) else None,
+        fits=[draw(plots.fit(m, results.runs)) for m in _drawn(results)],
+        trials=[_trial(m, results, draw) for m in _failed(results)],
+        history=draw(plots.history(results.models)) if results.models else None,
+        limits=_limits(results, draw),
+        routes=_routes(results, draw),
+        correlations=_correlations(results.current),
+        tables=tables,
+        formula=formula,
+        quantity=quantity,
+        plain_name=plots.plain_name,
+        scale_line=words.SCALE_LINE,
+    )
+
+
+class _Draw:
+    """Figures as inline SVG; each gets ids of its own, since all share one page."""
+
+    def __init__(self) -> None:
+        self._numbers: Iterator[int] = count(1)
+
+    def __call__(self, figure: Figure) -> Markup:
+        mark = f"f{next(self._numbers)}-"
+        return Markup(IDS.sub(rf"\g<1>{mark}", plots.svg(figure)))  # noqa: S704 - matplotlib's own SVG
+
+
+def _picture(run: RunResults) -> Markup:
+    data = base64.b64encode(plots.png(plots.film(run))).decode()
+    return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(
+        run.name, data
+    )
+
+
+def _forces(results: Results) -> bool:
+    return any(run.friction is not None for run in results.runs)
+
+
+def _failed(results: Results) -> list[ModelResults]:
+    """Models whose diagnosis found them wanting; the current one where there is none, for its candidates."""
+    asked = [m for m in results.models if m.diagnosis is not None]
+    return [m for m in asked if m.diagnosis and m.diagnosis["verdict"] != "complete"] or asked[-1:]
+
+
+def _drawn(results: Results) -> list[ModelResults]:
+    """The model in force."""
+    return [results.current] if results.current is not None else []
+
+
+def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:
+    diagnosis = model.diagnosis or {}
+    better = results.current if results.current is not model else None
+    best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
+    curves: Mapping[str, Array] = model.figures.get(best, {})
+    left = diagnosis.get("unexplained")
+    return Trial(
+        name=plots.plain_name(model.name),
+        diagnosis=diagnosis,
+        residual=draw(plots.failing(model, diagnosis["fails_at"], better)),
+        spans=tables.spans(diagnosis["fails_at"]),
+        evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
+        cards=tables.cards(diagnosis),
+        scan=draw(plots.scan(best, curves)) if plots.scanned(curves) else Markup(""),
+        unexplained=draw(plots.unexplained(left)) if left else Markup(""),
+    )
+
+
+def _limits(results: Results, draw: _Draw) -> Markup:
+    found = results.diagnosis
+    if not found or not plots.limited(found, results.figures):
+        return Markup("")
+    return draw(plots.limits(found, results.figures))
+
+
+def _routes(results: Results, draw: _Draw) -> Markup:
+    """The papers' route beside the default, on the first run that both have fitted."""
+    if results.papers is None or results.current is None:
+        return Markup("")
+    fitted = {curve.run for curve in results.papers.curves} & {curve.run for curve in results.current.curves}
+    run = next((r for r in results.runs if r.name in fitted and r.friction is not None), None)
+    return draw(plots.routes(results.current, results.papers, run)) if run is not None else Markup("")
+
+
+def _correlations(model: ModelResults | None) -> list[Markup]:
+    pairs = model.summary["correlations"] if model is not None else []
+    return [words.correlation(a, b, r) for a, b, r in pairs if abs(r) > 0.95]

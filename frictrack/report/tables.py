@@ -1,0 +1,310 @@
+"""The tables of the report: results in, heads and rows of text out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from frictrack.plots import passes, plain_name
+from frictrack.report.numbers import number, quantity, span
+from frictrack.report.words import before_after, candidate, held_out, law
+from frictrack.results import ModelResults, Results, RunResults
+
+PER_RUN = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
+LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
+Cell = str | Markup
+
+
+@dataclass(frozen=True)
+class Table:
+    """Heads and rows; columns in `numeric` are set flush right."""
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    numeric: frozenset[int] = frozenset()
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> Table:
+    """A table whose empty columns are left out."""
+    kept = [
+        k for k in range(len(heads)) if not rows or any(row[k] not in ("", "\N{EN DASH}") for row in rows)
+    ]
+    new = {old: k for k, old in enumerate(kept)}
+    return Table(
+        tuple(heads[k] for k in kept),
+        tuple(tuple(row[k] for k in kept) for row in rows),
+        frozenset(new[k] for k in numeric if k in new),
+    )
+
+
+def code(text: str) -> Markup:
+    """A name that can be typed."""
+    return Markup("<code>{}</code>").format(text)
+
+
+def parameters(model: ModelResults) -> Table:
+    """Shared parameters: value ± standard deviation, and what is to be said of them."""
+    rows = [
+        (code(name), quantity(p["value"], p["std"], p["unit"]), _remark(p))
+        for name, p in model.summary["parameters"].items()
+        if not PER_RUN.match(name)
+    ]
+    return table(("parameter", "value", ""), rows, (1,))
+
+
+def _remark(p: Mapping[str, Any]) -> str:
+    if p.get("reason"):
+        return str(p["reason"])
+    return "at its bound: the true value may lie beyond" if p.get("at_bound") else ""
+
+
+def routes(default: ModelResults, papers: ModelResults) -> Table:
+    """Parameters and errors of the default beside the papers' route."""
+    theirs = papers.summary["parameters"]
+    rows: list[Sequence[Cell]] = [
+        (code(name), quantity(p["value"], p["std"], p["unit"]), _beside(theirs.get(name)))
+        for name, p in default.summary["parameters"].items()
+        if not PER_RUN.match(name)
+    ]
+    for key, words, unit, factor in ERRORS:
+        cells = [m.summary["errors"].get(key) for m in (default, papers)]
+        if any(c is not None for c in cells):
+            rows.append(
+                (words, *(f"{number(None if c is None else factor * c)} {unit}".strip() for c in cells))
+            )
+    heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
+    return table(heads, rows, (1, 2))
+
+
+def _beside(p: Mapping[str, Any] | None) -> str:
+    return "\N{EN DASH}" if p is None else quantity(p["value"], p["std"], p["unit"])
+
+
+ERRORS = (
+    ("rms_displacement_um", "displacement, rms", "µm", 1.0),
+    ("heldout_rms_um", "held out, rms", "µm", 1.0),
+    ("heldout_rms_N", "held out, rms", "N", 1.0),
+    ("rms_acceleration", "acceleration, rms", "m/s²", 1.0),
+    ("sse_acceleration", "acceleration, sum of squares", "m²/s⁴", 1.0),
+    ("relative_force_error", "relative force error", "%", 100.0),
+    ("reduced_chi2", "reduced chi²", "", 1.0),
+)  # key, words, unit, factor
+
+
+def history(models: Sequence[ModelResults]) -> Table:
+    """Every model tried, in order, with its errors."""
+    used = [e for e in ERRORS if any(m.summary["errors"].get(e[0]) is not None for m in models)]
+    heads = ("model", *(f"{words} / {unit}" if unit else words for _, words, unit, _ in used), "verdict")
+    rows = []
+    for k, m in enumerate(models, 1):
+        errors = m.summary["errors"]
+        cells = [number(None if errors.get(key) is None else f * errors[key]) for key, _, _, f in used]
+        name = Markup("{}. {}{}").format(k, plain_name(m.name), " (current)" if m.current else "")
+        rows.append((name, *cells, (m.diagnosis or {}).get("verdict", "")))
+    return table(heads, rows, range(1, len(used) + 1))
+
+
+def spans(found: Sequence[Mapping[str, Any]]) -> Table:
+    """Where a model fails."""
+    rows = [
+        (
+            s["run"],
+            span(s.get("t"), 1e3),
+            span(s.get("x")),
+            span(s.get("v")),
+            f"{100 * s['share_of_error']:.0f} %",
+        )
+        for s in found
+    ]
+    return table(("run", "t / ms", "x / m", "v / (m/s)", "share of the error"), rows, (1, 2, 3, 4))
+
+
+@dataclass(frozen=True)
+class Card:
+    """One candidate in words."""
+
+    name: str
+    passes: bool
+    acts_on: str
+    words: Mapping[str, str]
+    numbers: tuple[Cell, ...]
+    rivals: tuple[str, ...]
+
+
+def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
+    """Candidates, best first."""
+    return [
+        Card(
+            name=c["effect"],
+            passes=passes(c),
+            acts_on={"force": "a force on the mass", "measurement": "a fault of the picture"}.get(
+                c["acts_on"], ""
+            ),
+            words=c["words"],
+            numbers=tuple(_numbers(c)),
+            rivals=tuple(c["indistinguishable_from"]),
+        )
+        for c in diagnosis["candidates"]
+    ]
+
+
+def _numbers(c: Mapping[str, Any]) -> list[Cell]:
+    """Shared parameters, then the evidence."""
+    shared = {name: p for name, p in c["parameters"].items() if not PER_RUN.match(name)}
+    own = sorted({m["name"] for name in c["parameters"] if (m := PER_RUN.match(name))})
+    out: list[Cell] = [f"{name} {quantity(p['value'], p['std'], p['unit'])}" for name, p in shared.items()]
+    if own:
+        out.append(f"one {' and one '.join(own)} per run")
+    out.append(f"p = {number(c['p'], 1)}, delta BIC {number(c['delta_bic'])}")
+    change = before_after(c)
+    if change:
+        out.append(f"held out {change} ({'whole runs' if c['heldout'] == 'run' else 'every other frame'})")
+    return out
+
+
+def runs(model: ModelResults) -> Table:
+    """One row per run: level, noise, errors, and the parameters of its own."""
+    own: dict[str, dict[str, str]] = {}
+    for name, p in model.summary["parameters"].items():
+        m = PER_RUN.match(name)
+        if m:
+            own.setdefault(m["name"], {})[m["run"]] = quantity(p["value"], p["std"], p["unit"])
+    rows = [
+        (
+            row["run"],
+            "" if row["role"] == "fit" else "predicted, not fitted",
+            number(row["level"]),
+            number(row.get("noise_um")),
+            number(row["errors"].get("rms_displacement_um")),
+            number(_percent(row["errors"].get("relative_force_error"))),
+            str(row["segments"]),
+            *(of.get(row["run"], "\N{EN DASH}") for of in own.values()),
+        )
+        for row in model.summary["per_run"]
+    ]
+    heads = ("run", "", "friction level", "noise / µm", "residual / µm", "force error / %", "segments", *own)
+    return table(heads, rows, range(2, len(heads)))
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def limits(diagnosis: Mapping[str, Any]) -> Table:
+    """What would have been found in 95 of 100 repeats."""
+    rows = [
+        (code(name), _limit(limit), _at(name, limit), limit.get("reason") or "")
+        for name, limit in diagnosis["detection_limits"].items()
+    ]
+    return table(("effect", "found from", "at its least favourable", ""), rows, (1,))
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    return (
+        "\N{EN DASH}"
+        if limit["value"] is None
+        else quantity(float(f"{limit['value']:.2g}"), None, limit["unit"])
+    )
+
+
+def _at(effect: str, limit: Mapping[str, Any]) -> str:
+    from frictrack import effects  # noqa: PLC0415 - only for the units
+
+    kind = effects.LIBRARY.get(effect.split(":")[0])
+    units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
+    at = {name: float(f"{value:.3g}") for name, value in limit.get("at", {}).items()}
+    return ", ".join(f"{name} {quantity(value, None, units.get(name, ''))}" for name, value in at.items())
+
+
+def tracks(runs: Sequence[RunResults]) -> Table:
+    """How well the target was followed."""
+    rows = []
+    for run in runs:
+        if run.film is None or run.track is None:
+            continue
+        t, found = run.track, run.track.found
+        at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
+        middle = [float(np.median(a[found])) if np.any(found) else None for a in (t.sigma_px, t.score)]
+        rows.append(
+            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", number(middle[0], 2),
+             number(middle[1]), code(at))
+        )  # fmt: skip
+    heads = ("run", "film", "frames per s", "target found in", "sigma / px", "match score", "target")
+    return table(heads, rows, (2, 3, 4, 5))
+
+
+def settings(results: Results) -> Table:
+    """What each run was made with."""
+    rows = []
+    for run in results.runs:
+        s = run.settings
+        mass = s.get("mass")
+        rows.append(
+            (
+                run.name,
+                run.source,
+                quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
+                f"{s['fps']:g} Hz" if "fps" in s else "",
+                str(s.get("scale", "")),
+                f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
+                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN),
+            )
+        )
+    return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
+
+
+SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")
+
+
+def findings(results: Results) -> Table:
+    """What was decided and found on the way, run by run."""
+    rows: list[Sequence[Cell]] = []
+    for run in results.runs:
+        rows.append((run.name, f"low-pass: {run.filtered.reason}"))
+        if run.friction is not None:
+            rows.append(("", f"free section: {run.friction.reason}"))
+        rows += [("", note) for note in run.notes]
+    rows += [("study", note) for note in results.notes]
+    rows += [("diagnosis", note) for note in (results.diagnosis or {}).get("remarks", [])]
+    return table(("", "finding"), rows)
+
+
+def hashes(results: Results) -> Table:
+    """Films and stages, each by the first digits of its hash."""
+    stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
+    rows = [
+        (
+            run.name,
+            _hash(run.film.hash if run.film else ""),
+            *(_hash(run.hashes.get(stage, "")) for stage in stages),
+        )
+        for run in results.runs
+    ]
+    return table(("run", "film (sha256)", *stages), rows)
+
+
+def _hash(full: str) -> Cell:
+    return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
+
+
+def versions(results: Results) -> str:
+    """The software that was used."""
+    found = [f"frictrack {results.version}", f"Python {python_version()}"]
+    for name in LIBRARIES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
+
+
+def validation(model: ModelResults) -> bool:
+    """Whether runs were predicted rather than fitted."""
+    return any(row["role"] == "validation" for row in model.summary["per_run"])

@@ -1,0 +1,208 @@
+"""The verdict in words: what a person at the bench wants to know before any figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from frictrack.plots import noise_um, passes, plain_name
+from frictrack.report.numbers import formula, number
+from frictrack.results import ModelResults, Results
+
+NAMES = {
+    "coulomb": "Coulomb friction",
+    "stribeck": "Stribeck friction",
+    "viscous": "viscous friction",
+    "drag": "drag",
+}
+SCALE_LINE = (
+    "Forces go with the mass and the scale, and with the square of the frame rate: a constant error in any of them "
+    "fits perfectly and shows nowhere else."
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The headline, the paragraph below it, and the kind of verdict it is."""
+
+    headline: str
+    sentences: tuple[Markup, ...]
+    kind: str  # complete, missing, ambiguous, unexplained, or "" before a diagnosis
+
+
+def verdict(results: Results) -> Verdict:
+    """What the study says about friction, in a headline and one paragraph."""
+    model, diagnosis = results.current, results.diagnosis
+    if model is None:
+        return Verdict("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
+    kind = diagnosis["verdict"] if diagnosis else ""
+    sentences = [_law(results, model), *_added(results.models)]
+    if diagnosis:
+        sentences += [*_STATES[kind](model, diagnosis), *_settle(diagnosis)]
+    return Verdict(_headline(results, model, kind), tuple(sentences), kind)
+
+
+def listed(words: Sequence[str], last: str = "and") -> str:
+    """ "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
+
+
+def law(names: Sequence[str]) -> str:
+    """The effects of a model in words."""
+    return listed([NAMES.get(name, name) for name in names])
+
+
+def steps(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
+    """Model before, model after, and the one effect that was added between them."""
+    for before, after in zip(models, models[1:], strict=False):
+        new = [name for name in after.summary["model"] if name not in before.summary["model"]]
+        if len(new) == 1 and len(after.summary["model"]) > len(before.summary["model"]):
+            yield before, after, new[0]
+
+
+def candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:
+    """The candidate of that name."""
+    return next((c for c in (diagnosis or {}).get("candidates", []) if c["effect"] == effect), None)
+
+
+def held_out(errors: Mapping[str, Any]) -> tuple[float | None, str]:
+    """Held-out error and its unit: um of displacement, or N where forces were measured."""
+    if errors.get("heldout_rms_um") is not None:
+        return errors["heldout_rms_um"], "µm"
+    return errors.get("heldout_rms_N"), "N"
+
+
+def before_after(found: Mapping[str, Any]) -> str:
+    """ "21.2 to 10.2 µm" of a candidate; empty where nothing was held out."""
+    for key, unit in (("um", "µm"), ("N", "N")):
+        before, after = (found.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
+        if before is not None and after is not None:
+            return f"{number(before)} to {number(after)} {unit}"
+    return ""
+
+
+def _headline(results: Results, model: ModelResults, kind: str) -> str:
+    name = plain_name(model.name)
+    diagnosis = results.diagnosis or {}
+    if kind == "complete":
+        added = [effect for *_, effect in steps(results.models) if effect in model.summary["model"]]
+        return f"Complete with {listed(added)}" if added else f"{name} is complete for these runs"
+    if kind == "missing":
+        return f"{name} lacks {listed(diagnosis['missing'])}"
+    if kind == "ambiguous":
+        return f"{name} lacks {listed(group(diagnosis), 'or')}: these runs cannot tell which"
+    if kind == "unexplained":
+        return f"{name} fails, and no effect of the library explains all of it"
+    return f"{name}, not yet diagnosed"
+
+
+def group(diagnosis: Mapping[str, Any]) -> list[str]:
+    """The best effect and those that predict the same data."""
+    best = diagnosis["missing"][0] if diagnosis["missing"] else diagnosis["candidates"][0]["effect"]
+    found = candidate(diagnosis, best) or {}
+    return [best, *found.get("indistinguishable_from", [])]
+
+
+def _law(results: Results, model: ModelResults) -> Markup:
+    fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
+    runs = "One run was" if len(fitted) == 1 else f"{len(fitted)} runs were"
+    return Markup("{} fitted with {}: <span class=equation>{}</span>.").format(
+        runs, law(model.summary["model"]), formula(model.equation)
+    )
+
+
+def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
+    for before, after, effect in steps(models):
+        found = candidate(before.diagnosis, effect)
+        (old, unit), (new, _) = held_out(before.summary["errors"]), held_out(after.summary["errors"])
+        why = Markup("")
+        if found is not None:
+            why = Markup(" ({}; {})").format(found["words"].get("what", "").rstrip("."), evidence(found))
+        yield Markup(
+            "{} alone failed. What it lacked was <b>{}</b>{}: with it the held-out error changes from {} to <b>{} {}</b>."
+        ).format(plain_name(before.name), effect, why, number(old), number(new), unit)
+
+
+def evidence(found: Mapping[str, Any]) -> Markup:
+    """How sure: p for the whole search and delta BIC."""
+    return Markup("p = {} for the whole search, delta BIC {}").format(
+        number(found["p"], 1), f"{found['delta_bic']:+.0f}".replace("-", "\N{MINUS SIGN}")
+    )
+
+
+def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    yield Markup(
+        "Nothing more is seen: {}lack of fit has p = {}, and no further effect of the library passes. "
+        "This speaks of this library and these runs; what would have stayed unseen stands under "
+        '<a href="#limits">detection limits</a>.'
+    ).format(_residual(model), number(diagnosis["p_lack_of_fit"], 2))
+
+
+def _residual(model: ModelResults) -> str:
+    rms, noise = model.summary["errors"].get("rms_displacement_um"), noise_um(model)
+    if rms is None or noise is None:
+        return ""
+    return f"the residual is {number(rms)} µm where the noise is {number(noise)} µm, "
+
+
+def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    yield Markup("The model fails: {}reduced chi-squared is {}.").format(
+        _residual(model), number(diagnosis["reduced_chi2"])
+    )
+    for effect in diagnosis["missing"]:
+        found = candidate(diagnosis, effect)
+        if found is not None:
+            change = before_after(found)
+            yield Markup("Missing is <b>{}</b>: {} {}{}.").format(
+                effect,
+                found["words"].get("what", ""),
+                evidence(found).capitalize(),
+                f"; adding it brings the held-out error from {change}" if change else "",
+            )
+        else:
+            yield Markup("Once that is added, <b>{}</b> is missing too.").format(effect)
+
+
+def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    yield from _missing(model, diagnosis)
+    best, *others = group(diagnosis)
+    yield Markup("But <b>{}</b> would predict the same data within the noise.").format(listed(others, "or"))
+
+
+def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    yield Markup("The model fails: {}reduced chi-squared is {}.").format(
+        _residual(model), number(diagnosis["reduced_chi2"])
+    )
+    if diagnosis["missing"]:
+        yield Markup("Adding <b>{}</b> helps, but structure remains.").format(listed(diagnosis["missing"]))
+    elif not any(passes(c) for c in diagnosis["candidates"]):
+        yield Markup("No effect of the library passes.")
+    left = diagnosis.get("unexplained")
+    if left:
+        axis = {"x": "place", "t": "time", "v": "velocity"}.get(left["axis"], left["axis"])
+        yield Markup("What is left repeats best along {}.").format(axis)
+
+
+_STATES = {"complete": _complete, "missing": _missing, "ambiguous": _ambiguous, "unexplained": _unexplained}
+
+
+def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    """What to film next."""
+    for step in diagnosis.get("next_experiment") or []:
+        yield Markup("To settle it: {}").format(step["what"])
+    if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
+        for effect in group(diagnosis):
+            found = candidate(diagnosis, effect)
+            if found is not None and found["words"].get("confirm"):
+                yield Markup("To confirm <b>{}</b>: {}").format(effect, found["words"]["confirm"])
+
+
+def correlation(first: str, second: str, r: float) -> Markup:
+    """A correlation in words."""
+    better = "sum" if r < 0 else "difference"
+    return Markup(
+        "<code>{}</code> and <code>{}</code> are hardly told apart (correlation {}): their {} is known better than either."
+    ).format(first, second, f"{r:+.3f}".replace("-", "\N{MINUS SIGN}"), better)
