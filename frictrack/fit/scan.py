@@ -20,7 +20,7 @@ from frictrack.fit.solve import Solution
 from frictrack.models import Model, Values
 from frictrack.records import Array
 
-ABSORBED = 1e-6  # share of a column's square that must remain beside the model for it to count
+ABSORBED = 1e-10  # share of a column's square that must remain beside the model for it to count
 QUADRATURES = (0.0, np.pi / 2)
 
 
