@@ -17,7 +17,7 @@ from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.scan import grid_of
 from frictrack.fit.solve import Solution, refine
-from frictrack.fit.start import grow, solve_model, without
+from frictrack.fit.start import grow, solve_model, until_stop, without
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Run
@@ -98,7 +98,7 @@ def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
     problem = Problem(old.model, layout, [q.refined(max(e.fine for e in old.model.effects)) for q in pieces])
     free = np.array([s.run is not None for s in layout.slots], dtype=bool)
-    return refine(problem, p, problem.first_starts(), free=free)
+    return until_stop(refine(problem, p, problem.first_starts(), free=free), free)
 
 
 def state(result: Fit) -> dict[str, Any]:
@@ -111,6 +111,7 @@ def state(result: Fit) -> dict[str, Any]:
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),
+        "frames": [len(piece.t) for piece in result.solution.problem.pieces],
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "domain": result.domain,
@@ -132,7 +133,9 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     spans = spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
-    problem = Problem(law, layout, [q.refined(max(e.fine for e in law.effects)) for q in pieces])
+    fine = max(e.fine for e in law.effects)
+    cut = [q.refined(fine).cut(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
+    problem = Problem(law, layout, cut)
     tau = float(saved["tau"])
     route = Route(saved["domain"], saved["search"], int(saved["seed"]))
     p, starts = np.asarray(saved["p"]), list(np.asarray(saved["starts"]))

@@ -140,7 +140,7 @@ class Misfit:
     def forces(self, balance: Balance, points: Array) -> Forces:
         """Forces along one piece, all individuals end to end on one long path."""
         n, p = len(balance.path.t), len(points)
-        path, values = self._end_to_end(balance, points)
+        path, values = self.end_to_end(balance, points)
         model = self.layout.model
         dry, other = np.zeros(n * p), np.zeros(n * p)
         columns = model.force_columns(path, values)
@@ -161,7 +161,7 @@ class Misfit:
                 shift += column * values[name][parameter.name]
         return shift
 
-    def _end_to_end(self, balance: Balance, points: Array) -> tuple[Path, dict[str, dict[str, Any]]]:
+    def end_to_end(self, balance: Balance, points: Array) -> tuple[Path, dict[str, dict[str, Any]]]:
         """One path through all individuals, and the parameter values along it."""
         path, p = balance.path, len(points)
         n = len(path.t)

@@ -56,6 +56,20 @@ class Piece:
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
         return replace(self, panels=panels, per_frame=per_frame, path=path, **moved)
 
+    def cut(self, n: int) -> Piece:
+        """The first n frames of the piece."""
+        edges = (n - 1) * self.per_frame + 1
+        nodes = slice(0, 3 * (edges - 1))
+        at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
+        at_frames = {name: getattr(self, name)[:n] for name in ("frames", "t", "y", "sigma")}
+        drive = None if self.path.drive is None else self.path.drive[nodes]
+        path = replace(
+            self.path,
+            drive=drive,
+            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v", "s")},
+        )
+        return replace(self, panels=Panels(self.panels.edges[:edges]), path=path, **at_nodes, **at_frames)
+
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
         s = np.full_like(x, self.path.s[0])

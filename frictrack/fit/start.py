@@ -10,12 +10,13 @@ from scipy.stats import chi2 as chi2_distribution
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
-from frictrack.fit.problem import Piece, Problem, spans_of
+from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response, spans_of
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
+STOPPING = 2.0  # frames before the stop that are left out
 PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
 TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at this level
 
@@ -35,7 +36,37 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     for effect in model.effects:
         if _needs_scan(effect):
             solution = grow(solution, effect)
-    return reordered(solution, model)
+    return until_stop(reordered(solution, model))
+
+
+def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
+    """The same fit without the frames in which its own motion has stopped, or is within two frames of it.
+
+    The smoothed sign of the velocity comes too late at a stop; the re-simulated one does not. `free` (P,) as in
+    `refine`.
+    """
+    for _ in range(2):
+        kept = [_sliding(r) for r in solution.responses]
+        pieces = solution.problem.pieces
+        if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
+            break
+        shorter = [p.cut(n) for n, p in zip(kept, pieces, strict=True)]
+        problem = Problem(solution.problem.model, solution.problem.layout, shorter)
+        if free is None:
+            solution = settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+        else:
+            solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
+    return solution
+
+
+def _sliding(response: Response) -> int:
+    """Frames of a piece before the model's own stop."""
+    piece, motion = response.piece, response.motion
+    speed = (piece.path.s[0] * motion.v_edge)[:: piece.per_frame]
+    slowing = np.abs(np.gradient(speed, piece.t))
+    late = np.flatnonzero(speed < STOPPING * slowing * np.gradient(piece.t))
+    after = late[late >= MIN_FRAMES]
+    return int(after[0]) if len(after) else len(piece.t)
 
 
 def _needs_scan(effect: Effect) -> bool:
