@@ -43,9 +43,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     floor = 1.0 if logarithmic else 0.0
     for y, c in enumerate(found):
         good = passes(c)
-        look: dict[str, Any] = (
-            {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
-        )
+        look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
         ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
         told = f" {_gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
         ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
@@ -83,9 +81,7 @@ def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
     rivals = diagnosis["candidates"][0].get("indistinguishable_from") or []
     if rivals:
         return f"{good[0]} explains most, but {' and '.join(rivals)} cannot be told apart from it"
-    return f"{good[0]} explains most" + (
-        f", {len(good) - 1} more pass but less well" if len(good) > 1 else ""
-    )
+    return f"{good[0]} explains most" + (f", {len(good) - 1} more pass but less well" if len(good) > 1 else "")
 
 
 def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
@@ -93,9 +89,7 @@ def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
     places = {c["effect"]: y for y, c in enumerate(found)}
     drawn: set[frozenset[int]] = set()
     for c in found:
-        group = frozenset(
-            places[e] for e in (c["effect"], *c.get("indistinguishable_from", ())) if e in places
-        )
+        group = frozenset(places[e] for e in (c["effect"], *c.get("indistinguishable_from", ())) if e in places)
         if len(group) < 2 or any(group <= earlier for earlier in drawn):
             continue
         x = 0.985 - 0.03 * len(drawn)

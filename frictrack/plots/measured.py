@@ -30,9 +30,7 @@ def film(run: RunResults) -> Figure:
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    title = (
-        f"{run.name}: target found in {found} of {frames} frames, to {number(_typical(track.sigma_px), 2)} px"
-    )
+    title = f"{run.name}: target found in {found} of {frames} frames, to {number(_typical(track.sigma_px), 2)} px"
     figure = blank(float(np.clip(style.WIDTH * rows / columns + 1.0, 2.4, 7.0)), title)
     ax = figure.subplots()
     low, high = np.percentile(picture, [0.5, 99.5])
@@ -43,9 +41,7 @@ def film(run: RunResults) -> Figure:
         x, y, w, h = track.target
         ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec="black", lw=3.8))
         ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=MARK, lw=2.0, ls="--"))
-    ax.set(
-        xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px")
-    )
+    ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px"))
     handles = [
         Line2D([], [], color=PATH, lw=1.8, label="path of its centre"),
         Patch(fill=False, ec=MARK, lw=2.0, ls="--", label="target"),
@@ -86,9 +82,7 @@ def motion(run: RunResults) -> Figure:
 
 def _motion_title(run: RunResults) -> str:
     m = run.motion
-    at = (
-        run.friction.free if run.friction is not None and np.any(run.friction.free) else np.ones(len(m), bool)
-    )
+    at = run.friction.free if run.friction is not None and np.any(run.friction.free) else np.ones(len(m), bool)
     v = m.v[at]
     start, end = abs(float(v[0])), abs(float(v[-1]))
     change = "slows" if end < start else "speeds up"

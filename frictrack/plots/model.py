@@ -22,7 +22,7 @@ from frictrack.results import ModelResults, RunResults
 
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
 ACROSS = 3
-AFTER = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
+AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
 @styled
@@ -56,9 +56,7 @@ def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
 
 
 @styled
-def failing(
-    model: ModelResults, spans: Sequence[dict[str, Any]], better: ModelResults | None = None
-) -> Figure:
+def failing(model: ModelResults, spans: Sequence[dict[str, Any]], better: ModelResults | None = None) -> Figure:
     """Residual displacement of every run with the failing spans marked and labelled with their share of the error.
 
     `better` is a later model, whose residual is drawn on top.
@@ -82,9 +80,7 @@ def failing(
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
     handles.append(Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"))
     if spans:
-        handles.append(
-            Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error")
-        )
+        handles.append(Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error"))
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
@@ -147,10 +143,7 @@ def worst_runs(model: ModelResults) -> list[str]:
     names = list(dict.fromkeys(curve.run for curve in model.curves))
     if len(names) <= MOST_PANELS:
         return names
-    size = {
-        n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2))
-        for n in names
-    }
+    size = {n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2)) for n in names}
     kept = set(sorted(names, key=lambda n: -size[n])[:MOST_PANELS])
     return [n for n in names if n in kept]
 

@@ -22,7 +22,7 @@ from frictrack.records import Array, Friction, Mask
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED, MODEL, NOISE, FREE, FAILS = "#333333", VERMILLION, "#CFE3F1", "#EAF3EA", "#FBE3B5"
-RUNS = [
+RUNS: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
     for color in (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION)
@@ -30,9 +30,9 @@ RUNS = [
 SIGMAS = 2.0  # half width of every band, standard deviations
 WIDTH = 10.0  # inches of a figure over the whole page
 MOST_POINTS = 1500  # of a band; more than a page can show
-DOTS = {"linestyle": "none", "marker": ".", "markersize": 2.5}
+DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 10,

@@ -12,6 +12,8 @@ from frictrack.plots import unit as written_unit
 MINUS, TIMES, THIN = "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}", "\N{NARROW NO-BREAK SPACE}"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PREFIXED = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common
+GREEK = (("delta", "δ"), ("pi", "π"), ("omega", "ω"), ("tau", "τ"))
+TICKS = re.compile(r"`([^`]+)`")
 NAME = re.compile(r"(?<![A-Za-z_])([A-Za-z]+)_([A-Za-z0-9]+)")
 POWER = re.compile(r"\^([A-Za-z0-9]+)")
 
@@ -24,8 +26,10 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if not -4 < exponent < 6:
-        return f"{value / 10**exponent:.{digits - 1}f}{THIN}{TIMES}{THIN}10{str(exponent).translate(SUPERSCRIPT)}".replace(
-            "-", MINUS
+        return (
+            f"{value / 10**exponent:.{digits - 1}f}{THIN}{TIMES}{THIN}10{str(exponent).translate(SUPERSCRIPT)}".replace(
+                "-", MINUS
+            )
         )
     return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
 
@@ -51,11 +55,7 @@ def quantity(value: float | None, std: float | None, unit: str) -> str:
 
 
 def _short(value: float) -> str:
-    return (
-        f"{value:g}".replace("-", MINUS)
-        if value == round(value, 3) and abs(value) < 1e6
-        else number(value, 4)
-    )
+    return f"{value:g}".replace("-", MINUS) if value == round(value, 3) and abs(value) < 1e6 else number(value, 4)
 
 
 def _prefixed(value: float, unit: str) -> tuple[float, str]:
@@ -79,9 +79,22 @@ def _rounded(value: float, std: float) -> tuple[str, int]:
 
 
 def formula(text: str) -> Markup:
-    """An equation in plain text with its subscripts and powers set: ``F_c`` and ``v^2``."""
+    """An equation in plain text with its subscripts, powers and Greek letters set: ``F_c``, ``v^2``, ``pi``."""
     marked = NAME.sub(r"\1<sub>\2</sub>", str(escape(text)))
-    return Markup(POWER.sub(r"<sup>\1</sup>", marked).replace(" - ", f" {MINUS} "))  # noqa: S704 - escaped above
+    for word, letter in GREEK:
+        marked = re.sub(rf"\b{word}\b", letter, marked)
+    return Markup(POWER.sub(r"<sup>\1</sup>", marked).replace(" - ", f" {MINUS} ").replace("(-", f"({MINUS}"))
+
+
+def typed(text: str) -> Markup:
+    """Words in which backticks mark what can be typed."""
+    return Markup(TICKS.sub(r"<code>\1</code>", str(escape(text))))
+
+
+def size(value: float, unit: str) -> str:
+    """A rough size with its unit: two digits."""
+    factor, unit = _prefixed(value, unit)
+    return f"{number(factor * value, 2)} {written_unit(unit)}".strip()
 
 
 def span(pair: list[float] | tuple[float, float] | None, factor: float = 1.0) -> str:

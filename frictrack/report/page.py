@@ -33,7 +33,7 @@ IDS = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 class Trial:
     """A model that failed, and the evidence on what it lacks."""
 
-    name: str
+    headline: str
     diagnosis: Mapping[str, Any]
     residual: Markup
     spans: tables.Table
@@ -90,7 +90,6 @@ def render(results: Results) -> str:
         tables=tables,
         formula=formula,
         quantity=quantity,
-        plain_name=plots.plain_name,
         scale_line=words.SCALE_LINE,
     )
 
@@ -103,14 +102,12 @@ class _Draw:
 
     def __call__(self, figure: Figure) -> Markup:
         mark = f"f{next(self._numbers)}-"
-        return Markup(IDS.sub(rf"\g<1>{mark}", plots.svg(figure)))  # noqa: S704 - matplotlib's own SVG
+        return Markup(IDS.sub(rf"\g<1>{mark}", plots.svg(figure)))
 
 
 def _picture(run: RunResults) -> Markup:
     data = base64.b64encode(plots.png(plots.film(run))).decode()
-    return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(
-        run.name, data
-    )
+    return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
 
 
 def _forces(results: Results) -> bool:
@@ -135,7 +132,7 @@ def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:
     curves: Mapping[str, Array] = model.figures.get(best, {})
     left = diagnosis.get("unexplained")
     return Trial(
-        name=plots.plain_name(model.name),
+        headline=f"{plots.plain_name(model.name)} {words.lacks(diagnosis)}",
         diagnosis=diagnosis,
         residual=draw(plots.failing(model, diagnosis["fails_at"], better)),
         spans=tables.spans(diagnosis["fails_at"]),

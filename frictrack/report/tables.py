@@ -13,8 +13,8 @@ import numpy as np
 from markupsafe import Markup
 
 from frictrack.plots import passes, plain_name
-from frictrack.report.numbers import number, quantity, span
-from frictrack.report.words import before_after, candidate, held_out, law
+from frictrack.report.numbers import number, quantity, size, span, typed
+from frictrack.report.words import before_after
 from frictrack.results import ModelResults, Results, RunResults
 
 PER_RUN = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
@@ -33,9 +33,7 @@ class Table:
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> Table:
     """A table whose empty columns are left out."""
-    kept = [
-        k for k in range(len(heads)) if not rows or any(row[k] not in ("", "\N{EN DASH}") for row in rows)
-    ]
+    kept = [k for k in range(len(heads)) if not rows or any(row[k] not in ("", "\N{EN DASH}") for row in rows)]
     new = {old: k for k, old in enumerate(kept)}
     return Table(
         tuple(heads[k] for k in kept),
@@ -76,9 +74,7 @@ def routes(default: ModelResults, papers: ModelResults) -> Table:
     for key, words, unit, factor in ERRORS:
         cells = [m.summary["errors"].get(key) for m in (default, papers)]
         if any(c is not None for c in cells):
-            rows.append(
-                (words, *(f"{number(None if c is None else factor * c)} {unit}".strip() for c in cells))
-            )
+            rows.append((words, *(f"{number(None if c is None else factor * c)} {unit}".strip() for c in cells)))
     heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
     return table(heads, rows, (1, 2))
 
@@ -101,7 +97,7 @@ ERRORS = (
 def history(models: Sequence[ModelResults]) -> Table:
     """Every model tried, in order, with its errors."""
     used = [e for e in ERRORS if any(m.summary["errors"].get(e[0]) is not None for m in models)]
-    heads = ("model", *(f"{words} / {unit}" if unit else words for _, words, unit, _ in used), "verdict")
+    heads = ("model", *(f"{words} / {_over(unit)}" if unit else words for _, words, unit, _ in used), "verdict")
     rows = []
     for k, m in enumerate(models, 1):
         errors = m.summary["errors"]
@@ -109,6 +105,10 @@ def history(models: Sequence[ModelResults]) -> Table:
         name = Markup("{}. {}{}").format(k, plain_name(m.name), " (current)" if m.current else "")
         rows.append((name, *cells, (m.diagnosis or {}).get("verdict", "")))
     return table(heads, rows, range(1, len(used) + 1))
+
+
+def _over(unit: str) -> str:
+    return f"({unit})" if "/" in unit else unit
 
 
 def spans(found: Sequence[Mapping[str, Any]]) -> Table:
@@ -133,7 +133,8 @@ class Card:
     name: str
     passes: bool
     acts_on: str
-    words: Mapping[str, str]
+    rank: str
+    words: Mapping[str, Markup]
     numbers: tuple[Cell, ...]
     rivals: tuple[str, ...]
 
@@ -144,15 +145,25 @@ def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
         Card(
             name=c["effect"],
             passes=passes(c),
-            acts_on={"force": "a force on the mass", "measurement": "a fault of the picture"}.get(
-                c["acts_on"], ""
-            ),
-            words=c["words"],
+            acts_on={"force": "a force on the mass", "measurement": "a fault of the picture"}.get(c["acts_on"], ""),
+            rank=_rank(c, diagnosis["candidates"][0]),
+            words={key: typed(c["words"].get(key, "")) for key in ("what", "looks_like", "confirm")},
             numbers=tuple(_numbers(c)),
             rivals=tuple(c["indistinguishable_from"]),
         )
         for c in diagnosis["candidates"]
     ]
+
+
+def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
+    """How a candidate stands beside the best one."""
+    if not passes(c):
+        return "does not pass"
+    if c is best:
+        return "passes, the best"
+    if c["effect"] in best["indistinguishable_from"]:
+        return "passes, as good as the best"
+    return f"passes, but {number(best['delta_bic'] - c['delta_bic'])} behind the best"
 
 
 def _numbers(c: Mapping[str, Any]) -> list[Cell]:
@@ -207,20 +218,15 @@ def limits(diagnosis: Mapping[str, Any]) -> Table:
 
 
 def _limit(limit: Mapping[str, Any]) -> str:
-    return (
-        "\N{EN DASH}"
-        if limit["value"] is None
-        else quantity(float(f"{limit['value']:.2g}"), None, limit["unit"])
-    )
+    return "\N{EN DASH}" if limit["value"] is None else size(limit["value"], limit["unit"])
 
 
 def _at(effect: str, limit: Mapping[str, Any]) -> str:
     from frictrack import effects  # noqa: PLC0415 - only for the units
 
-    kind = effects.LIBRARY.get(effect.split(":")[0])
+    kind = effects.LIBRARY.get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
-    at = {name: float(f"{value:.3g}") for name, value in limit.get("at", {}).items()}
-    return ", ".join(f"{name} {quantity(value, None, units.get(name, ''))}" for name, value in at.items())
+    return ", ".join(f"{name} {size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
 
 
 def tracks(runs: Sequence[RunResults]) -> Table:

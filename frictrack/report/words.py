@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.plots import noise_um, passes, plain_name
-from frictrack.report.numbers import formula, number
+from frictrack.report.numbers import number, quantity, typed
 from frictrack.results import ModelResults, Results
 
 NAMES = {
@@ -55,6 +55,17 @@ def law(names: Sequence[str]) -> str:
     return listed([NAMES.get(name, name) for name in names])
 
 
+def lacks(diagnosis: Mapping[str, Any]) -> str:
+    """What a diagnosis says of its model, after the model's name."""
+    if diagnosis["verdict"] == "complete":
+        return "is complete"
+    if diagnosis["verdict"] == "ambiguous":
+        return f"lacks {listed(group(diagnosis), 'or')}"
+    if diagnosis["verdict"] == "missing":
+        return f"lacks {listed(diagnosis['missing'])}"
+    return "fails, and not all of it is explained"
+
+
 def steps(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
     """Model before, model after, and the one effect that was added between them."""
     for before, after in zip(models, models[1:], strict=False):
@@ -90,13 +101,9 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
     if kind == "complete":
         added = [effect for *_, effect in steps(results.models) if effect in model.summary["model"]]
         return f"Complete with {listed(added)}" if added else f"{name} is complete for these runs"
-    if kind == "missing":
-        return f"{name} lacks {listed(diagnosis['missing'])}"
     if kind == "ambiguous":
-        return f"{name} lacks {listed(group(diagnosis), 'or')}: these runs cannot tell which"
-    if kind == "unexplained":
-        return f"{name} fails, and no effect of the library explains all of it"
-    return f"{name}, not yet diagnosed"
+        return f"{name} {lacks(diagnosis)}: these runs cannot tell which"
+    return f"{name} {lacks(diagnosis)}" if kind else f"{name}, not yet diagnosed"
 
 
 def group(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -109,9 +116,7 @@ def group(diagnosis: Mapping[str, Any]) -> list[str]:
 def _law(results: Results, model: ModelResults) -> Markup:
     fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
     runs = "One run was" if len(fitted) == 1 else f"{len(fitted)} runs were"
-    return Markup("{} fitted with {}: <span class=equation>{}</span>.").format(
-        runs, law(model.summary["model"]), formula(model.equation)
-    )
+    return Markup("{} fitted with {}.").format(runs, law(model.summary["model"]))
 
 
 def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
@@ -120,10 +125,27 @@ def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
         (old, unit), (new, _) = held_out(before.summary["errors"]), held_out(after.summary["errors"])
         why = Markup("")
         if found is not None:
-            why = Markup(" ({}; {})").format(found["words"].get("what", "").rstrip("."), evidence(found))
+            what = found["words"].get("what", "").rstrip(".")
+            why = Markup(" ({}; {})").format(what[:1].lower() + what[1:], evidence(found))
         yield Markup(
-            "{} alone failed. What it lacked was <b>{}</b>{}: with it the held-out error changes from {} to <b>{} {}</b>."
-        ).format(plain_name(before.name), effect, why, number(old), number(new), unit)
+            "{} alone failed. What it lacked was <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>."
+        ).format(plain_name(before.name), effect, why, _falls(old, new), number(old), number(new), unit)
+        yield _size(after, effect)
+
+
+def _falls(old: float | None, new: float | None) -> str:
+    return "rises" if old is not None and new is not None and new > old else "falls"
+
+
+def _size(model: ModelResults, effect: str) -> Markup:
+    """What the added effect came to: its shared parameters."""
+    known = {
+        name.removeprefix(f"{effect}."): quantity(p["value"], p["std"], p["unit"])
+        for name, p in model.summary["parameters"].items()
+        if name.startswith(f"{effect}.") and "[" not in name and p["std"]
+    }
+    told = listed([f"{name} {value}" for name, value in known.items()])
+    return Markup("It has {}.").format(told.replace("_", " ")) if told else Markup("")
 
 
 def evidence(found: Mapping[str, Any]) -> Markup:
@@ -168,7 +190,7 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
 
 def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield from _missing(model, diagnosis)
-    best, *others = group(diagnosis)
+    others = group(diagnosis)[1:]
     yield Markup("But <b>{}</b> would predict the same data within the noise.").format(listed(others, "or"))
 
 
@@ -192,17 +214,18 @@ _STATES = {"complete": _complete, "missing": _missing, "ambiguous": _ambiguous, 
 def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     """What to film next."""
     for step in diagnosis.get("next_experiment") or []:
-        yield Markup("To settle it: {}").format(step["what"])
+        yield Markup("To settle it: {}").format(typed(step["what"]))
     if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
         for effect in group(diagnosis):
             found = candidate(diagnosis, effect)
             if found is not None and found["words"].get("confirm"):
-                yield Markup("To confirm <b>{}</b>: {}").format(effect, found["words"]["confirm"])
+                yield Markup("To confirm <b>{}</b>: {}").format(effect, typed(found["words"]["confirm"]))
 
 
 def correlation(first: str, second: str, r: float) -> Markup:
     """A correlation in words."""
     better = "sum" if r < 0 else "difference"
     return Markup(
-        "<code>{}</code> and <code>{}</code> are hardly told apart (correlation {}): their {} is known better than either."
+        "<code>{}</code> and <code>{}</code> are hardly told apart (correlation {}): "
+        "their {} is known better than either."
     ).format(first, second, f"{r:+.3f}".replace("-", "\N{MINUS SIGN}"), better)
