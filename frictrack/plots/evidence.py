@@ -64,7 +64,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
 
 
 def _gain(delta_bic: float) -> str:
-    return f"{delta_bic:+.0f}".replace("-", "\N{MINUS SIGN}")
+    return f"{delta_bic:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def _spreads(gains: Array) -> bool:
@@ -86,10 +86,9 @@ def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
 
 def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
     """A bracket at the right over each group whose members predict the same data."""
-    places = {c["effect"]: y for y, c in enumerate(found)}
     drawn: set[frozenset[int]] = set()
     for c in found:
-        group = frozenset(places[e] for e in (c["effect"], *c.get("indistinguishable_from", ())) if e in places)
+        group = _peers(found, c)
         if len(group) < 2 or any(group <= earlier for earlier in drawn):
             continue
         x = 0.985 - 0.03 * len(drawn)
@@ -102,6 +101,18 @@ def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
             x - 0.018, (min(group) + max(group)) / 2, "cannot be\ntold apart",
             transform=across, ha="right", va="center", fontsize=8.5, style="italic",
         )  # fmt: skip
+
+
+def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozenset[int]:
+    """Places of a passing candidate and of its rivals; a better one counts only where it names this one too."""
+    place = found.index(c)
+    named = [
+        y
+        for y, other in enumerate(found)
+        if other["effect"] in c["indistinguishable_from"]
+        and (y > place or c["effect"] in other["indistinguishable_from"])
+    ]
+    return frozenset((place, *named)) if passes(c) else frozenset()
 
 
 def scanned(curves: Mapping[str, Array]) -> str | None:
@@ -212,9 +223,9 @@ def limited(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arr
     found = []
     for effect in diagnosis["detection_limits"]:
         curves = figures.get(effect, {})
-        if any(k not in RESULTS and len(np.unique(v)) > 4 for k, v in curves.items()):
-            if np.any(np.isfinite(curves["limit"])):
-                found.append(effect)
+        depends = any(k not in RESULTS and len(np.unique(v)) > 4 for k, v in curves.items())
+        if depends and np.any(np.isfinite(curves["limit"])):
+            found.append(effect)
     return found
 
 
@@ -227,7 +238,7 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
     shown = limited(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")
-    columns = min(3, len(shown))
+    columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
     figure = blank(2.3 * rows + 0.6, "What would have been found: amplitudes above the line, 95 times in 100")
     panels = figure.subplots(rows, columns, squeeze=False)

@@ -16,12 +16,13 @@ from frictrack.records import Array, Motion
 from frictrack.results import RunResults
 
 MARK, PATH = style.ORANGE, style.SKY
+DWARFED = 4.0  # times the reach of the free section: beyond it, the push is cut off
 RESTS = 0.02  # of the highest speed: below it a motion has as good as stopped
 
 
 @styled
-def film(run: RunResults) -> Figure:
-    """The first frame of the film with the target's rectangle and the path of its centre.
+def film(run: RunResults, *, wide: bool = True) -> Figure:
+    """The first frame of the film with the target's rectangle and the path of its centre, over the page or half of it.
 
     Raises ValueError for a run without a film or without a track.
     """
@@ -30,8 +31,9 @@ def film(run: RunResults) -> Figure:
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    title = f"{run.name}: target found in {found} of {frames} frames, to {number(_typical(track.sigma_px), 2)} px"
-    figure = blank(float(np.clip(style.WIDTH * rows / columns + 1.0, 2.4, 7.0)), title)
+    title = f"{run.name}: target found in {found} of {frames} frames, ± {number(_typical(track.sigma_px), 2)} px"
+    width = style.WIDTH if wide else style.WIDTH / 2
+    figure = blank(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
     ax = figure.subplots()
     low, high = np.percentile(picture, [0.5, 99.5])
     ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
@@ -73,6 +75,7 @@ def motion(run: RunResults) -> Figure:
         ax.plot(1e3 * m.t, values, color=style.MEASURED, lw=1.3)
         ax.set_ylabel(label)
         style.robust(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
+    _close_up(panels[-1], run)
     figure.align_ylabels(panels)
     panels[-1].set_xlabel(axis("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
@@ -93,6 +96,17 @@ def _motion_title(run: RunResults) -> str:
 
 def _most(start: float, end: float) -> str:
     return f"{number(start)} m/s to a stop" if end < start else f"{number(end)} m/s"
+
+
+def _close_up(ax: Axes, run: RunResults) -> None:
+    """Show the acceleration of the free section where that of a push would dwarf it."""
+    if run.friction is None or not np.any(run.friction.free):
+        return
+    a = run.motion.a[style.clear(run.friction, run.motion.guard)]
+    low, high = ax.get_ylim()
+    room = float(np.ptp(a)) + 0.5 * float(np.max(np.abs(a)))
+    if high - low > DWARFED * room:
+        ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
 
 
 def _inside(m: Motion) -> slice:

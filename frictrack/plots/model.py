@@ -21,7 +21,6 @@ from frictrack.records import Curve
 from frictrack.results import ModelResults, RunResults
 
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
-ACROSS = 3
 AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
@@ -29,7 +28,7 @@ AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "
 def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
     """Per run, F of the model on the measured F(t), and below it the residual displacement on the noise band."""
     shown = worst_runs(model)
-    columns = min(ACROSS, len(shown))
+    columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
     figure = blank(3.3 * rows + 0.7, fit_title(model))
     panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
@@ -62,7 +61,7 @@ def failing(model: ModelResults, spans: Sequence[dict[str, Any]], better: ModelR
     `better` is a later model, whose residual is drawn on top.
     """
     shown = worst_runs(model)
-    columns = min(ACROSS, len(shown))
+    columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
     figure = blank(2.0 * rows + 0.9, _failing_title(model, spans))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
@@ -115,9 +114,16 @@ def fit_title(model: ModelResults) -> str:
     return f"{name} {'holds' if verdict == 'complete' else 'fails'}: {figures}"
 
 
+def _left_over(model: ModelResults) -> str:
+    most = max(float(np.max(np.abs(c.residual))) for c in model.curves)
+    noise = noise_um(model)
+    against = "" if noise is None else f"; the noise is {number(noise)} µm"
+    return f"{plain_name(model.name)} leaves up to {number(1e6 * most)} µm{against}"
+
+
 def _failing_title(model: ModelResults, spans: Sequence[dict[str, Any]]) -> str:
     if not spans:
-        return fit_title(model)
+        return _left_over(model)
     worst = max(spans, key=lambda s: s["share_of_error"])
     t0, t1 = (number(1e3 * t) for t in worst["t"])
     share = f"{100 * worst['share_of_error']:.0f} % of the error"
@@ -155,7 +161,7 @@ def residual(ax: Axes, curves: Sequence[Curve], *, with_band: bool = True, **loo
         t = 1e3 * c.t
         if with_band:
             band(ax, t, np.zeros(len(c)), 1e6 * c.sigma_x, color=style.NOISE, zorder=0)
-        dots = {"color": style.BLUE, "rasterized": together > 4 * style.MOST_POINTS} | style.DOTS | look
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": together > 4 * style.MOST_POINTS} | style.DOTS | look
         ax.plot(t, 1e6 * c.residual, **dots)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 

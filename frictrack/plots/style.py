@@ -147,6 +147,11 @@ def clear(friction: Friction, guard: int) -> Mask:
     return out
 
 
+def across(n: int) -> int:
+    """Panels in a row, of n: at most three, and none left alone."""
+    return 2 if n == 4 else min(3, n)
+
+
 def scaled(values: Array, written: str) -> tuple[float, str]:
     """Factor and unit in which small lengths, times and forces read as plain numbers: ``(1e3, "mm")``."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))

@@ -66,7 +66,7 @@ def _prefixed(value: float, unit: str) -> tuple[float, str]:
 
 
 def _rounded(value: float, std: float) -> tuple[str, int]:
-    """ "8.01 ± 0.02" and the power of ten that was taken out (0 for none)."""
+    """Both numbers at the same place, ``8.01 ± 0.02``, and the power of ten that was taken out (0 for none)."""
     largest = max(abs(value), std)
     power = math.floor(math.log10(largest))
     power = 0 if -4 < power < 6 else power
@@ -80,10 +80,10 @@ def _rounded(value: float, std: float) -> tuple[str, int]:
 
 def formula(text: str) -> Markup:
     """An equation in plain text with its subscripts, powers and Greek letters set: ``F_c``, ``v^2``, ``pi``."""
-    marked = NAME.sub(r"\1<sub>\2</sub>", str(escape(text)))
+    marked = POWER.sub(r"<sup>\1</sup>", NAME.sub(r"\1<sub>\2</sub>", str(escape(text))))
     for word, letter in GREEK:
         marked = re.sub(rf"\b{word}\b", letter, marked)
-    return Markup(POWER.sub(r"<sup>\1</sup>", marked).replace(" - ", f" {MINUS} ").replace("(-", f"({MINUS}"))
+    return Markup(marked.replace(" - ", f" {MINUS} ").replace("(-", f"({MINUS}"))
 
 
 def typed(text: str) -> Markup:

@@ -25,6 +25,7 @@ from frictrack.report import tables, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
+MOST_FILMS = 6  # whose first frame is shown
 MOST_RUNS = 12  # whose motion is drawn; of more, the first ones
 IDS = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 
@@ -78,12 +79,12 @@ def render(results: Results) -> str:
         verdict=words.verdict(results),
         model=results.current,
         written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        films=[_picture(run) for run in results.runs if run.film is not None and run.track is not None],
+        films=_pictures(results),
         motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
         friction=draw(plots.friction(results.runs)) if _forces(results) else None,
         fits=[draw(plots.fit(m, results.runs)) for m in _drawn(results)],
         trials=[_trial(m, results, draw) for m in _failed(results)],
-        history=draw(plots.history(results.models)) if results.models else None,
+        history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
         routes=_routes(results, draw),
         correlations=_correlations(results.current),
@@ -105,8 +106,14 @@ class _Draw:
         return Markup(IDS.sub(rf"\g<1>{mark}", plots.svg(figure)))
 
 
-def _picture(run: RunResults) -> Markup:
-    data = base64.b64encode(plots.png(plots.film(run))).decode()
+def _pictures(results: Results) -> list[Markup]:
+    """The first frames of the first films, a single one over the whole page."""
+    filmed = [run for run in results.runs if run.film is not None and run.track is not None]
+    return [_picture(run, wide=len(filmed) == 1) for run in filmed[:MOST_FILMS]]
+
+
+def _picture(run: RunResults, *, wide: bool) -> Markup:
+    data = base64.b64encode(plots.png(plots.film(run, wide=wide), dpi=110 if wide else 200)).decode()
     return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from markupsafe import Markup
@@ -18,6 +19,7 @@ NAMES = {
     "viscous": "viscous friction",
     "drag": "drag",
 }
+COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 SCALE_LINE = (
     "Forces go with the mass and the scale, and with the square of the frame rate: a constant error in any of them "
     "fits perfectly and shows nowhere else."
@@ -46,7 +48,7 @@ def verdict(results: Results) -> Verdict:
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:
-    """ "a, b and c"."""
+    """Words joined as in a sentence: ``a, b and c``."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
 
 
@@ -68,7 +70,7 @@ def lacks(diagnosis: Mapping[str, Any]) -> str:
 
 def steps(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
     """Model before, model after, and the one effect that was added between them."""
-    for before, after in zip(models, models[1:], strict=False):
+    for before, after in pairwise(models):
         new = [name for name in after.summary["model"] if name not in before.summary["model"]]
         if len(new) == 1 and len(after.summary["model"]) > len(before.summary["model"]):
             yield before, after, new[0]
@@ -87,7 +89,7 @@ def held_out(errors: Mapping[str, Any]) -> tuple[float | None, str]:
 
 
 def before_after(found: Mapping[str, Any]) -> str:
-    """ "21.2 to 10.2 µm" of a candidate; empty where nothing was held out."""
+    """Held-out error of a candidate, ``21.2 to 10.2 µm``; empty where nothing was held out."""
     for key, unit in (("um", "µm"), ("N", "N")):
         before, after = (found.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
         if before is not None and after is not None:
@@ -115,7 +117,8 @@ def group(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def _law(results: Results, model: ModelResults) -> Markup:
     fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
-    runs = "One run was" if len(fitted) == 1 else f"{len(fitted)} runs were"
+    n = len(fitted)
+    runs = "One run was" if n == 1 else f"{COUNTS[n].capitalize() if n < len(COUNTS) else n} runs were"
     return Markup("{} fitted with {}.").format(runs, law(model.summary["model"]))
 
 
@@ -125,12 +128,16 @@ def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
         (old, unit), (new, _) = held_out(before.summary["errors"]), held_out(after.summary["errors"])
         why = Markup("")
         if found is not None:
-            what = found["words"].get("what", "").rstrip(".")
-            why = Markup(" ({}; {})").format(what[:1].lower() + what[1:], evidence(found))
-        yield Markup(
-            "{} alone failed. What it lacked was <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>."
-        ).format(plain_name(before.name), effect, why, _falls(old, new), number(old), number(new), unit)
+            why = Markup(" ({}; {})").format(_lower(found["words"].get("what", "")), evidence(found))
+        yield Markup("{} failed; it lacked <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>.").format(
+            plain_name(before.name), effect, why, _falls(old, new), number(old), number(new), unit
+        )
         yield _size(after, effect)
+
+
+def _lower(sentence: str) -> str:
+    """A sentence as part of another one."""
+    return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
 def _falls(old: float | None, new: float | None) -> str:
@@ -151,7 +158,8 @@ def _size(model: ModelResults, effect: str) -> Markup:
 def evidence(found: Mapping[str, Any]) -> Markup:
     """How sure: p for the whole search and delta BIC."""
     return Markup("p = {} for the whole search, delta BIC {}").format(
-        number(found["p"], 1), f"{found['delta_bic']:+.0f}".replace("-", "\N{MINUS SIGN}")
+        number(found["p"], 1),
+        f"{found['delta_bic']:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}"),
     )
 
 
@@ -178,10 +186,10 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
         found = candidate(diagnosis, effect)
         if found is not None:
             change = before_after(found)
-            yield Markup("Missing is <b>{}</b>: {} {}{}.").format(
+            yield Markup("Missing is <b>{}</b> ({}; {}{}).").format(
                 effect,
-                found["words"].get("what", ""),
-                evidence(found).capitalize(),
+                _lower(found["words"].get("what", "")),
+                evidence(found),
                 f"; adding it brings the held-out error from {change}" if change else "",
             )
         else:
@@ -219,7 +227,7 @@ def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
         for effect in group(diagnosis):
             found = candidate(diagnosis, effect)
             if found is not None and found["words"].get("confirm"):
-                yield Markup("To confirm <b>{}</b>: {}").format(effect, typed(found["words"]["confirm"]))
+                yield Markup("To confirm <b>{}</b>: {}.").format(effect, typed(_lower(found["words"]["confirm"])))
 
 
 def correlation(first: str, second: str, r: float) -> Markup:
