@@ -1,0 +1,383 @@
+"""Figures show the numbers they were given, with units, and leave nothing behind."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from frictrack import plots
+from frictrack.plots import style
+from frictrack.records import Curve, Displacement, Filtered, Friction, Motion, Track
+from frictrack.results import Film, ModelResults, Results, RunResults
+
+MASS, FORCE, NOISE = 0.5, 2.0, 10e-6  # kg, N, m
+FPS, N, GUARD = 1000.0, 200, 10
+
+
+def run_results(name: str = "v1", v0: float = 1.0, *, film: bool = False, force: bool = True) -> RunResults:
+    """A slide under constant friction: closed forms in every record."""
+    t = np.arange(N) / FPS
+    s = np.sign(v0)
+    a = -s * FORCE / MASS
+    x, v = v0 * t + a * t**2 / 2, v0 + a * t
+    one, nan = np.ones(N), np.full(N, np.nan)
+    free = np.ones(N, dtype=bool)
+    free[:20] = False
+    track = Track(
+        t,
+        100 + 1e3 * x,
+        20 * one,
+        nan,
+        0.01 * one,
+        0.01 * one,
+        0.99 * one,
+        np.full(N, ""),
+        target=(70.0, 5.0, 60.0, 30.0),
+    )
+    picture = np.random.default_rng(0).integers(0, 255, (50, 320)).astype(np.uint8)
+    return RunResults(
+        name=name,
+        source=f"{name}.avi" if film else f"{name}.csv",
+        displacement=Displacement(t, x, nan, nan, NOISE * one, nan, np.ones(N, dtype=bool)),
+        filtered=Filtered(t, x, nan, NOISE * one, nan, 120.0, reason="cut-off 120 Hz by maximum likelihood"),
+        motion=Motion(t, x, v, a * one, nan, NOISE * one, 0.01 * one, 0.5 * one, nan, GUARD, 120.0),
+        friction=Friction(t, s * FORCE * one, 0.25 * one, free, "from here to there") if force else None,
+        film=Film(t, f"{name}.avi", FPS, N, 8, "ab" * 32, picture) if film else None,
+        track=track if film else None,
+        settings={"name": name, "mass": (MASS, 0.002), "fps": FPS, "note": "oiled <twice>"},
+        hashes={"displacement": "cd" * 32, "friction": "ef" * 32},
+    )
+
+
+def curve(run: RunResults, size: float = NOISE, role: str = "fit") -> Curve:
+    """A model that misses the measured displacement by a square wave of the given size, m."""
+    at = run.friction.free if run.friction is not None else np.ones(N, dtype=bool)
+    n = int(at.sum())
+    missed = size * np.where(np.arange(n) % 2, 1.0, -1.0)
+    x, force = run.displacement.x[at], FORCE * np.sign(run.motion.v[at])
+    return Curve(
+        run.motion.t[at], x, np.full(n, NOISE), x - missed, run.motion.v[at], run.motion.a[at], force, run.name, role,
+        {"coulomb": force},
+    )  # fmt: skip
+
+
+def errors(rms: float, heldout: float) -> dict:
+    return {
+        "rms_displacement_um": rms, "rms_acceleration": 0.4, "sse_acceleration": 12.0, "relative_force_error": 0.05,
+        "heldout_rms_um": heldout, "heldout_rms_N": None, "heldout": "run", "reduced_chi2": (rms / 10) ** 2,
+    }  # fmt: skip
+
+
+def parameter(value, std, unit, reason=None, at_bound=False) -> dict:
+    return {"value": value, "std": std, "unit": unit, "at_bound": at_bound, "reason": reason}
+
+
+def candidate(effect: str, p: float, delta_bic: float, rivals=(), acts_on="force") -> dict:
+    return {
+        "effect": effect, "acts_on": acts_on, "p": p, "delta_bic": delta_bic,
+        "parameters": {"period": parameter(0.03, 1e-5, "m"), "phase[v1]": parameter(0.3, 0.1, "rad")},
+        "heldout_rms_before_um": 21.2, "heldout_rms_after_um": 10.2, "heldout": "run",
+        "indistinguishable_from": list(rivals),
+        "words": {"what": f"What {effect} is.", "looks_like": "ripples", "confirm": "Give a `reference`."},
+    }  # fmt: skip
+
+
+def diagnosis(verdict: str, candidates=(), missing=(), **more) -> dict:
+    return {
+        "model": ["coulomb", "viscous"], "verdict": verdict, "missing": list(missing), "noise_um": 10.0,
+        "reduced_chi2": 3.0, "p_lack_of_fit": 0.001, "fails_at": [], "candidates": list(candidates),
+        "unexplained": None, "next_experiment": [],
+        "detection_limits": {
+            "texture": {"value": 0.15, "unit": "N", "at": {"period": 0.01}, "power": 0.95, "reason": None},
+            "slope": {"value": None, "unit": "N", "at": {}, "power": 0.95, "reason": "the fitted law absorbs it"},
+        },
+        "remarks": ["a remark"],
+    } | more  # fmt: skip
+
+
+def model(name: str, rms: float, runs, *, found=None, current=True, effects=("coulomb", "viscous")) -> ModelResults:
+    rows = [
+        {"run": r.name, "role": "fit", "level": 1.0, "noise_um": 10.0, "segments": 1, "errors": errors(rms, rms)}
+        for r in runs
+    ]
+    summary = {
+        "model": list(effects), "domain": "displacement", "search": "varpro",
+        "parameters": {
+            "coulomb.F_c": parameter(8.0123, 0.021, "N"),
+            "stribeck.F_s": parameter(None, None, "N", "the slowest speed seen is 2 m/s: film a run that stops"),
+            "viscous.F_v": parameter(0.0, 0.01, "N s/m", at_bound=True),
+        },
+        "friction_scatter": {"value": 0.021, "std": 0.008}, "correlations": [["coulomb.F_c", "viscous.F_v", -0.97]],
+        "errors": errors(rms, 1.1 * rms), "per_run": rows,
+    }  # fmt: skip
+    grid = np.geomspace(0.005, 0.2, 50)
+    figures = {"texture": {"period": grid, "rise": np.exp(-(np.log(grid / 0.03) ** 2)), "limit": 0.1 + grid}}
+    return ModelResults(
+        name, "F = F_c L s + F_v v", summary, tuple(curve(r, rms * 1e-6) for r in runs), current, found, figures
+    )
+
+
+def results(*, film: bool = False, runs: int = 2) -> Results:
+    """A study in which texture was missing, was added, and nothing more is seen."""
+    slides = tuple(run_results(f"v{i + 1}", (-1.0) ** i * (1 + i / 10), film=film) for i in range(runs))
+    found = diagnosis("missing", [candidate("texture", 0.001, 812.0), candidate("lens", 0.4, -12.0)], ["texture"])
+    found["fails_at"] = [{"run": "v1", "t": [0.05, 0.07], "x": [0.1, 0.2], "v": [0.5, 0.6], "share_of_error": 0.41}]
+    last = diagnosis("complete", p_lack_of_fit=0.3)
+    tried = (
+        model("1_tustin", 36.0, slides, found=found, current=False),
+        model("2_tustin+texture", 10.0, slides, found=last, effects=("coulomb", "viscous", "texture")),
+    )
+    return Results(
+        "a study", Path("study.toml"), Path("results"), "0.1.0", slides, tried, None, last, tried[-1].figures
+    )
+
+
+def labels(figure) -> list[str]:
+    return [text for ax in figure.axes if ax.axison for text in (ax.get_xlabel(), ax.get_ylabel()) if text]
+
+
+def drawn(figure) -> list[str]:
+    """All words of a figure."""
+    return [t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text()]
+
+
+def all_figures() -> dict:
+    r = results(film=True)
+    first, last = r.models
+    return {
+        "film": plots.film(r.runs[0]),
+        "motion": plots.motion(r.runs[0]),
+        "friction": plots.friction(r.runs),
+        "fit": plots.fit(last, r.runs),
+        "failing": plots.failing(first, first.diagnosis["fails_at"], last),
+        "candidates": plots.candidates(first.diagnosis),
+        "scan": plots.scan("texture", first.figures["texture"]),
+        "history": plots.history(r.models),
+        "limits": plots.limits(r.diagnosis, r.figures),
+        "routes": plots.routes(last, last, r.runs[0]),
+        "unexplained": plots.unexplained({"axis": "x", "curve": [[0.0, 1.0], [0.1, -1.0]]}),
+    }
+
+
+def settings() -> dict:
+    """Those of matplotlib that a figure may depend on."""
+    return {key: mpl.rcParams[key] for key in mpl.rcParams if key != "backend"}
+
+
+def test_every_figure_has_units_a_title_and_leaves_no_state():
+    before = settings()
+    figures = all_figures()
+    assert settings() == before
+    for name, figure in figures.items():
+        assert figure.get_suptitle(), name
+        for label in labels(figure):
+            unitless = label.startswith(("evidence", "fall of chi"))
+            assert unitless or " / " in label, (name, label)
+        svg = plots.svg(figure)
+        ET.fromstring(svg)
+        assert svg.startswith("<svg")
+        assert plots.png(figure).startswith(b"\x89PNG")
+    assert settings() == before
+
+
+def test_same_figure_gives_same_svg():
+    r = results()
+    assert plots.svg(plots.history(r.models)) == plots.svg(plots.history(r.models))
+
+
+def test_looks_of_eighteen_runs_differ():
+    looks = [(look["color"], look["linestyle"]) for look in style.RUNS]
+    assert len(set(looks)) == len(looks) == 18
+
+
+def test_film_shows_rectangle_and_path():
+    run = run_results(film=True)
+    ax = plots.film(run).axes[0]
+    path = ax.lines[-1]
+    np.testing.assert_allclose(path.get_xdata(), 100 + 1e3 * run.displacement.x)
+    corner = ax.patches[-1].get_xy()
+    assert corner == (69.5, 4.5)
+    with pytest.raises(ValueError, match='expected a run with a film and a track but "v1" is a table'):
+        plots.film(run_results())
+
+
+def test_motion_shades_the_free_section_and_hatches_smeared_ends():
+    run = run_results()
+    figure = plots.motion(run)
+    assert figure.get_suptitle() == "v1 slows from 0.920 to 0.204 m/s"
+    assert labels(figure) == [
+        "displacement x / m", "velocity v / (m/s)", "time t / ms", "acceleration a / (m/s²)",
+    ]  # fmt: skip
+    spans = {bool(p.get_hatch()): [] for p in figure.axes[0].patches}
+    for p in figure.axes[0].patches:
+        spans[bool(p.get_hatch())].append((p.get_x(), p.get_x() + p.get_width()))
+    assert spans[False] == [(20.0, 199.0)]
+    assert spans[True] == [(0.0, GUARD), (199.0 - GUARD, 199.0)]
+
+
+def test_a_push_does_not_dwarf_the_slide():
+    run = run_results()
+    a = run.motion.a.copy()
+    a[GUARD : GUARD + 5] = 3000.0
+    low, high = plots.motion(replace(run, motion=replace(run.motion, a=a))).axes[2].get_ylim()
+    assert low < -FORCE / MASS < 0 < high < 100
+
+
+def test_friction_leaves_out_what_the_filter_smears():
+    run = run_results()
+    figure = plots.friction([run])
+    shown = figure.axes[0].lines[0].get_ydata()
+    rows = np.flatnonzero(np.isfinite(shown))
+    assert (rows[0], rows[-1]) == (20 + GUARD, N - GUARD - 1)
+    np.testing.assert_array_equal(shown[rows], FORCE)
+    assert figure.get_suptitle() == "Friction between 2.0 and 2.0 N at speeds from 0.24 to 0.88 m/s"
+    with pytest.raises(ValueError, match="expected a run with a friction force but got none"):
+        plots.friction([run_results(force=False)])
+
+
+@pytest.mark.parametrize(("verdict", "word"), [("complete", "holds"), ("missing", "fails"), (None, "Tustin:")])
+def test_fit_says_whether_the_model_holds(verdict, word):
+    run = run_results()
+    m = model("1_tustin", 36.0, [run], found=verdict and diagnosis(verdict))
+    figure = plots.fit(m, [run])
+    assert word in figure.get_suptitle()
+    assert "36.0 µm against 10.0 µm noise" in figure.get_suptitle()
+    force, left = figure.axes
+    np.testing.assert_array_equal(force.lines[-1].get_ydata(), FORCE)
+    np.testing.assert_allclose(np.abs(left.lines[0].get_ydata()), 36.0)
+    measured, modelled = force.lines
+    assert measured.get_linestyle() != modelled.get_linestyle()
+
+
+def test_segments_of_a_run_share_a_panel():
+    run = run_results()
+    m = model("1_tustin", 36.0, [run])
+    c = m.curves[0]
+    cut = [
+        Curve(
+            *(getattr(c, k)[part] for k in ("t", "x", "sigma_x", "x_model", "v_model", "a_model", "F_model")), run="v1"
+        )
+        for part in (slice(0, 80), slice(80, None))
+    ]
+    assert len(plots.fit(replace(m, curves=tuple(cut)), [run]).axes) == 2
+
+
+def test_many_runs_show_those_that_fit_worst():
+    runs = [run_results(f"v{i}") for i in range(20)]
+    m = model("1_tustin", 10.0, runs)
+    curves = tuple(curve(r, (30 if i >= 8 else 10) * 1e-6) for i, r in enumerate(runs))
+    figure = plots.failing(replace(m, curves=curves), [])
+    titles = [ax.get_title(loc="left").split(":")[0] for ax in figure.axes]
+    assert titles == [f"v{i}" for i in range(8, 20)]
+
+
+def test_failing_span_is_marked_with_its_share():
+    r = results()
+    first = r.models[0]
+    figure = plots.failing(first, first.diagnosis["fails_at"])
+    label = next(t for t in figure.axes[0].texts if t.get_text() == "41 %")
+    assert label.get_position()[0] == pytest.approx(60.0)  # middle of 50 to 70 ms
+    assert figure.get_suptitle() == "Tustin fails most in v1 from 50.0 to 70.0 ms: 41 % of the error"
+    assert plots.failing(first, []).get_suptitle() == "Tustin leaves up to 36.0 µm; the noise is 10.0 µm"
+
+
+def bars(figure) -> dict:
+    ax = figure.axes[0]
+    names = [t.get_text() for t in ax.get_yticklabels()]
+    return {name: p for name, p in zip(names, ax.patches, strict=True)}
+
+
+def test_candidates_that_pass_are_filled():
+    found = [candidate("texture", 0.001, 812.0), candidate("patch", 0.2, 300.0), candidate("lens", 0.001, -12.0)]
+    figure = plots.candidates(diagnosis("missing", found, ["texture"]))
+    shown = bars(figure)
+    assert [name for name, bar in shown.items() if not bar.get_hatch()] == ["texture"]
+    assert shown["texture"].get_width() == pytest.approx(812.0)
+    assert "cannot be\ntold apart" not in drawn(figure)
+    assert figure.get_suptitle() == "texture explains most"
+    assert figure.axes[0].get_xscale() == "linear"
+
+
+def test_candidates_far_apart_get_a_logarithmic_axis():
+    found = [candidate("texture", 0.001, 81200.0), candidate("patch", 0.001, 30.0)]
+    assert plots.candidates(diagnosis("missing", found, ["texture"])).axes[0].get_xscale() == "log"
+
+
+def test_rivals_are_joined_once():
+    found = [candidate("a", 0.001, 90.0, ["b"]), candidate("b", 0.001, 89.0, ["a"]), candidate("c", 0.3, 2.0, ["a"])]
+    figure = plots.candidates(diagnosis("ambiguous", found, ["a"]))
+    assert drawn(figure).count("cannot be\ntold apart") == 1
+    assert figure.get_suptitle() == "a explains most, but b cannot be told apart from it"
+
+
+def test_no_candidate_passes():
+    figure = plots.candidates(diagnosis("complete", [candidate("lens", 0.9, -5.0)]))
+    assert figure.get_suptitle() == "No candidate passes: chance explains as much"
+
+
+def test_scan_marks_the_best_setting_over_all_others():
+    places, widths = np.meshgrid(np.linspace(0, 0.5, 11), np.geomspace(0.01, 0.1, 6))
+    rise = np.exp(-(((places - 0.2) / 0.05) ** 2)) * np.exp(-(np.log(widths / 0.04) ** 2))
+    curves = {"x_c": places.ravel(), "w": widths.ravel(), "rise": rise.ravel(), "limit": rise.ravel()}
+    assert plots.scanned(curves) == "x_c"
+    figure = plots.scan("patch", curves)
+    ax = figure.axes[0]
+    marker = ax.lines[-1]
+    assert marker.get_xdata()[0] == pytest.approx(200.0)  # mm
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), rise.max(axis=0))
+    assert ax.get_xlabel() == "place / mm"
+    assert figure.get_suptitle() == "patch stands out at a place near 200 mm"
+
+
+def test_nothing_scanned_is_said():
+    assert plots.scanned({"limit": np.ones(1), "rise": np.ones(1)}) is None
+    with pytest.raises(ValueError, match='expected the scan of an effect but "drag" has no setting'):
+        plots.scan("drag", {"limit": np.ones(1), "rise": np.ones(1)})
+
+
+def test_history_falls_to_the_noise():
+    figure = plots.history(results().models)
+    ax = figure.axes[0]
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), [39.6, 11.0])
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), 10.0)
+    assert figure.get_suptitle() == "Held-out error falls from 39.6 to 11.0 µm; the noise is 10.0 µm"
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["Tustin", "Tustin\n+ texture"]
+
+
+def test_limits_show_what_depends_on_a_setting():
+    r = results()
+    assert plots.limited(r.diagnosis, r.figures) == ["texture"]
+    ax = plots.limits(r.diagnosis, r.figures).axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "amplitude / mN")
+    with pytest.raises(ValueError, match="expected the curve of a detection limit"):
+        plots.limits(r.diagnosis, {})
+
+
+@pytest.mark.parametrize(
+    ("written", "label"),
+    [("m/s", "q / (m/s)"), ("N s^2/m^2", "q / (N s²/m²)"), ("µm", "q / µm"), ("1", "q")],
+)
+def test_axis_labels_are_quantity_over_unit(written, label):
+    assert style.axis("q", written) == label
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(0.9594, 3, "0.959"), (12.0, 2, "12"), (-3.14159, 2, "\N{MINUS SIGN}3.1"), (None, 3, "unknown"), (0.0, 2, "0")],
+)
+def test_numbers_in_titles(value, digits, text):
+    assert style.number(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [("1_tustin", "Tustin"), ("2_tustin+texture", "Tustin + texture"), ("3_atm1:2", "ATM1:2"),
+     ("1_coulomb+viscous", "Coulomb + viscous"), ("4_stribeck-model", "Stribeck model")],
+)  # fmt: skip
+def test_model_names_in_words(group, name):
+    assert plots.plain_name(group) == name

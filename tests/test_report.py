@@ -1,0 +1,268 @@
+"""The report needs nothing outside itself, says the verdict in words, and rounds to what is known."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from test_plots import candidate, diagnosis, model, parameter, results
+
+from frictrack import report
+from frictrack.errors import FrictrackError
+from frictrack.report import numbers, tables, words
+
+MINUS = "\N{MINUS SIGN}"
+
+
+class Page(HTMLParser):
+    """What a browser would fetch, the ids, and the words on the page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.ids: Counter[str] = Counter()
+        self.tags: Counter[str] = Counter()
+        self.words = ""
+        self._silent = False
+        self.feed(text)
+        self.words = " ".join(self.words.split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags[tag] += 1
+        self._silent = tag == "style"
+        for key, value in attrs:
+            if key in ("src", "href", "xlink:href", "data", "action", "poster", "srcset"):
+                self.fetched.append(value)
+            if key == "id":
+                self.ids[value] += 1
+
+    def handle_data(self, data):
+        self.words += "" if self._silent else data
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return report.render(results(film=True))
+
+
+@pytest.fixture(scope="module")
+def page(text) -> Page:
+    return Page(text)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Figures are made but not written out: where only the words matter."""
+    monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
+
+
+def test_page_fetches_nothing_from_outside(text, page):
+    assert page.fetched
+    assert all(address.startswith(("#", "data:image/png;base64,")) for address in page.fetched)
+    assert not re.search(r"@import|url\((?!#)|<script|<link|<iframe", text)
+    assert page.tags["img"] == 2  # first frames
+    assert page.tags["svg"] >= 8
+
+
+def test_ids_are_unique_and_inner_links_lead_somewhere(page):
+    assert [name for name, n in page.ids.items() if n > 1] == []
+    assert {a[1:] for a in page.fetched if a.startswith("#")} <= set(page.ids)
+
+
+def test_every_section_is_there(page):
+    for section in (
+        "film", "motion", "friction", "model", "missing", "history", "parameters", "limits", "findings", "record",
+    ):  # fmt: skip
+        assert section in page.ids
+
+
+def test_verdict_comes_first_and_tells_the_story(page):
+    assert "Complete with texture" in page.words
+    assert "Two runs were fitted with Coulomb friction, viscous friction and texture." in page.words
+    assert (
+        "Tustin failed; it lacked texture (what texture is; p = 0.001 for the whole search, delta BIC +812)"
+        in page.words
+    )
+    assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
+    assert "the residual is 10.0 µm where the noise is 10.0 µm, lack of fit has p = 0.30" in page.words
+    assert page.words.index("Complete with texture") < page.words.index("Film and track")
+
+
+def test_one_line_says_what_no_fit_can_show(page):
+    assert "Forces go with the mass and the scale, and with the square of the frame rate" in page.words
+
+
+def test_parameters_are_rounded_and_explained(page):
+    assert "8.01 ± 0.02 N" in page.words
+    assert "not determined" in page.words
+    assert "the slowest speed seen is 2 m/s: film a run that stops" in page.words
+    assert "at its bound" in page.words
+    assert "hardly told apart (correlation −0.970): their sum is known better" in page.words
+    assert "scatters from run to run by 2.1 ± 0.8 %" in page.words
+
+
+def test_findings_hashes_and_versions_are_kept(page):
+    for told in ("from here to there", "cut-off 120 Hz", "a remark", "cdcdcdcdcd", "ababababab", "frictrack 0.1.0"):
+        assert told in page.words
+    assert "the fitted law absorbs it" in page.words
+
+
+def test_names_cannot_break_the_page(quick):
+    r = results()
+    text = report.render(replace(r, name="<script>alert(1)</script>"))
+    assert "<script>" not in text
+    assert "oiled &lt;twice&gt;" in text
+
+
+def with_diagnosis(found):
+    r = results()
+    m = replace(r.models[0], diagnosis=found, current=True)
+    return replace(r, models=(m,), diagnosis=found)
+
+
+def test_missing_says_what_it_is_and_how_to_confirm():
+    found = diagnosis("missing", [candidate("texture", 0.001, 812.0)], ["texture"])
+    verdict = words.verdict(with_diagnosis(found))
+    told = " ".join(verdict.sentences)
+    assert verdict.headline == "Tustin lacks texture"
+    assert "Missing is <b>texture</b> (what texture is; p = 0.001" in told
+    assert "adding it brings the held-out error from 21.2 to 10.2 µm" in told
+    assert "To confirm <b>texture</b>: give a <code>reference</code>." in told
+
+
+def test_ambiguous_names_the_group_and_what_would_settle_it(quick):
+    best = candidate("vibration", 0.001, 300.0, ["camera_shake"])
+    found = diagnosis("ambiguous", [best, candidate("camera_shake", 0.001, 299.0, ["vibration"])], ["vibration"])
+    found["next_experiment"] = [{"what": "Film a fixed mark.", "separates": ["vibration", "camera_shake"]}]
+    verdict = words.verdict(with_diagnosis(found))
+    told = " ".join(verdict.sentences)
+    assert verdict.headline == "Tustin lacks vibration or camera_shake: these runs cannot tell which"
+    assert "<b>camera_shake</b> would predict the same data" in told
+    assert "To settle it: Film a fixed mark." in told
+    page = Page(report.render(with_diagnosis(found)))
+    assert "passes, as good as the best" in page.words
+
+
+def test_unexplained_shows_where_it_repeats(quick):
+    curve = {"axis": "x", "curve": [[0.0, 1.0], [0.1, -1.0]], "formulas": []}
+    found = diagnosis("unexplained", [candidate("lens", 0.4, -3.0)], unexplained=curve)
+    page = Page(report.render(with_diagnosis(found)))
+    assert "Tustin fails, and not all of it is explained" in page.words
+    assert "What is left repeats best along place." in page.words
+    assert "does not pass" in page.words
+
+
+def test_complete_at_once():
+    verdict = words.verdict(with_diagnosis(diagnosis("complete")))
+    assert verdict.headline == "Tustin is complete for these runs"
+    assert "detection limits" in " ".join(verdict.sentences)
+
+
+def test_measured_only_is_a_report_too(quick):
+    r = results()
+    page = Page(report.render(replace(r, models=(), diagnosis=None, figures={})))
+    assert "Measured, not yet fitted" in page.words
+    assert "motion" in page.ids
+    assert "parameters" not in page.ids
+
+
+def test_runs_without_mass_have_no_force(quick):
+    r = results()
+    page = Page(report.render(replace(r, runs=tuple(replace(run, friction=None) for run in r.runs))))
+    assert "friction" not in page.ids
+
+
+def test_predicted_runs_are_marked(quick):
+    r = results()
+    m = r.models[-1]
+    rows = [m.summary["per_run"][0], m.summary["per_run"][1] | {"role": "validation"}]
+    m = replace(m, summary=m.summary | {"per_run": rows})
+    page = Page(report.render(replace(r, models=(r.models[0], m))))
+    assert "predicted, not fitted" in page.words
+
+
+def test_papers_route_stands_beside_the_default(quick):
+    r = results()
+    papers = model("papers", 12.0, r.runs, effects=("coulomb", "viscous"))
+    papers = replace(papers, summary=papers.summary | {"domain": "force", "search": "sga"})
+    page = Page(report.render(replace(r, papers=papers)))
+    assert "papers" in page.ids
+    assert "displacement domain, varpro" in page.words
+    assert "force domain, sga" in page.words
+
+
+def test_parameters_of_single_runs_stand_with_their_run():
+    r = results()
+    m = r.models[-1]
+    own = {f"vibration.phase[{run.name}]": parameter(k + 0.5, 0.1, "rad") for k, run in enumerate(r.runs)}
+    m = replace(m, summary=m.summary | {"parameters": m.summary["parameters"] | own})
+    assert "vibration.phase" not in " ".join(str(row[0]) for row in tables.parameters(m).rows)
+    shown = tables.runs(m)
+    assert shown.heads[-1] == "vibration.phase"
+    assert [row[-1] for row in shown.rows] == ["0.50 ± 0.10 rad", "1.50 ± 0.10 rad"]
+
+
+def test_write_replaces_the_report_whole(tmp_path, quick):
+    path = report.write(results(), tmp_path / "out" / "report.html")
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, monkeypatch):
+    path = tmp_path / "report.html"
+    path.write_text("the old one")
+
+    def full(self, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(FrictrackError, match=r"cannot write .*report\.html: No space left on device; what was there"):
+        report.write(results(), path)
+    assert path.read_text() == "the old one"
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "unit", "text"),
+    [
+        (8.0123, 0.0213, "N", "8.01 ± 0.02 N"),
+        (8.0123, 0.0961, "N", "8.01 ± 0.10 N"),
+        (8.0123, 0.149, "N", "8.01 ± 0.15 N"),
+        (8.0123, 0.1961, "N", "8.0 ± 0.2 N"),
+        (0.030005, 0.0000107, "m", "30.005 ± 0.011 mm"),
+        (2.3e-5, 4e-6, "m", "23 ± 4 µm"),
+        (1.20055, 0.0005, "N s/m", "(1.2006 ± 0.0005) N s/m"),
+        (-0.62, 0.03, "rad", f"{MINUS}0.62 ± 0.03 rad"),
+        (123.4, 26.0, "Hz", "123 ± 26 Hz"),
+        (1.0, 0.0, "1", "1"),
+        (None, None, "N", "not determined"),
+        (9.2e-6, 1e-7, "1/m^2", "(9.20 ± 0.10) × 10⁻⁶ 1/m²"),
+    ],
+)
+def test_quantities_are_rounded_to_their_deviation(value, std, unit, text):
+    assert numbers.quantity(value, std, unit).replace(numbers.THIN, " ") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(10.0442, "10.0"), (0.00213, "0.00213"), (12884.9, "12885"), (None, "–"), (0, "0"), (-2.5, f"{MINUS}2.50"),
+     (1.25e-7, "1.25 × 10⁻⁷"), (3.2e8, "3.20 × 10⁸")],
+)  # fmt: skip
+def test_numbers(value, text):
+    assert numbers.number(value).replace(numbers.THIN, " ") == text
+
+
+def test_formulas_are_set():
+    text = numbers.formula("F = (F_s - F_c) L s exp(-(|v|/v_s)^delta) + a sin(2 pi f t) <b>")
+    assert "F<sub>s</sub> − F<sub>c</sub>" in text
+    assert "exp(−(|v|/v<sub>s</sub>)<sup>δ</sup>)" in text
+    assert "2 π f" in text
+    assert "&lt;b&gt;" in text
+
+
+def test_commands_in_words_are_set_as_code():
+    assert numbers.typed("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
