@@ -1,0 +1,59 @@
+"""The notebook runs on the HDF5 files of a finished study, and says which command makes them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+
+from frictrack.flow import Session, open_study
+
+NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "demo.ipynb"
+
+
+def execute(folder: Path) -> nbformat.NotebookNode:
+    """The notebook with its outputs, run in a folder."""
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    client = NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(folder)}})
+    return client.execute()
+
+
+@pytest.fixture
+def finished(study_file: Path, tmp_path: Path) -> Path:
+    """A folder with a small study as `frictrack demo` leaves one: fitted, diagnosed, one effect added."""
+    folder = tmp_path / "frictrack_demo"
+    folder.mkdir()
+    for path in (study_file, *tmp_path.glob("*.csv")):
+        shutil.move(path, folder / path.name)
+    session = Session(open_study(folder / "study.toml"))
+    session.diagnose()
+    session.add("drag")
+    session.results()
+    return tmp_path
+
+
+def test_notebook_draws_the_demo_from_its_files(finished: Path):
+    before = {p: p.read_bytes() for p in finished.rglob("*.h5")}
+    notebook = execute(finished)
+    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    figures = [o for o in outputs if "image/svg+xml" in o.get("data", {})]
+    assert len(figures) >= 8
+    printed = "".join(o["text"] for o in outputs if o.output_type == "stream" and o.name == "stdout")
+    assert "drag" in printed
+    assert "verdict on Coulomb + viscous + drag" in printed
+    assert {p: p.read_bytes() for p in finished.rglob("*.h5")} == before  # read, not made again
+
+
+def test_notebook_says_which_command_is_missing(tmp_path: Path):
+    with pytest.raises(CellExecutionError, match="run `frictrack demo` there first"):
+        execute(tmp_path)
+
+
+def test_notebook_is_kept_without_outputs():
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    nbformat.validate(notebook)
+    assert all(not cell.get("outputs") for cell in notebook.cells)
