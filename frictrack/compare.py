@@ -11,11 +11,14 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.problem import Response
-from frictrack.motion import differentiate, low_pass
-from frictrack.records import Array, Displacement
+from frictrack.fit.solve import Solution
+from frictrack.models import Model
+from frictrack.records import Array, Run
 
 STANDS_OUT = 3.0  # standard deviations of the residual force beyond which a frame fails
+FOOT = 0.35  # of the run's largest residual force: less is the law bending to make up for the failure elsewhere
 CERTAIN = 4.5  # that a span must reach to be named
+TAIL = 0.135  # the same where the missing force is known: a Gaussian's two standard deviations
 MERGE = 12  # frames between two failing spans that are one
 
 
@@ -47,7 +50,7 @@ def compare(fits: Fit | Sequence[Fit]) -> Comparison:
     tried = [fits] if isinstance(fits, Fit) else list(fits)
     if not tried:
         raise FrictrackError("expected at least one fitted model to compare but got none; run `frictrack fit` first")
-    return Comparison([_entry(i, f) for i, f in enumerate(tried, 1)], failing_spans(tried[-1]))
+    return Comparison([_entry(i, f) for i, f in enumerate(tried, 1)], failing_spans(tried[-1].solution, tried[-1].runs))
 
 
 def history(fits: Sequence[Fit]) -> Comparison:
@@ -59,45 +62,96 @@ def _entry(i: int, fit: Fit) -> dict[str, Any]:
     return {"name": f"{i}_{'+'.join(fit.model.names)}", "model": fit.model.names, "errors": fit.errors}
 
 
-def residual_force(response: Response) -> ResidualForce:
-    """Residual displacement of one piece turned into force: -m times its smoothed second derivative."""
+def residual_force(response: Response, scale: float | None = None) -> ResidualForce:
+    """Residual displacement of one piece turned into force: -m times its second derivative, with its noise.
+
+    `scale` (s) is the width over which it is smoothed; None takes the one at which it stands out most.
+    """
     piece = response.piece
-    n = len(piece.t)
-    nan = np.full(n, np.nan)
-    left = Displacement(
-        t=piece.t, x=response.r_full * piece.sigma, y=nan, angle=nan, sigma_x=piece.sigma, sigma_y=nan,
-        valid=np.ones(n, dtype=bool),
-    )
-    motion = differentiate(low_pass(left))
+    left = response.r_full * piece.sigma
+    tried = [curvature(left, piece.sigma, piece.t, s) for s in ([scale] if scale else _scales(piece.t))]
+    a, sigma = max(tried, key=lambda pair: float(np.max(np.abs(pair[0]) / pair[1])))
     return ResidualForce(
         t=piece.t,
         x=response.motion.x_edge[:: piece.per_frame],
         v=response.motion.v_edge[:: piece.per_frame],
-        F=-piece.mass * motion.a,
-        sigma_F=piece.mass * motion.sigma_a,
+        F=-piece.mass * a,
+        sigma_F=piece.mass * sigma,
     )
 
 
-def failing_spans(fit: Fit) -> list[dict[str, Any]]:
+def _scales(t: Array) -> Array:
+    """Widths from a few frames to a sixth of the piece, s."""
+    step, length = float(np.median(np.diff(t))), float(t[-1] - t[0])
+    return np.geomspace(4 * step, max(length / 6, 5 * step), 9)
+
+
+def curvature(y: Array, sigma: Array, t: Array, scale: float) -> tuple[Array, Array]:
+    """Second derivative of y (n,) by local quadratics under a Gaussian of width `scale` (s), and its noise.
+
+    Local polynomial regression (Fan & Gijbels 1996, ch. 3) on evenly spaced frames; ends need no padding.
+    """
+    step = float(np.median(np.diff(t)))
+    half = int(np.ceil(4 * scale / step))
+    u = np.arange(-half, half + 1) * step / scale
+    w = np.exp(-(u**2) / 2)
+
+    def moment(series: Array, kernel: Array) -> Array:
+        return np.convolve(series, kernel[::-1], mode="full")[half : half + len(series)]
+
+    one = np.ones_like(y)
+    normal = [moment(one, w * u**k) for k in range(5)]
+    spread = [moment(sigma**2, w**2 * u**k) for k in range(5)]
+    m = np.stack([[normal[i + j] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
+    noise = np.stack([[spread[i + j] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
+    right = np.stack([moment(y, w * u**k) for k in range(3)], axis=1)
+    last = np.linalg.inv(m)[:, 2]
+    a = 2 * np.einsum("ni,ni->n", last, right) / scale**2
+    deviation = 2 * np.sqrt(np.einsum("ni,nij,nj->n", last, noise, last)) / scale**2
+    return a, deviation
+
+
+def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None = None) -> list[dict[str, Any]]:
     """Stretches of the runs where the residual force stands out of its band, worst first.
 
-    `t` is recording time (s), `x` (m), `v` (m/s); `share_of_error` the span's part of the squared residual force.
+    With `missing`, the failure is that of the model without this force effect of the solution, whose force then is
+    what stands out, and the rest of the law is not bent by its absence. `t` is recording time (s), `x` (m), `v` (m/s);
+    `share_of_error` is the span's part of the squared residual force.
     """
     spans = []
     total = 0.0
-    for response in fit.solution.responses:
-        force = residual_force(response)
-        run = fit.runs[response.piece.run]
+    for response in solution.responses:
+        force = residual_force(response) if missing is None else _unopposed(solution, response, missing)
+        run = runs[response.piece.run]
         total += float(np.sum(force.F**2))
         times = run.displacement.t[response.piece.frames]
-        spans += [_span(force, times, run.name, s) for s in _standing_out(force.F / force.sigma_F)]
+        spans += [_span(force, times, run.name, s) for s in _standing_out(force, FOOT if missing is None else TAIL)]
     for span in spans:
         span["share_of_error"] = round(span["share_of_error"] / max(total, 1e-300), 4)
     return sorted(spans, key=lambda s: -s["share_of_error"])
 
 
-def _standing_out(z: Array) -> list[slice]:
-    rows = np.flatnonzero(np.abs(z) > STANDS_OUT)
+def _unopposed(solution: Solution, response: Response, missing: str) -> ResidualForce:
+    """The force of a missing effect as the failure it leaves, known to a thousandth."""
+    piece, at = response.piece, slice(None, None, response.piece.per_frame)
+    force = effect_force(solution, response, missing)
+    noise = np.full(len(force), 1e-3 * max(float(np.max(np.abs(force))), 1e-12))
+    return ResidualForce(piece.t, response.motion.x_edge[at], response.motion.v_edge[at], force, noise)
+
+
+def effect_force(solution: Solution, response: Response, name: str) -> Array:
+    """Force that one effect adds along the solved motion of one piece, N, (n,); zero for one of the picture."""
+    problem, piece = solution.problem, response.piece
+    values, level = problem.layout.values(solution.p, piece.run)
+    at = slice(None, None, piece.per_frame)
+    path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
+    without = Model(tuple(e for e in problem.model.effects if e.name != name))
+    return problem.model.force(path, values) - without.force(path, values)
+
+
+def _standing_out(force: ResidualForce, foot: float) -> list[slice]:
+    z, size = force.F / force.sigma_F, np.abs(force.F)
+    rows = np.flatnonzero((np.abs(z) > STANDS_OUT) & (size > foot * size.max()))
     if not len(rows):
         return []
     cuts = np.flatnonzero(np.diff(rows) > MERGE) + 1

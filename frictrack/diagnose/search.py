@@ -189,13 +189,20 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
         noise_um=float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)) * 1e6),
         reduced_chi2=fit.reduced_chi2,
         p_lack_of_fit=first.tests.p_lack_of_fit,
-        fails_at=[] if clean else failing_spans(fit),
+        fails_at=[] if clean else _fails_at(fit, found),
         candidates=listed,
         unexplained=unexplained_force(last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
         remarks=_remarks(fit),
         figures=curves,
     )
+
+
+def _fails_at(fit: Fit, found: list[_Tried]) -> list[dict[str, Any]]:
+    """Where the model fails: where the missing force acts, or, if none is known, where the residual stands out."""
+    if found and found[0].scanned.effect.acts_on == "force":
+        return failing_spans(found[0].solution, fit.runs, found[0].scanned.effect.name)
+    return failing_spans(fit.solution, fit.runs)
 
 
 def _rivals(first: _Round, best: _Tried) -> tuple[str, ...]:
