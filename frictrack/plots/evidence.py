@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack import effects
 from frictrack.errors import FrictrackError
@@ -21,6 +21,7 @@ from frictrack.results import ModelResults
 
 SIGNIFICANT = 0.005  # half of alpha = 0.01: the share of the candidates (DESIGN section 7)
 SPREAD = 30.0  # ratio of the largest to the smallest evidence from which the axis is logarithmic
+SPREAD_ERRORS = 8.0  # the same for held-out errors
 RESULTS = ("limit", "rise")  # curves of a candidate that are no settings
 
 
@@ -169,8 +170,11 @@ def _unit(effect: str, name: str) -> str:
 def _abscissa(ax: Axes, name: str, written: str) -> None:
     """The axis of a setting: frequencies and periods logarithmic, with 10 and 100 rather than powers of ten."""
     if name in ("frequency", "period"):
+        low, high = ax.dataLim.intervalx
         ax.set_xscale("log")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 200 * low else (1,)))
         ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel(axis(_words(name), written))
     ax.margins(x=0.01)
 
@@ -187,13 +191,27 @@ def history(models: Sequence[ModelResults]) -> Figure:
         ax.annotate(number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
     if noise is not None:
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
-        ax.annotate(f"noise {number(noise)} {unit}", (1, noise), (-4, -5), xycoords=("axes fraction", "data"),
-                    textcoords="offset points", ha="right", va="top")  # fmt: skip
+        ax.annotate(f"noise {number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
+                    textcoords="offset points", ha="right", va="bottom")  # fmt: skip
     ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in models])
     ax.set_xlim(-0.5, len(models) - 0.5)
-    ax.set_ylim(0, 1.2 * max(np.nanmax(values, initial=0.0), noise or 0.0) or 1.0)
+    _falling_axis(ax, values, noise)
     ax.set_ylabel(axis("held-out error, rms", unit))
     return figure
+
+
+def _falling_axis(ax: Axes, values: Array, noise: float | None) -> None:
+    """From zero, or logarithmic where the error falls so far that its end could not be seen."""
+    known = np.append(values[np.isfinite(values)], [] if noise is None else noise)
+    top = float(known.max(initial=0.0)) or 1.0
+    if len(known) and 0 < float(known.min()) < top / SPREAD_ERRORS:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.set_ylim(0.6 * float(known.min()), 2.0 * top)
+    else:
+        ax.set_ylim(0, 1.2 * top)
 
 
 def _held_out(models: Sequence[ModelResults]) -> tuple[str, Array, float | None]:

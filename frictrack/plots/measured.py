@@ -31,7 +31,8 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    title = f"{run.name}: target found in {found} of {frames} frames, ± {number(_typical(track.sigma_px), 2)} px"
+    precision = f", ± {number(_typical(track.sigma_px), 2)} px" if wide else ""
+    title = f"{run.name}: target found in {found} of {frames} frames{precision}"
     width = style.WIDTH if wide else style.WIDTH / 2
     figure = blank(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
     ax = figure.subplots()
@@ -152,7 +153,7 @@ def friction(runs: Sequence[RunResults]) -> Figure:
         shown = style.broken(f.F, style.clear(f, run.motion.guard))
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
             band(ax, at, shown, f.sigma_F, color=look["color"], alpha=0.18)
-            ax.plot(at, shown, lw=1.2, label=run.name, **look)
+            ax.plot(at, shown, lw=1.0, alpha=0.85, label=run.name, **look)
         everything += [shown - f.sigma_F, shown + f.sigma_F]
     style.robust(left, everything)
     left.set(xlabel=axis("time since the free section begins", "ms"), ylabel=axis("friction force F", "N"))

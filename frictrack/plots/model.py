@@ -197,7 +197,8 @@ def _mark(ax: Axes, spans: Sequence[dict[str, Any]]) -> None:
         a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
         ax.axvspan(a, b, fc=style.FAILS, ec="#999999", hatch="\\\\", lw=0, zorder=0.5, alpha=0.7)
         share = f"{100 * s['share_of_error']:.0f} %"
-        ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
+        label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
+        label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
 
 
 def _share_y(panels: Any) -> None:

@@ -176,7 +176,7 @@ def number(value: float | None, digits: int = 3) -> str:
         return "unknown"
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits}g}"
-    decimals = digits - 1 - int(np.floor(np.log10(abs(value)))) if value else 0
+    decimals = digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]) if value else 0
     return f"{value:.{max(decimals, 0)}f}".replace("-", "\N{MINUS SIGN}")
 
 

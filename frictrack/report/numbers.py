@@ -24,14 +24,15 @@ def number(value: float | None, digits: int = 3) -> str:
         return "\N{EN DASH}"
     if value == 0:
         return "0"
-    exponent = math.floor(math.log10(abs(value)))
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded value: 0.9999 is 1.00
     if not -4 < exponent < 6:
         return (
             f"{value / 10**exponent:.{digits - 1}f}{THIN}{TIMES}{THIN}10{str(exponent).translate(SUPERSCRIPT)}".replace(
                 "-", MINUS
             )
         )
-    return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+    comma = "," if exponent > 3 else ""
+    return f"{value:{comma}.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS).replace(",", THIN)
 
 
 def quantity(value: float | None, std: float | None, unit: str) -> str:

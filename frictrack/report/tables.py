@@ -211,10 +211,10 @@ def _percent(share: float | None) -> float | None:
 def limits(diagnosis: Mapping[str, Any]) -> Table:
     """What would have been found in 95 of 100 repeats."""
     rows = [
-        (code(name), _limit(limit), _at(name, limit), limit.get("reason") or "")
+        (code(name), _limit(limit), limit.get("reason") or _at(name, limit))
         for name, limit in diagnosis["detection_limits"].items()
     ]
-    return table(("effect", "found from", "at its least favourable", ""), rows, (1,))
+    return table(("effect", "found from", "at the least favourable"), rows, (1,))
 
 
 def _limit(limit: Mapping[str, Any]) -> str:

@@ -232,8 +232,8 @@ def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
 
 def correlation(first: str, second: str, r: float) -> Markup:
     """A correlation in words."""
-    better = "sum" if r < 0 else "difference"
+    way = "up and the other down" if r < 0 else "and the other up together"
     return Markup(
         "<code>{}</code> and <code>{}</code> are hardly told apart (correlation {}): "
-        "their {} is known better than either."
-    ).format(first, second, f"{r:+.3f}".replace("-", "\N{MINUS SIGN}"), better)
+        "one {} changes the prediction little, so these runs fix a combination of them better than either."
+    ).format(first, second, f"{r:+.3f}".replace("-", "\N{MINUS SIGN}"), way)
