@@ -37,7 +37,7 @@ _HOME = {
 }
 _MODULES = ("models", "effects", "search", "simulate")
 
-__all__ = [*_HOME, *_MODULES]
+__all__ = [*list(_HOME), *_MODULES]
 
 
 class _Package(ModuleType):

@@ -23,7 +23,7 @@ from frictrack.fit.start import grow
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other
-BEHIND = 0.4  # of the best candidate's rise that another must reach to be refined
+BEHIND = 0.7  # of the best candidate's rise that another must reach to be refined
 HELD_OUT = 3  # candidates whose held-out error is computed
 
 Progress = Callable[[int, int, str], None]
@@ -170,9 +170,32 @@ def _worth_refining(tests: Tests) -> list[Scanned]:
     return near if len(near) >= 2 else order[:2]
 
 
+def _unrefined(first: _Round) -> list[Candidate]:
+    """Candidates that pass by themselves but are far behind the best: as the scan saw them."""
+    done = {t.scanned.effect.name for t in first.tried}
+    price = float(np.log(first.solution.problem.n_frames))
+    out = []
+    for s in first.tests.scanned:
+        if s.effect.name in done or first.tests.p[s.effect.name] >= 0.05:
+            continue
+        count = s.families[0].gram.shape[1] + sum(p.scan is not None for p in s.effect.nonlinear)
+        out.append(
+            Candidate(
+                effect=s.effect.name,
+                acts_on=s.effect.acts_on,
+                parameters={},
+                p=first.tests.p[s.effect.name],
+                delta_bic=float(s.statistic[0] - price * count),
+                words={"what": s.effect.what, "looks_like": s.effect.looks_like, "confirm": s.effect.confirm},
+            )
+        )
+    return sorted(out, key=lambda c: -c.delta_bic)
+
+
 def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Diagnosis:
     rivals = {t.scanned.effect.name: _rivals(first, t) for t in first.passing[:3]}
     listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ()), k) for k, t in enumerate(first.tried)]
+    listed += _unrefined(first)
     leftover = last.tests.p_lack_of_fit < ALPHA / 2
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
@@ -264,6 +287,7 @@ def _remarks(fit: Fit) -> list[str]:
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
     out.append(
-        "a constant error of scale, frame rate or mass is absorbed exactly: forces go with mass and scale, and with fps^2"
+        "a constant error of scale, frame rate or mass is absorbed exactly: "
+        "forces go with mass and scale, and with fps^2"
     )
     return out

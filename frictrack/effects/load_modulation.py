@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
 from frictrack.records import Array
 

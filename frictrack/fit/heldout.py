@@ -71,7 +71,7 @@ def _predictable(solution: Solution) -> bool:
     """Whether the other runs know the shared parameters well enough to predict every run."""
     layout = solution.problem.layout
     rows = restraint_rows(layout, solution.tau or 0.03)
-    blocks = {}
+    blocks: dict[int, list[Array]] = {}
     for r in solution.responses:
         full = np.zeros((len(r.r), len(solution.p)))
         full[:, r.active] = r.jac

@@ -109,9 +109,9 @@ class Layout:
                 level = float(p[i])
             else:
                 out[slot.effect][slot.parameter] = float(p[i])
-        for effect in self.model.effects:  # a cause that this run does not show
-            if (effect.name, run) in self.absent:
-                out[effect.name] |= {q.name: 0.0 if q.linear else 1.0 for q in effect.parameters if q.per_run}
+        for e in self.model.effects:  # a cause that this run does not show
+            if (e.name, run) in self.absent:
+                out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}
         return out, level
 
     def index(self, effect: str, parameter: str, run: int | None = None) -> int:
@@ -153,10 +153,10 @@ def settle(layout: Layout, p: Array) -> Array:
     for effect in layout.model.effects:
         phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
         sizes = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _SIZES]
-        if len(phases) and len(sizes) == 1 and p[sizes[0]] < 0:
+        if phases and len(sizes) == 1 and p[sizes[0]] < 0:
             p[sizes[0]] *= -1
             p[phases] += np.pi
-        elif len(phases) and len(sizes) == len(phases):
+        elif phases and len(sizes) == len(phases):
             flip = p[sizes] < 0
             p[sizes] = np.abs(p[sizes])
             p[phases] += np.pi * flip

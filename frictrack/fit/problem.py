@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from frictrack.effects import Path, Span
@@ -16,6 +17,8 @@ from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Linear, Motion6, Panels, solve
+
+Rows = NDArray[np.int_]
 
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
 
@@ -28,7 +31,7 @@ class Piece:
     """
 
     run: int
-    frames: Array  # row of each frame in the run's tables
+    frames: Rows  # row of each frame in the run's tables
     t: Array
     y: Array
     sigma: Array
@@ -130,7 +133,7 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
     return relative
 
 
-def _piece(run: Run, index: int, rows: Array, noise: Array, how: tuple[float, Reference, int]) -> Piece:
+def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Reference, int]) -> Piece:
     release, reference, per_frame = how
     mass = float(run.mass or 1.0)
     t = run.displacement.t[rows] - release
@@ -191,15 +194,10 @@ class Response:
     on_start: Array  # the part of the sensitivities that a change of start explains, (2, A)
     r_full: Array
 
-    @property
-    def base_force(self) -> Array:
-        """Acceleration balance at the nodes turned into friction force, N."""
-        return self.piece.mass * (self.piece.known - self.motion.a)
-
     def start_step(self, step: Array) -> Array:
         """Change of (x0, v0) that goes with a step of the active unknowns."""
-        out: Array = np.linalg.solve(self.upper, self.q.T @ self.r_full - self.on_start @ step)
-        return out
+        left = self.q.T @ self.r_full - self.on_start @ step
+        return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
 
 
 class Problem:

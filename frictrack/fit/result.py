@@ -171,7 +171,7 @@ def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
         "rms_acceleration": float(np.sqrt(np.mean(a_all**2))),
         "sse_acceleration": float(np.sum(a_all**2)),
         "relative_force_error": float(
-            np.linalg.norm(np.concatenate(f_error)) / max(np.linalg.norm(np.concatenate(f_measured)), 1e-30)
+            np.linalg.norm(np.concatenate(f_error)) / max(float(np.linalg.norm(np.concatenate(f_measured))), 1e-30)
         ),
     }
 

@@ -33,7 +33,7 @@ class Basis:
     def shrink(self, tau: float) -> Array:
         """(I + prior / tau^2)^-1: what the prior leaves of the basis, (P', P')."""
         weight = 1 / tau**2 if self.random else 1e8
-        return np.linalg.inv(np.eye(len(self.prior)) + weight * self.prior)
+        return np.asarray(np.linalg.inv(np.eye(len(self.prior)) + weight * self.prior), dtype=np.float64)
 
     def logdet(self, tau: float) -> float:
         """Determinant part of the restricted likelihood at this spread."""
@@ -55,7 +55,8 @@ class Basis:
             tau = float(np.exp(log_tau))
             return float(self.misfit(on_basis[:, None], np.array([total]), tau)[0]) + self.logdet(tau)
 
-        found = minimize_scalar(objective, bounds=np.log(TAU), method="bounded", options={"xatol": 1e-3})
+        low, high = (float(np.log(tau)) for tau in TAU)
+        found = minimize_scalar(objective, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
         return float(np.exp(found.x))
 
 

@@ -14,6 +14,8 @@ from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
+ENOUGH = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -87,8 +89,9 @@ def refine(
     state = _state(problem, plain(p), list(starts), tau)
     damping = 1e-8
     for _ in range(max_steps):
+        enough = ENOUGH * max(1.0, (state.objective / max(problem.n_frames, 1)) ** 2)
         step, gain = _step(state, damping, (low, high))
-        if gain < 1e-4:
+        if gain < enough:
             break
         try:
             new_starts = [s + r.start_step(step[r.active]) for s, r in zip(state.starts, state.responses, strict=True)]
@@ -99,7 +102,7 @@ def refine(
         if trial.objective < state.objective:
             improved = state.objective - trial.objective
             state, damping = trial, max(damping * 0.1, 1e-12)
-            if improved < 1e-4:
+            if improved < enough:
                 break
         else:
             damping *= 100
@@ -143,7 +146,7 @@ def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
     rows, right = [], []
     for r in responses:
         k = len(r.active)
-        upper = np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r")
+        upper = np.asarray(np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r"))
         block = np.zeros((len(upper), n))
         block[:, r.active] = upper[:, :k]
         rows.append(block)

@@ -159,11 +159,13 @@ def _start_values(solution: Solution, effect: Effect, made: list[Family], picks:
     phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
     for p in effect.parameters:
         if p.role == "phase":
-            out |= {(p.name, r): float(phase[r]) for r in runs} if p.per_run else {(p.name, None): float(phase[0])}
+            each = phase
         elif p.role in ("amplitude", "depth"):
-            each = np.resize(size, len(runs))
-            own = {(p.name, r): float(each[r]) for r in runs}
-            out |= own if p.per_run else {(p.name, None): float(np.mean(size))}
+            each = size if p.per_run else np.mean(size, keepdims=True)
+        else:
+            continue
+        places: list[int | None] = [*runs] if p.per_run else [None]
+        out |= {(p.name, r): float(np.resize(each, len(places))[i]) for i, r in enumerate(places)}
     return out, frozenset()
 
 
@@ -195,7 +197,7 @@ def _refined(solution: Solution, effect: Effect, start: Start) -> Solution:
         for name, s in zip(layout.names, layout.slots, strict=True)
     ]
     problem = rebuilt(solution.problem, layout)
-    first = refine(problem, np.array(p), solution.starts, tau=solution.tau or 0.03)
+    first = refine(problem, np.array(p), solution.starts, tau=solution.tau or 0.03, max_steps=12)
     return settle_scatter(problem, first.p, first.starts, solution.tau or 0.03)
 
 

@@ -40,7 +40,7 @@ def _offset(picture: Array | None, reference: Array | None) -> tuple[float, floa
     core = picture[BORDER:-BORDER, BORDER:-BORDER].astype(np.float32)
     if reference.shape[0] < core.shape[0] + 2 or reference.shape[1] < core.shape[1] + 2:
         return None
-    match = cv2.matchTemplate(reference.astype(np.float32), core, cv2.TM_CCOEFF_NORMED)
+    match = np.asarray(cv2.matchTemplate(reference.astype(np.float32), core, cv2.TM_CCOEFF_NORMED), dtype=np.float64)
     row, col = np.unravel_index(int(np.argmax(match)), match.shape)
     if match[row, col] < SAME_BODY:
         return None
