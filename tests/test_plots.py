@@ -154,7 +154,7 @@ def all_figures() -> dict:
         "motion": plots.motion(r.runs[0]),
         "friction": plots.friction(r.runs),
         "fit": plots.fit(last, r.runs),
-        "failing": plots.failing(first, first.diagnosis["fails_at"], last),
+        "failing": plots.failing(first, r.runs, first.diagnosis["fails_at"], last),
         "candidates": plots.candidates(first.diagnosis),
         "scan": plots.scan("texture", first.figures["texture"]),
         "history": plots.history(r.models),
@@ -254,6 +254,19 @@ def test_fit_says_whether_the_model_holds(verdict, word):
     assert measured.get_linestyle() != modelled.get_linestyle()
 
 
+def test_a_model_of_measured_forces_leaves_a_force():
+    run = run_results()
+    m = model("1_tustin", 36.0, [run], found=diagnosis("missing"))
+    c = m.curves[0]
+    low = Curve(c.t, c.x, c.sigma_x, c.x_model, c.v_model, c.a_model, c.F_model - 0.75, "v1")
+    summary = m.summary | {"errors": m.summary["errors"] | {"rms_displacement_um": None}}
+    m = replace(m, summary=summary, curves=(low,))
+    figure = plots.fit(m, [run])
+    np.testing.assert_allclose(figure.axes[1].lines[0].get_ydata(), 0.75)
+    assert "residual / N" in labels(figure)
+    assert figure.get_suptitle() == "Tustin fails: force error 5.0 %"
+
+
 def test_segments_of_a_run_share_a_panel():
     run = run_results()
     m = model("1_tustin", 36.0, [run])
@@ -271,7 +284,7 @@ def test_many_runs_show_those_that_fit_worst():
     runs = [run_results(f"v{i}") for i in range(20)]
     m = model("1_tustin", 10.0, runs)
     curves = tuple(curve(r, (30 if i >= 8 else 10) * 1e-6) for i, r in enumerate(runs))
-    figure = plots.failing(replace(m, curves=curves), [])
+    figure = plots.failing(replace(m, curves=curves), runs, [])
     titles = [ax.get_title(loc="left").split(":")[0] for ax in figure.axes]
     assert titles == [f"v{i}" for i in range(8, 20)]
 
@@ -279,11 +292,11 @@ def test_many_runs_show_those_that_fit_worst():
 def test_failing_span_is_marked_with_its_share():
     r = results()
     first = r.models[0]
-    figure = plots.failing(first, first.diagnosis["fails_at"])
+    figure = plots.failing(first, r.runs, first.diagnosis["fails_at"])
     label = next(t for t in figure.axes[0].texts if t.get_text() == "41 %")
     assert label.get_position()[0] == pytest.approx(60.0)  # middle of 50 to 70 ms
     assert figure.get_suptitle() == "Tustin fails most in v1 from 50.0 to 70.0 ms: 41 % of the error"
-    assert plots.failing(first, []).get_suptitle() == "Tustin leaves up to 36.0 µm; the noise is 10.0 µm"
+    assert plots.failing(first, r.runs, []).get_suptitle() == "Tustin leaves up to 36.0 µm; the noise is 10.0 µm"
 
 
 def bars(figure) -> dict:

@@ -1,12 +1,14 @@
-"""The model against the measurement: force over force, and the displacement that is left over.
+"""The model against the measurement: force over force, and what is left over.
 
 Displacement itself is too close by eye: over a slide of half a metre an error of 30 um is a hair's breadth. So
-the force is shown, and the displacement only as measured minus modelled.
+the force is shown, and the displacement only as measured minus modelled. Where a load cell measured friction,
+what is left over is a force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,17 +19,26 @@ from matplotlib.patches import Patch
 
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, number, plain_name, styled
-from frictrack.records import Curve
+from frictrack.records import Array
 from frictrack.results import ModelResults, RunResults
 
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
 AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
+@dataclass(frozen=True)
+class Residual:
+    """Measured minus modelled over one segment, with its noise: um of displacement, or N; t in ms, all (n,)."""
+
+    t: Array
+    values: Array
+    sigma: Array
+
+
 @styled
 def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
-    """Per run, F of the model on the measured F(t), and below it the residual displacement on the noise band."""
-    shown = worst_runs(model)
+    """Per run, F of the model on the measured F(t), and below it the residual on the noise band."""
+    shown = worst_runs(model, runs)
     columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
     figure = blank(3.3 * rows + 0.7, fit_title(model))
@@ -35,19 +46,18 @@ def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
     by_name = {run.name: run for run in runs}
     for k, name in enumerate(shown):
         force, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
-        curves = of_run(model, name)
-        _force(force, curves, by_name.get(name))
-        residual(left, curves)
+        _force(force, model, by_name[name])
+        _dots(left, residuals(model, by_name[name]))
         force.set_title(_panel_title(model, name), fontweight="normal")
         force.sharex(left)
         force.tick_params(labelbottom=False)
     _share_y(panels[1::2])
-    _label_grid(panels, ("friction force F / N", axis("residual", "µm")), len(shown))
+    _label_grid(panels, ("friction force F / N", axis("residual", residual_unit(model))), len(shown))
     figure.align_ylabels(panels[:, 0])
     handles: list[Any] = [
         Line2D([], [], color=style.MEASURED, lw=1.0, label="measured"),
         Line2D([], [], color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)), label="model"),
-        Line2D([], [], color=style.BLUE, label="measured minus modelled displacement", **style.DOTS),
+        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOTS),
         Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"),
     ]
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
@@ -55,25 +65,30 @@ def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
 
 
 @styled
-def failing(model: ModelResults, spans: Sequence[dict[str, Any]], better: ModelResults | None = None) -> Figure:
-    """Residual displacement of every run with the failing spans marked and labelled with their share of the error.
+def failing(
+    model: ModelResults,
+    runs: Sequence[RunResults],
+    spans: Sequence[dict[str, Any]],
+    better: ModelResults | None = None,
+) -> Figure:
+    """Residual of every run with the failing spans marked and labelled with their share of the error.
 
-    `better` is a later model, whose residual is drawn on top.
+    `better` is a later model, whose residual is drawn behind.
     """
-    shown = worst_runs(model)
+    by_name = {run.name: run for run in runs}
+    shown = worst_runs(model, runs)
     columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
-    figure = blank(2.0 * rows + 0.9, _failing_title(model, spans))
+    figure = blank(2.0 * rows + 0.9, _failing_title(model, runs, spans))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for k, name in enumerate(shown):
         ax = panels[k // columns, k % columns]
-        curves = of_run(model, name)
         if better is not None:
-            residual(ax, of_run(better, name), with_band=False, **AFTER)
-        residual(ax, curves, color=style.VERMILLION, zorder=3)
+            _dots(ax, residuals(better, by_name[name]), with_band=False, **AFTER)
+        _dots(ax, residuals(model, by_name[name]), color=style.VERMILLION, zorder=3)
         ax.set_title(_panel_title(model, name), fontweight="normal")
         _mark(ax, [s for s in spans if s["run"] == name])
-    _label_grid(panels, (axis("residual", "µm"),), len(shown))
+    _label_grid(panels, (axis("residual", residual_unit(model)),), len(shown))
     handles: list[Any] = [Line2D([], [], color=style.VERMILLION, label=plain_name(model.name), **style.DOTS)]
     if better is not None:
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
@@ -94,7 +109,7 @@ def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figu
         (default, {"color": style.MODEL, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
         (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
     ):
-        for k, curve in enumerate(of_run(model, run.name)):
+        for k, curve in enumerate(c for c in model.curves if c.run == run.name):
             ax.plot(1e3 * curve.t, curve.F_model, lw=2.0, **(look if k == 0 else look | {"label": None}))
     ax.set(xlabel=axis("time t", "ms"), ylabel="friction force F / N")
     figure.legend(loc="outside lower left", ncols=3)
@@ -103,27 +118,27 @@ def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figu
 
 def fit_title(model: ModelResults) -> str:
     """The finding in words: residual against noise, and whether that is as good as it can be."""
-    rms, noise = model.summary["errors"]["rms_displacement_um"], noise_um(model)
-    name = plain_name(model.name)
-    if rms is None or noise is None:
-        return f"{name} against the measurement"
-    figures = f"residual {number(rms)} µm against {number(noise)} µm noise"
+    errors, noise = model.summary["errors"], noise_um(model)
+    name, rms = plain_name(model.name), errors["rms_displacement_um"]
+    figures = f"force error {number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
+    if rms is not None and noise is not None:
+        figures = f"residual {number(rms)} µm against {number(noise)} µm noise"
     verdict = (model.diagnosis or {}).get("verdict")
     if verdict is None:
         return f"{name}: {figures}"
     return f"{name} {'holds' if verdict == 'complete' else 'fails'}: {figures}"
 
 
-def _left_over(model: ModelResults) -> str:
-    most = max(float(np.max(np.abs(c.residual))) for c in model.curves)
+def _left_over(model: ModelResults, runs: Sequence[RunResults]) -> str:
+    most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
     noise = noise_um(model)
     against = "" if noise is None else f"; the noise is {number(noise)} µm"
-    return f"{plain_name(model.name)} leaves up to {number(1e6 * most)} µm{against}"
+    return f"{plain_name(model.name)} leaves up to {number(most)} {residual_unit(model)}{against}"
 
 
-def _failing_title(model: ModelResults, spans: Sequence[dict[str, Any]]) -> str:
+def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
     if not spans:
-        return _left_over(model)
+        return _left_over(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
     t0, t1 = (number(1e3 * t) for t in worst["t"])
     share = f"{100 * worst['share_of_error']:.0f} % of the error"
@@ -139,38 +154,52 @@ def noise_um(model: ModelResults) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
-def of_run(model: ModelResults, name: str) -> list[Curve]:
-    """The curves of one run, one per segment."""
-    return [curve for curve in model.curves if curve.run == name]
-
-
-def worst_runs(model: ModelResults) -> list[str]:
+def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
     """Runs in their order; of more than `MOST_PANELS`, those with the largest residual over its noise."""
     names = list(dict.fromkeys(curve.run for curve in model.curves))
     if len(names) <= MOST_PANELS:
         return names
-    size = {n: float(np.mean(np.concatenate([c.residual / c.sigma_x for c in of_run(model, n)]) ** 2)) for n in names}
-    kept = set(sorted(names, key=lambda n: -size[n])[:MOST_PANELS])
+    size = {
+        run.name: float(np.mean(np.concatenate([p.values / p.sigma for p in residuals(model, run)]) ** 2))
+        for run in runs
+        if run.name in names
+    }
+    kept = set(sorted(size, key=lambda n: -size[n])[:MOST_PANELS])
     return [n for n in names if n in kept]
 
 
-def residual(ax: Axes, curves: Sequence[Curve], *, with_band: bool = True, **look: Any) -> None:
-    """Measured minus modelled displacement over the noise band, um against ms."""
-    together = sum(len(c) for c in curves)
-    for c in curves:
-        t = 1e3 * c.t
+def residual_unit(model: ModelResults) -> str:
+    """What the model leaves over: um of displacement, or N where only forces were measured."""
+    return "N" if model.summary["errors"]["rms_displacement_um"] is None else "µm"
+
+
+def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
+    """What the model leaves over of one run, segment by segment."""
+    curves = [c for c in model.curves if c.run == run.name]
+    if residual_unit(model) == "µm":
+        return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x) for c in curves]
+    f = run.friction
+    if f is None:
+        return []
+    return [Residual(1e3 * c.t, np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves]
+
+
+def _dots(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
+    """Residual over its noise band; a picture where the points are too many for a drawing."""
+    many = sum(len(part.t) for part in parts) > 4 * style.MOST_POINTS
+    for part in parts:
         if with_band:
-            band(ax, t, np.zeros(len(c)), 1e6 * c.sigma_x, color=style.NOISE, zorder=0)
-        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": together > 4 * style.MOST_POINTS} | style.DOTS | look
-        ax.plot(t, 1e6 * c.residual, **dots)
+            band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE, zorder=0)
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOTS | look
+        ax.plot(part.t, part.values, **dots)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 
 
-def _force(ax: Axes, curves: Sequence[Curve], run: RunResults | None) -> None:
-    if run is not None:
-        _measured(ax, run)
-    for c in curves:
-        ax.plot(1e3 * c.t, c.F_model, color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
+def _force(ax: Axes, model: ModelResults, run: RunResults) -> None:
+    _measured(ax, run)
+    for c in model.curves:
+        if c.run == run.name:
+            ax.plot(1e3 * c.t, c.F_model, color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
 
 
 def _measured(ax: Axes, run: RunResults) -> None:

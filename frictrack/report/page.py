@@ -141,7 +141,7 @@ def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:
     return Trial(
         headline=f"{plots.plain_name(model.name)} {words.lacks(diagnosis)}",
         diagnosis=diagnosis,
-        residual=draw(plots.failing(model, diagnosis["fails_at"], better)),
+        residual=draw(plots.failing(model, results.runs, diagnosis["fails_at"], better)),
         spans=tables.spans(diagnosis["fails_at"]),
         evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
         cards=tables.cards(diagnosis),
