@@ -200,8 +200,7 @@ def test_film_shows_rectangle_and_path():
     ax = plots.film(run).axes[0]
     path = ax.lines[-1]
     np.testing.assert_allclose(path.get_xdata(), 100 + 1e3 * run.displacement.x)
-    corner = ax.patches[-1].get_xy()
-    assert corner == (69.5, 4.5)
+    assert [(p.get_xy(), p.get_width(), p.get_height()) for p in ax.patches] == 2 * [((69.5, 4.5), 60.0, 30.0)]
     with pytest.raises(ValueError, match='expected a run with a film and a track but "v1" is a table'):
         plots.film(run_results())
 
@@ -326,6 +325,11 @@ def test_rivals_are_joined_once():
     figure = plots.candidates(diagnosis("ambiguous", found, ["a"]))
     assert drawn(figure).count("cannot be\ntold apart") == 1
     assert figure.get_suptitle() == "a explains most, but b cannot be told apart from it"
+
+
+def test_a_weaker_candidate_does_not_draw_the_best_into_its_group():
+    found = [candidate("a", 0.001, 90.0), candidate("b", 0.001, 40.0, ["a"])]
+    assert "cannot be\ntold apart" not in drawn(plots.candidates(diagnosis("missing", found, ["a"])))
 
 
 def test_no_candidate_passes():
