@@ -42,8 +42,8 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     ax.plot(track.x_px, track.y_px, color=PATH, lw=1.8)
     if track.target is not None:
         x, y, w, h = track.target
-        for look in ({"ec": "black", "lw": 3.8}, {"ec": MARK, "lw": 2.0, "ls": "--"}):
-            ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, **look))
+        for color, lw, dash in (("black", 3.8, "-"), (MARK, 2.0, "--")):
+            ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=color, lw=lw, ls=dash))
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px"))
     handles = [
         Line2D([], [], color=PATH, lw=1.8, label="path of its centre"),
