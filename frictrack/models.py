@@ -69,9 +69,7 @@ class Model:
     def force_columns(self, path: Path, values: Values) -> dict[str, Array]:
         """Columns of every force effect along the path, each (n, k), modifiers applied to what they modify."""
         made = {
-            e.name: e.columns(path, values[e.name])
-            for e in self.effects
-            if e.acts_on == "force" and not e.modifies
+            e.name: e.columns(path, values[e.name]) for e in self.effects if e.acts_on == "force" and not e.modifies
         }
         for modifier in (e for e in self.effects if e.modifies):
             for e in self.effects:

@@ -1,4 +1,4 @@
-# ruff: noqa: RUF009 - `column` and `scalar` are dataclasses.field with a unit
+
 """What a whole study has come to: the one thing that `report`, `plots` and `export` are given.
 
 `flow` fills it from the store; nothing here computes or opens a file.

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from frictrack import models
 from frictrack.errors import FrictrackError
+from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.layout import Layout
 from frictrack.fit.papers import check_how, scaffold
 from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.relaxed import solve_relaxed, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.scan import grid_of
@@ -22,12 +23,12 @@ from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Run
 
-__all__ = ["Fit", "fit", "grid_of", "grow", "restore", "without"]
+__all__ = ["Fit", "GroupFits", "fit", "grid_of", "grow", "restore", "without"]
 
 Progress = Callable[[int, int, str], None]
 
 
-def fit(
+def fit(  # noqa: PLR0913 - one door with named settings, all but two of them optional
     model: Model | str | Sequence[str],
     runs: Sequence[Run],
     *,
@@ -35,16 +36,22 @@ def fit(
     search: str = "varpro",
     seed: int = 0,
     reference_mass: float | None = None,
-) -> Fit:
-    """Fit a model to runs, all at once.
+    per: str | None = None,
+) -> Any:
+    """Fit a model to runs, all at once: a `Fit`; with `per` = "group" every group of runs apart, `GroupFits`.
 
     `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); `search` is
     "varpro" or one of `search.METHODS`, which look for all parameters at once, `seed` theirs.
     Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
     the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
-    unknown domain or search.
+    unknown domain or search. `seed` also serves the search for a start of ATM2 under "varpro".
     """
-    check_how(domain, search)
+    check_how(domain, search, per)
+    if per == "group":
+        how: dict[str, Any] = {"domain": domain, "search": search, "seed": seed}
+        mass = reference_mass or runs[0].mass
+        groups = by_group(runs)
+        return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
     law = model if isinstance(model, Model) else models.parse(model)
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
@@ -55,7 +62,11 @@ def fit(
     names = tuple(r.name for r in fitted)
     route = Route(domain, search, seed)
     if search == "varpro":
-        solution = solve_model(law, pieces, names, _fps(fitted))
+        if starts_alone(law):
+            solution = solve_model(law, pieces, names, _fps(fitted))
+        else:
+            start = scaffold(law, pieces, names, _fps(fitted))
+            solution = until_stop(solve_relaxed(start, fitted, np.random.default_rng(seed)))
         found = in_force(solution, fitted) if domain == "force" else Found(solution)
     else:
         found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)
@@ -101,8 +112,10 @@ def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     return until_stop(refine(problem, p, problem.first_starts(), free=free), free)
 
 
-def state(result: Fit) -> dict[str, Any]:
+def state(result: Fit | GroupFits) -> dict[str, Any]:
     """What `restore` needs to rebuild a fit without searching: arrays, numbers and strings."""
+    if isinstance(result, GroupFits):
+        return {"groups": {name: state(f) for name, f in result.fits.items()}}
     layout = result.solution.problem.layout
     return {
         "effects": [e.name for e in layout.model.effects],
@@ -122,8 +135,15 @@ def state(result: Fit) -> dict[str, Any]:
     }
 
 
-def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
+def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
     """The fit that `state` was taken from, on the same runs."""
+    if "groups" in saved:
+        groups = by_group(runs)
+        return GroupFits({name: _restored(groups[name], s) for name, s in saved["groups"].items()})
+    return _restored(runs, saved)
+
+
+def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
     reference = reference_of(fitted, float(saved["reference_mass"]))
     pieces = _pieces(fitted, reference)

@@ -31,9 +31,11 @@ ROOM = 2.0  # times the largest friction measured: how far a force is searched
 SHIFT = 0.01  # of the travelled span: how far the picture may be shifted
 
 
-def check_how(domain: str, search: str) -> None:
-    """Raise FrictrackError (usage) for an unknown domain or search, with the nearest right one."""
-    for what, asked, known in (("domain", domain, DOMAINS), ("search", search, SEARCHES)):
+def check_how(domain: str, search: str, per: str | None = None) -> None:
+    """Raise FrictrackError (usage) for an unknown domain, search or division of runs, with the nearest right one."""
+    for what, asked, known in (("domain", domain, DOMAINS), ("search", search, SEARCHES), ("per", per, ("group",))):
+        if asked is None:
+            continue
         if asked not in known:
             near = get_close_matches(asked.lower(), known, 1, 0.0)[0]
             raise FrictrackError(

@@ -12,6 +12,7 @@ from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.papers import misfit_of, searched, spread_of
 from frictrack.fit.problem import Piece, Problem
 from frictrack.fit.solve import Solution, refine
+from frictrack.fit.start import until_stop
 from frictrack.records import Array, Mask, Run
 
 PERIODS = 2.0  # of the cut-off: length of the blocks that are held out within a run
@@ -51,7 +52,9 @@ def by_search(problem: Problem, runs: Sequence[Run], route: Route) -> Found:
     ones = np.ones(len(problem.layout.slots))
     optima, costs = searched(misfit_of(problem, chains), route.search, np.random.default_rng(route.seed), ones)
     tau = spread_of(problem.layout, optima[0])
-    return standing(problem, optima[0], (problem.first_starts(), tau), runs, route, (optima, costs))
+    law = at_rest(problem, optima[0], problem.first_starts(), tau)
+    law = until_stop(law, np.zeros(len(law.p), dtype=bool))
+    return standing(law.problem, law.p, (law.starts, tau), runs, route, (optima, costs))
 
 
 def in_force(solution: Solution, runs: Sequence[Run]) -> Found:
