@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -144,4 +145,7 @@ def parse(text: str | Sequence[str]) -> Model:
     if text in NAMED:
         named: Model = NAMED[text]()
         return named
+    near = difflib.get_close_matches(text, NAMED, 1)
+    if near and "," not in text and kind not in effects.LIBRARY:
+        raise FrictrackError(f'expected the name of a model but got "{text}"; did you mean "{near[0]}"?', usage=True)
     return of([part.strip() for part in text.split(",") if part.strip()])

@@ -132,7 +132,9 @@ class RunWork:
         try:
             made = stage.make(self, *inputs)
         except FrictrackError as e:
-            raise FrictrackError(f'run "{self.run.name}", {name}: {e}', usage=e.usage) from e
+            film = self._made.get("recording")
+            notes = "".join(f" ({note})" for note in film.notes) if isinstance(film, Film) else ""
+            raise FrictrackError(f'run "{self.run.name}", {name}: {e}{notes}', usage=e.usage) from e
         stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
         store.write(self.path, {name: Entry(made, stamp)})
         return made
