@@ -132,9 +132,11 @@ class RunWork:
         try:
             made = stage.make(self, *inputs)
         except FrictrackError as e:
-            film = self._made.get("recording")
-            notes = "".join(f" ({note})" for note in film.notes) if isinstance(film, Film) else ""
-            raise FrictrackError(f'run "{self.run.name}", {name}: {e}{notes}', usage=e.usage) from e
+            film = self.get("recording") if self.run.video and name != "recording" else None
+            notes = "".join(f" ({note})" for note in film.notes) if film else ""
+            where = f'run "{self.run.name}"'
+            told = str(e).removeprefix(f"{where}: ")
+            raise FrictrackError(f"{where}, {name}: {told}{notes}", usage=e.usage) from e
         stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
         store.write(self.path, {name: Entry(made, stamp)})
         return made
