@@ -9,11 +9,13 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import balanced, settle
+from frictrack.fit.layout import LEVEL, balanced, settle
 from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
+PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
+UNDAMPED = 1e-12  # damping with which a step is Gauss-Newton's
 ENOUGH = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
 
 
@@ -81,10 +83,26 @@ def refine(
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
 
+    linear = np.array([s.linear or s.effect == LEVEL for s in problem.layout.slots], dtype=bool)
+
     def plain(p: Array) -> Array:
         """Back within the bounds, in plain form, the levels about one."""
         p = settle(problem.layout, np.clip(p, low, high))
         return balanced(problem.layout, p) if free is None else p
+
+    def moved(state: Solution, step: Array) -> Solution:
+        """The law after a step, its starts moved along."""
+        pairs = zip(state.starts, state.responses, strict=True)
+        return _state(problem, plain(state.p + step), [s + r.start_step(step[r.active]) for s, r in pairs], tau)
+
+    def projected(trial: Solution, goal: float) -> Solution:
+        """The best coefficients for the trial's non-linear parameters (variable projection), if they reach the goal."""
+        for _ in range(PROJECTIONS):
+            if trial.objective < goal:
+                break
+            bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
+            trial = moved(trial, _step(trial, UNDAMPED, bounds)[0])
+        return trial
 
     state = _state(problem, plain(p), list(starts), tau)
     damping = 1e-8
@@ -94,15 +112,14 @@ def refine(
         if gain < enough:
             break
         try:
-            new_starts = [s + r.start_step(step[r.active]) for s, r in zip(state.starts, state.responses, strict=True)]
-            trial = _state(problem, plain(state.p + step), new_starts, tau)
+            trial = projected(moved(state, step), state.objective)
         except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
             damping *= 100
             continue
         if trial.objective < state.objective:
             improved = state.objective - trial.objective
-            state, damping = trial, max(damping * 0.1, 1e-12)
-            if improved < enough:
+            state, damping = trial, max(damping * 0.01, UNDAMPED)
+            if improved < enough and damping == UNDAMPED:
                 break
         else:
             damping *= 100

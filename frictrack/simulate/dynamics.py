@@ -150,4 +150,7 @@ def solve(
         if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
             x, v, x_edge, v_edge = panels.integrate(a, *start)
             return Motion6(panels, x, v, a, x_edge, v_edge), response
-    raise FrictrackError("the model's motion could not be integrated: Newton's method did not settle in 30 steps")
+    raise FrictrackError(
+        "the motion under this law could not be integrated; check mass, drive and the sign of incline "
+        "(positive where the course rises toward +x)"
+    )

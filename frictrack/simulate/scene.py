@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.simulate.camera import Camera
+from frictrack.simulate.camera import Camera, Oscillation
 from frictrack.simulate.film import write_film
 from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Conditions, Slide, simulate
@@ -59,8 +59,8 @@ class Scene:
 
     @property
     def model(self) -> Model:
-        """The law as a model."""
-        return models.of(list(self.law))
+        """The law as a model; a camera shake is the camera's."""
+        return models.of([name for name in self.law if name != "camera_shake"])
 
 
 def read_scene(text: str) -> Scene:
@@ -121,7 +121,7 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
         if progress:
             progress(i, len(scene.runs), f"rendering {run['name']}")
         level = float(run.get("level", 1 + scene.scatter * rng.standard_normal()))
-        camera = Camera(**(scene.camera | ({"width": run["width"]} if "width" in run else {})))
+        camera = _camera(scene, run)
         slide = slide_of(scene, run, camera, level)
         film = f"{run['name']}.{scene.format}"
         write_film(_frames(scene, run, camera, slide, rng), folder / film, camera.fps)
@@ -130,6 +130,16 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
     (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
     if progress:
         progress(len(scene.runs), len(scene.runs), "rendered")
+
+
+def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
+    """The camera of one run; a camera shake of the law shakes the whole picture."""
+    camera = Camera(**(scene.camera | ({"width": run["width"]} if "width" in run else {})))
+    shake = scene.law.get("camera_shake")
+    if shake is None:
+        return camera
+    amplitude = shake["amplitude"] / camera.scale
+    return replace(camera, shake_x=Oscillation(amplitude, shake["frequency"], shake.get("phase", 0.0)))
 
 
 def slide_of(scene: Scene, run: dict[str, Any], camera: Camera, level: float) -> Slide:
@@ -152,7 +162,13 @@ def slide_of(scene: Scene, run: dict[str, Any], camera: Camera, level: float) ->
         incline=float(run.get("incline", 0.0)),
         drive=drive if push else None,
     )
-    return simulate(scene.model, _values(scene), conditions, t, (0.0, 0.0 if push else v))
+    return simulate(scene.model, _values(scene), conditions, t, (_begin(scene, run, camera), 0.0 if push else v))
+
+
+def _begin(scene: Scene, run: dict[str, Any], camera: Camera) -> float:
+    """Where the block's centre starts on the course, m: x is counted from the picture's left edge in all runs."""
+    edge = MARGIN + scene.target.get("width", 90.0) / 2
+    return camera.scale * (edge if run["v"] > 0 else camera.width - 1 - edge)
 
 
 def _values(scene: Scene) -> dict[str, dict[str, float]]:
@@ -176,9 +192,7 @@ def _frames(scene: Scene, run: dict[str, Any], camera: Camera, slide: Slide, rng
         height=float(scene.target.get("height", 56)),
         surface=Surface(size=float(scene.target.get("speckle", 4.0)), seed=11),
     )
-    edge = MARGIN + target.width / 2
-    begin = edge if run["v"] > 0 else camera.width - 1 - edge
-    x = begin + (slide.x + slide.shift - slide.x[0]) / camera.scale
+    x = (slide.x + slide.shift) / camera.scale
     y = np.full_like(x, camera.height / 2 - 4)
     spline = CubicSpline(slide.t, x)
 
