@@ -1,0 +1,98 @@
+"""Errors of every model tried, and the spans where the last one fails, against a patch whose place is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from runs import BASE, FPS, MASS, Spec, measured, study
+
+from frictrack import models
+from frictrack.compare import compare, curvature, failing_spans, history, residual_force
+from frictrack.errors import FrictrackError
+from frictrack.fit import fit
+from frictrack.results import plain
+
+PATCH = {"F": 4.0, "x_c": 0.2, "w": 0.008}
+PAIR = (Spec(4.0, 1, 0.1), Spec(5.0, 1, 0.09))
+
+
+@pytest.fixture(scope="module")
+def runs():
+    model = models.of(["coulomb", "viscous"]) + "patch"
+    values = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"], "patch": PATCH}
+    return study(model, values, specs=PAIR, sigma=2e-6)[0]
+
+
+@pytest.fixture(scope="module")
+def fits(runs):
+    return [fit("coulomb,viscous", runs), fit("coulomb,viscous,patch", runs)]
+
+
+def test_it_fails_in_every_run_until_the_patch_is_known(runs, fits):
+    spans = failing_spans(fits[0].solution, runs)
+    assert {s["run"] for s in spans} == {r.name for r in runs}
+    for s in spans:  # time, place and share belong together, t in recording time
+        seen = next(r.displacement for r in runs if r.name == s["run"])
+        x = seen.x[(seen.t >= s["t"][0]) & (seen.t <= s["t"][1])]
+        assert s["x"] == pytest.approx([x.min(), x.max()], abs=1e-3)
+        assert s["v"][0] <= (x[-1] - x[0]) / (s["t"][1] - s["t"][0]) <= s["v"][1]
+    shares = [s["share_of_error"] for s in spans]
+    assert shares == sorted(shares, reverse=True)
+    assert 0.5 < sum(shares) <= 1 + 1e-3
+    assert failing_spans(fits[1].solution, runs) == []
+
+
+def test_what_is_missing_shows_where_it_acts(runs, fits):
+    spans = failing_spans(fits[1].solution, runs, missing="patch")
+    assert [s["run"] for s in sorted(spans, key=lambda s: s["run"])] == [r.name for r in runs]
+    for s in spans:
+        assert s["x"][0] < PATCH["x_c"] < s["x"][1]
+        assert s["x"] == pytest.approx([PATCH["x_c"] - 2 * PATCH["w"], PATCH["x_c"] + 2 * PATCH["w"]], abs=PATCH["w"])
+
+
+def test_errors_fall_in_the_order_tried(fits):
+    table = plain(compare(fits).summary())
+    assert table.keys() == {"models", "fails_at"}
+    assert [m["name"] for m in table["models"]] == ["1_coulomb+viscous", "2_coulomb+viscous+patch"]
+    assert [m["model"] for m in table["models"]] == [f.model.names for f in fits]
+    before, after = (m["errors"] for m in table["models"])
+    for key in ("rms_displacement_um", "rms_acceleration", "sse_acceleration", "relative_force_error", "reduced_chi2"):
+        assert after[key] < before[key]
+    assert after["heldout_rms_um"] == pytest.approx(2.0, rel=0.1)
+    assert table["fails_at"] == []
+    assert plain(history(fits).summary()) == table
+    assert compare(fits[0]).summary()["models"] == [table["models"][0]] != []
+
+
+def test_nothing_to_compare_is_said():
+    with pytest.raises(FrictrackError, match="expected at least one fitted model to compare but got none"):
+        compare([])
+
+
+def test_residual_force_is_the_force_that_was_left_out():
+    t = np.arange(400) / FPS
+    extra = 0.5  # N, for half of the run: x'' = -(8 + extra)/m
+    late = np.maximum(t - 0.05, 0.0)
+    x = 4 * t - 8 / MASS * t**2 / 2 - extra / MASS * late**2 / 2
+    response = fit("coulomb", [measured(t, x, sigma=1e-6)]).solution.responses[0]
+    force = residual_force(response, 2e-3)
+    step = force.F[250:370].mean() - force.F[30:150].mean()
+    assert step == pytest.approx(extra, rel=0.05)
+    assert np.all(force.sigma_F > 0)
+
+
+def test_curvature_is_exact_for_parabolas_and_its_noise_is_that_of_repeats():
+    rng, t = np.random.default_rng(0), np.arange(200) / FPS
+    sigma = np.full(200, 2e-6)
+    a, stated = curvature(0.3 - 2 * t + 7 * t**2, sigma, t, 3e-3)
+    np.testing.assert_allclose(a, 14.0, rtol=1e-9)
+    seen = [curvature(sigma * rng.standard_normal(200), sigma, t, 3e-3)[0] for _ in range(300)]
+    np.testing.assert_allclose(np.std(seen, axis=0) / stated, 1.0, atol=0.2)  # 300 repeats: 4 % deviation
+
+
+def test_the_true_law_fails_nowhere_by_chance():
+    spans = []
+    for seed in range(5):
+        runs, _ = study(specs=(Spec(4.0, 1, 0.06), Spec(-4.0, 1, 0.06)), rng=np.random.default_rng(seed), sigma=1e-5)
+        spans += failing_spans(fit("coulomb,stribeck,viscous", runs).solution, runs)
+    assert spans == []

@@ -1,0 +1,182 @@
+"""What is missing is named, what is not missing is not, and what the runs cannot tell apart is said to be so.
+
+The runs are short and the law is Coulomb + viscous, so that a diagnosis takes a second.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
+
+from frictrack import effects, models
+from frictrack.diagnose import diagnose
+from frictrack.fit import fit
+from frictrack.results import plain
+
+FOUR = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.05))
+LAW = ["coulomb", "viscous"]
+KEYS = {
+    *("model", "verdict", "missing", "noise_um", "reduced_chi2", "p_lack_of_fit", "fails_at", "candidates"),
+    *("unexplained", "next_experiment", "detection_limits"),
+}
+CANDIDATE = {
+    *("effect", "acts_on", "parameters", "p", "delta_bic", "heldout_rms_before_um", "heldout_rms_after_um"),
+    *("heldout", "indistinguishable_from"),
+}
+
+
+def runs_with(hidden=None, values=None, *, specs=FOUR, seed=1, sigma=1e-5):
+    """Runs of Coulomb + viscous friction and one hidden effect, 3 % scatter where runs can tell it."""
+    law = {name: BASE[name] for name in LAW}
+    if hidden:
+        law[hidden] = values or HIDDEN[hidden]
+    scatter = 0.03 if len(specs) > 3 else 0.0
+    return study(models.of(law), law, specs=specs, sigma=sigma, scatter=scatter, rng=np.random.default_rng(seed))[0]
+
+
+@pytest.fixture(scope="module")
+def nothing_missing():
+    return diagnose(fit(LAW, runs_with()))
+
+
+@pytest.fixture(scope="module")
+def texture_missing():
+    fitted = fit(LAW, runs_with("texture"))
+    return fitted, diagnose(fitted)
+
+
+def test_a_law_that_is_the_whole_truth_is_complete(nothing_missing):
+    found = nothing_missing
+    assert (found.verdict, found.missing, found.fails_at, found.unexplained) == ("complete", [], [], None)
+    assert found.p_lack_of_fit > 0.005
+    assert all(c.p > 0.005 for c in found.candidates)
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    assert found.noise_um == pytest.approx(10.0, rel=0.05)
+
+
+def test_the_hidden_effect_is_named_first_and_its_addition_leaves_the_noise(texture_missing):
+    fitted, found = texture_missing
+    assert (found.verdict, found.missing) == ("missing", ["texture"])
+    best = found.best
+    assert best.effect == "texture"
+    assert best.p == 0.001  # 999 draws
+    assert best.delta_bic > 100
+    assert best.indistinguishable_from == ()
+    assert best.heldout_after == pytest.approx(10e-6, rel=0.1)
+    assert best.heldout_before > 1.1 * best.heldout_after
+    truth = HIDDEN["texture"]
+    for name in ("amplitude", "period", "phase"):
+        known = best.parameters[name]
+        assert abs(known["value"] - truth[name]) < 4 * known["std"]
+    assert {s["run"] for s in found.fails_at} <= {r.name for r in fitted.runs}
+    assert found.fails_at
+    again = fit(fitted.model + best.effect, fitted.runs)
+    assert again.errors["heldout_rms_um"] == pytest.approx(1e6 * best.heldout_after, rel=0.02)
+
+
+def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
+    for found in (nothing_missing, texture_missing[1]):
+        summary = json.loads(json.dumps(plain(found.summary()), allow_nan=False))
+        assert summary.keys() >= KEYS
+        assert summary["model"] == LAW
+        for c in summary["candidates"]:
+            assert c.keys() >= CANDIDATE
+            for p in c["parameters"].values():
+                assert p.keys() >= {"value", "std", "unit"}
+        for span in summary["fails_at"]:
+            assert span.keys() >= {"run", "t", "x", "v", "share_of_error"}
+            assert span["t"][0] <= span["t"][1]
+        assert summary["detection_limits"].keys() <= {*effects.LIBRARY, *(f"{n}:2" for n in effects.LIBRARY)}
+        for limit in summary["detection_limits"].values():
+            assert limit.keys() >= {"value", "unit", "at", "power"}
+            assert limit["power"] == 0.95
+            assert limit["value"] is None or limit["value"] > 0
+
+
+def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing):
+    limit = nothing_missing.detection_limits["drag"]
+    assert limit["unit"] == "N s^2/m^2"
+    large = diagnose(fit(LAW, runs_with("drag", {"c": 1.5 * limit["value"]})))
+    assert large.verdict != "complete"
+    small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})))
+    assert small.verdict == "complete"
+
+
+@pytest.mark.parametrize("hidden", ["vibration", "camera_shake"])
+def test_one_run_names_a_group_where_it_cannot_single_out(hidden):
+    found = diagnose(fit(LAW, runs_with(hidden, specs=FOUR[:1])))
+    assert found.verdict == "ambiguous"
+    group = {found.best.effect, *found.best.indistinguishable_from}
+    assert group == {"vibration", "camera_shake", "load_modulation"}
+    assert any("one run alone" in remark for remark in found.remarks)
+
+
+def test_one_run_in_one_direction_cannot_miss_a_slope():
+    found = diagnose(fit(LAW, runs_with("slope", {"F": 2.0}, specs=FOUR[:1])))
+    assert found.verdict == "complete"
+    limit = found.detection_limits["slope"]
+    assert limit["value"] is None
+    assert limit["reason"] == "the fitted law absorbs it whatever its size"
+
+
+def test_the_same_seed_gives_the_same_p_values():
+    fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
+    first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))
+    assert plain(first.summary()) == plain(second.summary())
+    assert first.p_lack_of_fit == pytest.approx(other.p_lack_of_fit, abs=0.1)
+
+
+def test_false_alarms_are_as_rare_as_stated_and_the_lack_of_fit_is_calibrated():
+    found = [diagnose(fit(LAW, runs_with(specs=FOUR[:1], seed=s))) for s in range(20)]
+    assert sum(d.verdict == "complete" for d in found) >= 19  # alpha = 0.01
+    p = np.array([d.p_lack_of_fit for d in found])
+    assert 0.3 < p.mean() < 0.7  # 20 uniform numbers: 0.5 +- 0.065
+    assert p.min() < 0.3
+    assert p.max() > 0.7
+
+
+def test_what_needs_the_pixel_pitch_is_not_tried_without_it_and_this_is_said():
+    run = runs_with(specs=FOUR[:1])[0]
+    blind = replace(run, displacement=replace(run.displacement, pixel_pitch=None))
+    found = diagnose(fit(LAW, [blind]))
+    assert "peak_locking" not in found.detection_limits
+    assert any("peak_locking was not tried: it needs the pixel pitch" in remark for remark in found.remarks)
+    assert "peak_locking" in diagnose(fit(LAW, [run])).detection_limits
+
+
+def test_validation_runs_are_not_looked_at():
+    run, other = runs_with(specs=FOUR[:2])
+    broken = replace(other, role="validation", mass=5 * MASS)
+    alone, beside = diagnose(fit(LAW, [run])), diagnose(fit(LAW, [run, broken]))
+    assert plain(alone.summary()) == plain(beside.summary())
+
+
+def test_progress_is_told():
+    heard = []
+    diagnose(fit(LAW, runs_with(specs=FOUR[:1])), progress=lambda done, total, what: heard.append((done, total, what)))
+    assert all(0 <= done <= total for done, total, _ in heard)
+    assert heard[-1][0] == heard[-1][1]
+    assert all(what for *_, what in heard)
+
+
+def test_structure_that_no_effect_explains_is_shown_and_not_named():
+    t = np.arange(240) / FPS
+    rng = np.random.default_rng(0)
+    jolts = np.cumsum(np.cumsum(np.repeat(rng.choice([-1.0, 1.0], 60), 4))) / FPS**2  # a random force of 1 m/s^2 x 60
+    x = 4 * t - 8 / MASS * t**2 / 2 + 60 * jolts
+    found = diagnose(fit(LAW, [measured(t, x, sigma=2e-6)]))
+    assert found.p_lack_of_fit < 0.005
+    assert found.verdict in ("unexplained", "ambiguous")
+    if found.verdict == "unexplained":
+        assert found.unexplained["axis"] in ("x", "t", "v")
+        assert np.shape(found.unexplained["curve"])[1] == 2
+
+
+@pytest.mark.slow
+def test_twenty_studies_with_nothing_hidden_are_complete():
+    complete = sum(diagnose(fit(LAW, runs_with(seed=100 + s))).verdict == "complete" for s in range(20))
+    assert complete >= 19
