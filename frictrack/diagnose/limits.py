@@ -10,7 +10,7 @@ from scipy.stats import ncx2
 
 from frictrack.diagnose.null import Ensemble
 from frictrack.diagnose.tests import Scanned
-from frictrack.fit.scan import Family
+from frictrack.fit.scan import ABSORBED, Family
 from frictrack.records import Array
 
 POWER = 0.95
@@ -50,5 +50,9 @@ def _unit_gain(family: Family, shrink: Array) -> Array:
     """Expected likelihood ratio of every form at amplitude one, phases at their worst, (G,)."""
     schur = family.gram - family.on_basis @ shrink @ family.on_basis.transpose(0, 2, 1)
     k = family.k
-    blocks = [schur[:, i : i + k, i : i + k] for i in range(0, schur.shape[1], k)]
-    return np.sum([np.maximum(np.linalg.eigvalsh(b)[:, 0], 0.0) for b in blocks], axis=0)
+    gains = []
+    for i in range(0, schur.shape[1], k):
+        left = np.linalg.eigvalsh(schur[:, i : i + k, i : i + k])[:, 0]
+        whole = np.einsum("gkk->g", family.gram[:, i : i + k, i : i + k])
+        gains.append(np.where(left > ABSORBED * whole, left, 0.0))  # less is rounding
+    return np.asarray(np.sum(gains, axis=0))

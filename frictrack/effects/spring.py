@@ -15,7 +15,7 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     """x_0 is quoted as a length: the constant force over the stiffness."""
-    return {"x_0": own["x_0"] / own["k"]}
+    return {"x_0": own["x_0"] / own["k"] if own["k"] else float("nan")}
 
 
 spring = Effect(
