@@ -107,7 +107,7 @@ def refine(
     state = _state(problem, plain(p), list(starts), tau)
     damping = 1e-8
     for _ in range(max_steps):
-        enough = ENOUGH * max(1.0, (state.objective / max(problem.n_frames, 1)) ** 2)
+        enough = ENOUGH * max(1.0, state.objective / max(problem.n_frames, 1))
         step, gain = _step(state, damping, (low, high))
         if gain < enough:
             break
