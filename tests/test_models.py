@@ -43,7 +43,7 @@ def test_tustin_holds_the_exponent_that_the_stribeck_model_frees():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("tustn", 'expected the name of an effect but got "tustn"'),
+        ("tustn", 'expected the name of a model but got "tustn"'),
         ("coulomb,viscos", 'did you mean "viscous"?'),
         ("atm1", 'expected an order after the colon, as in "atm1:2", but got "atm1"'),
         ("atm1:0", "expected an order after the colon"),
