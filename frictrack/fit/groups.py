@@ -1,0 +1,82 @@
+"""One set of parameters per group of runs, such as low and high speed (the papers' own division)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.result import Fit, errors_of
+from frictrack.models import Model
+from frictrack.records import Curve, Run
+
+
+@dataclass(frozen=True, eq=False)
+class GroupFits:
+    """The same model fitted to every group of runs apart; `fits` by the group's name."""
+
+    fits: dict[str, Fit]
+
+    @property
+    def model(self) -> Model:
+        """The model that all groups share."""
+        return next(iter(self.fits.values())).model
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """All fitted runs, group by group."""
+        return tuple(chain.from_iterable(f.runs for f in self.fits.values()))
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """Measurement beside model, group by group."""
+        return tuple(chain.from_iterable(f.curves for f in self.fits.values()))
+
+    @property
+    def errors(self) -> dict[str, Any]:
+        """Errors over all fitted runs; the held-out error is the root mean square over the frames of all groups."""
+        each = list(self.fits.values())
+        frames = np.array([f.solution.problem.n_frames for f in each], dtype=float)
+        share = frames / frames.sum()
+        ways = {f.heldout[1] for f in each}
+        return errors_of([c for c in self.curves if c.role == "fit"], self.runs) | {
+            "heldout_rms_um": 1e6 * float(np.sqrt(share @ np.array([f.heldout[0] for f in each]) ** 2)),
+            "heldout_rms_N": None,
+            "heldout": "run" if ways == {"run"} else "frames",
+            "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in each])),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
+        each = {name: f.summary() for name, f in self.fits.items()}
+        first = next(iter(each.values()))
+        return {key: first[key] for key in ("model", "domain", "search")} | {
+            "per": "group",
+            "parameters": {f"{k}[{g}]": v for g, s in each.items() for k, v in s["parameters"].items()},
+            "friction_scatter": {g: s["friction_scatter"] for g, s in each.items()},
+            "correlations": [[f"{a}[{g}]", f"{b}[{g}]", r] for g, s in each.items() for a, b, r in s["correlations"]],
+            "errors": self.errors,
+            "per_run": [row | {"group": g} for g, s in each.items() for row in s["per_run"]],
+        }
+
+
+def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Runs of every group, in the order in which the groups first appear.
+
+    Raises FrictrackError (usage) when a run has none.
+    """
+    lost = [r.name for r in runs if not r.group]
+    if lost:
+        raise FrictrackError(
+            f"per group: expected every run to have a group but {', '.join(lost)} has none; give it "
+            'group = "low", for example',
+            usage=True,
+        )
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(run.group, []).append(run)
+    return groups
