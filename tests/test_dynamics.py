@@ -111,5 +111,10 @@ def test_linear_response_of_a_free_mass_is_exact():
 
 
 def test_a_law_without_a_motion_is_an_error_not_a_number():
-    with pytest.raises(FrictrackError, match="the model's motion could not be integrated"):
+    with pytest.raises(FrictrackError, match="the motion under this law could not be integrated"):
         solved(lambda x, v, t: np.sign(x) * 1e9 * np.cos(1e9 * x), frames(0.02), (0.0, 1.0))
+
+
+def test_a_law_that_runs_away_is_an_error_and_no_warning():
+    with pytest.raises(FrictrackError, match="could not be integrated"):
+        solved(lambda x, v, t: 1e7 * np.exp(x**2) * v**3, frames(0.02), (1.0, 5.0))

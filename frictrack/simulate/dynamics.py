@@ -133,7 +133,20 @@ def solve(
 
     Returns the motion and its linear response. Raises FrictrackError when Newton's method does not settle.
     """
-    a = np.array(guess, dtype=float)
+    with np.errstate(all="ignore"):  # a wild law runs off to infinity, which is answered below
+        solved = _newton(acceleration, panels, start, np.array(guess, dtype=float), tolerance)
+    if solved is None:
+        raise FrictrackError(
+            "the motion under this law could not be integrated; check mass, drive and the sign of incline "
+            "(positive where the course rises toward +x)"
+        )
+    return solved
+
+
+def _newton(
+    acceleration: Acceleration, panels: Panels, start: tuple[float, float], a: Array, tolerance: float
+) -> tuple[Motion6, Linear] | None:
+    """Newton's iterations from node accelerations a (3 p,); None when they do not settle."""
     moved = np.inf
     for _ in range(MOST_STEPS):
         x, v, x_edge, v_edge = panels.integrate(a, *start)
@@ -146,11 +159,8 @@ def solve(
         a = a + step[:, 0]
         moved = float(np.max(np.abs(edges[:, 0])))
         if not np.isfinite(moved):
-            break
+            return None
         if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
             x, v, x_edge, v_edge = panels.integrate(a, *start)
             return Motion6(panels, x, v, a, x_edge, v_edge), response
-    raise FrictrackError(
-        "the motion under this law could not be integrated; check mass, drive and the sign of incline "
-        "(positive where the course rises toward +x)"
-    )
+    return None
