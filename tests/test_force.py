@@ -10,10 +10,10 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import models
 from frictrack.errors import FrictrackError
-from frictrack.fit import fit, restore, state
+from frictrack.fit import fit, papers, restore, state
 from frictrack.fit.crowd import Misfit, displacement_balance
 from frictrack.fit.force import chain_of
-from frictrack.fit.papers import bounds_of, misfit_of, scaffold
+from frictrack.fit.papers import bounds_of, misfit_of, scaffold, searched
 from frictrack.motion import differentiate, low_pass
 from frictrack.simulate.slide import Conditions, simulate
 
@@ -139,13 +139,15 @@ class TestSearch:
         misfit = misfit_of(problem, chains)
         assert misfit(seen.p[None])[0] == pytest.approx(seen.chi2 * misfit.unit, rel=0.01)
 
-    @pytest.mark.parametrize("search", ["ga", "mga", "sga", "sa", "de", "da"])
-    def test_finds_tustin_nearly_as_well_as_variable_projection(self, search):
-        run = one_slide()
-        best = fit("tustin", [run], domain="force").found.force.chi2
-        result = fit("tustin", [run], domain="force", search=search)
-        assert result.found.force.chi2 < 2.5 * best
-        assert result.summary()["optima"][0]["parameters"].keys() == TRUTH.keys()
+    @pytest.mark.parametrize(("search", "close"), [("ga", 1.5), ("mga", 1.5), ("sga", 1.1), ("sa", 1.1)])
+    def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
+        # binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do
+        best = fit("tustin", [one_slide()], domain="force").found.force
+        misfit = misfit_of(best.problem, best.problem.chains)
+        at_best = misfit(best.p[None])[0]
+        found = [searched(misfit, search, np.random.default_rng(seed), best.p)[1][0] / at_best for seed in range(5)]
+        assert min(found) > 0.999
+        assert np.median(found) < close
 
     def test_differential_evolution_reaches_the_optimum_of_variable_projection(self):
         run = one_slide()
@@ -162,13 +164,15 @@ class TestSearch:
         assert any(abs(f - 43.0) < 3 for f in frequencies)
         assert all(e["reason"] or e["std"] > 0 for e in found.values())
 
-    def test_seed_decides(self):
+    def test_seed_decides(self, monkeypatch):
+        monkeypatch.setattr(papers, "BUDGET", 4000)
         run = one_slide()
         first, same, other = (fit("tustin", [run], domain="force", search="ga", seed=s).solution.p for s in (1, 1, 2))
         assert np.array_equal(first, same)
         assert not np.array_equal(first, other)
 
-    def test_search_comes_back_from_its_state_without_polish(self):
+    def test_search_comes_back_from_its_state_without_polish(self, monkeypatch):
+        monkeypatch.setattr(papers, "BUDGET", 4000)
         result = fit("tustin", [one_slide()], search="ga", domain="force")
         again = restore(result.runs, state(result))
         assert np.array_equal(again.solution.p, result.solution.p)

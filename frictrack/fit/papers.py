@@ -27,7 +27,7 @@ from frictrack.search import METHODS, minimise
 DOMAINS = ("displacement", "force")
 SEARCHES = ("varpro", *METHODS)
 BUDGET = 36_000  # evaluations: the first paper's 1000 generations of 40 with the common gap of 0.9
-ROOM = 2.0  # times the largest friction measured: how far a force is searched
+ROOM = 1.5  # times the largest friction measured: how far a force is searched
 SHIFT = 0.01  # of the travelled span: how far the picture may be shifted
 
 
@@ -84,7 +84,7 @@ def misfit_of(problem: Problem, chains: Sequence[Chain] | None) -> Misfit:
 def bounds_of(misfit: Misfit) -> Array:
     """The box (d, 2) of a search: the parameters' own bounds, and where these are open, what the data allow.
 
-    A force reaches twice the largest friction measured, the amplitude of a wave its whole swing, other coefficients
+    A force reaches 1.5 times the largest friction measured, the amplitude of a wave its whole swing, other coefficients
     what makes such a force along the measured motion; phases from -pi to pi.
     """
     reach = _Reach(misfit)
