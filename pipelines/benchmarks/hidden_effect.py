@@ -93,7 +93,9 @@ def make_study(seed: int, effect: str | None, *, one_run: bool = False) -> tuple
     return runs, Truth(effect, _scaled(effect, shape, size, 1.0, rng) if effect else {})
 
 
-def _slide(model: models.Model, values: Any, mass: float, spec: tuple[float, int], travel: float, level: float) -> Slide:
+def _slide(
+    model: models.Model, values: Any, mass: float, spec: tuple[float, int], travel: float, level: float
+) -> Slide:
     v, ratio = spec
     t = np.arange(int(0.16 * FPS)) / FPS
     conditions = Conditions(mass * ratio, load=ratio * level, mass_ratio=ratio, pixel_pitch=PITCH)

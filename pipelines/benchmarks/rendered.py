@@ -78,7 +78,9 @@ def study(hidden: str, folder: Path, seed: int) -> str:
     found = session.diagnose(seed)
     (folder / "diagnosis.json").write_text(json.dumps(found, indent=1, default=str), encoding="utf-8")
     best = found["candidates"][0] if found["candidates"] and found["missing"] else None
-    held = "" if best is None else f"held out {best['heldout_rms_before_um']:.2f} -> {best['heldout_rms_after_um']:.2f} um"
+    held = (
+        "" if best is None else f"held out {best['heldout_rms_before_um']:.2f} -> {best['heldout_rms_after_um']:.2f} um"
+    )
     rivals = best["indistinguishable_from"] if best else []
     return (
         f"{hidden:13} {found['verdict']:12} missing {found['missing']} rivals {rivals} {held} "

@@ -1,0 +1,93 @@
+"""Scenes: films of known truth and a study file that does not tell it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import frictrack as ft
+from frictrack.errors import FrictrackError
+from frictrack.simulate.scene import film_scene, read_scene, render_scene
+
+SCENE = """
+name = "two short runs"
+mass = 0.35
+[camera]
+fps = 4000
+width = 260
+height = 72
+[target]
+width = 60
+height = 44
+[law.coulomb]
+F_c = 8.0
+[law.viscous]
+F_v = 1.2
+[[run]]
+name = "there"
+v = 4.0
+frames = 60
+[[run]]
+name = "back"
+v = -4.0
+frames = 60
+mass = 0.7
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("scene")
+    film_scene(read_scene(SCENE), out, seed=3)
+    return out
+
+
+def test_films_study_and_truth_stand_side_by_side_and_the_study_does_not_tell(folder):
+    assert {p.name for p in folder.iterdir()} == {"there.avi", "back.avi", "study.toml", "truth.json"}
+    text = (folder / "study.toml").read_text()
+    assert 'mass = "0.7 kg"' in text
+    assert "8.0" not in text
+    assert "F_c" not in text
+
+
+@pytest.mark.parametrize("name", ["there", "back"])
+def test_the_tracked_block_is_where_the_truth_says(folder, name):
+    truth = {r["name"]: np.array(r["x_m"]) for r in json.loads((folder / "truth.json").read_text())["runs"]}[name]
+    track = ft.track(ft.open_recording(folder / f"{name}.avi", fps=4000))
+    error = ft.calibrate(track, scale="0.5 mm/px").x - truth
+    assert np.std(error) < 1.5e-6  # 3 mpx
+    assert abs(np.mean(error)) < 3 * 0.5e-3  # the rectangle's centre is the block's to some px
+
+
+def test_the_truth_is_the_closed_form_of_viscous_decay(folder):
+    run = json.loads((folder / "truth.json").read_text())["runs"][0]
+    x, t, m = np.array(run["x_m"]), np.arange(60) / 4000, 0.35
+    tau, drift = m / 1.2, 8.0 / 1.2
+    closed = (4.0 + drift) * tau * (1 - np.exp(-t / tau)) - drift * t
+    assert np.max(np.abs(x - x[0] - closed)) < 1e-12
+
+
+def test_the_same_seed_makes_the_same_film(folder, tmp_path):
+    film_scene(read_scene(SCENE), tmp_path, seed=3)
+    assert (tmp_path / "there.avi").read_bytes() == (folder / "there.avi").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SCENE.replace("mass = 0.35", "mas = 0.35"), 'unknown key "mas"'),
+        (SCENE.replace("v = 4.0", "speed = 4.0"), 'unknown key "speed" in a run'),
+        (SCENE.replace("fps = 4000", "fsp = 4000"), r'unknown key "fsp" in \[camera\]'),
+        ("name = 'empty'", r"expected a \[law.coulomb\] table"),
+    ],
+)
+def test_a_wrong_scene_is_told_in_one_sentence(text, message):
+    with pytest.raises(FrictrackError, match=message):
+        read_scene(text)
+
+
+def test_a_wrong_parameter_or_missing_file_is_told(tmp_path):
+    with pytest.raises(FrictrackError, match="coulomb has F_c but not F_x"):
+        film_scene(read_scene(SCENE.replace("F_c", "F_x")), tmp_path)
+    with pytest.raises(FrictrackError, match="expected a scene file but found none"):
+        render_scene(tmp_path / "none.toml", tmp_path)
