@@ -38,7 +38,7 @@ _HOME = {
 }
 _MODULES = ("models", "effects", "search", "simulate")
 
-__all__ = [*list(_HOME), *_MODULES]
+__all__ = [*_HOME, *_MODULES]  # noqa: PLE0604 - they are strings
 
 
 class _Package(ModuleType):

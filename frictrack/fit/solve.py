@@ -15,6 +15,7 @@ from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
 PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
+FIRST_DAMPING, MOST_DAMPED = 1e-8, 1e8
 UNDAMPED = 1e-12  # damping with which a step is Gauss-Newton's
 ENOUGH = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
 
@@ -66,6 +67,41 @@ def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
     return np.concatenate(blocks)
 
 
+@dataclass(frozen=True)
+class _Walk:
+    """What holds during one refinement: the problem, the spread of the levels, and which way each unknown may go."""
+
+    problem: Problem
+    tau: float
+    low: Array
+    high: Array
+    whole: bool  # every unknown may move
+
+    def at(self, p: Array, starts: list[Array]) -> Solution:
+        """The law at p, brought within the bounds and to its plain form, the levels about one."""
+        p = settle(self.problem.layout, np.clip(p, self.low, self.high))
+        return _state(self.problem, balanced(self.problem.layout, p) if self.whole else p, starts, self.tau)
+
+    def moved(self, state: Solution, step: Array) -> Solution:
+        """The law after a step, its starts moved along."""
+        pairs = zip(state.starts, state.responses, strict=True)
+        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs])
+
+    def stepped(self, state: Solution, step: Array) -> Solution:
+        """The law after a trial step.
+
+        Where it went too far, the coefficients are solved again for its non-linear parameters (variable projection).
+        """
+        trial = self.moved(state, step)
+        linear = np.array([s.linear or s.effect == LEVEL for s in self.problem.layout.slots], dtype=bool)
+        for _ in range(PROJECTIONS):
+            if trial.objective < state.objective:
+                break
+            bounds = np.where(linear, self.low, trial.p), np.where(linear, self.high, trial.p)
+            trial = self.moved(trial, _step(trial, UNDAMPED, bounds)[0])
+        return trial
+
+
 def refine(
     problem: Problem,
     p: Array,
@@ -82,49 +118,25 @@ def refine(
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
-
-    linear = np.array([s.linear or s.effect == LEVEL for s in problem.layout.slots], dtype=bool)
-
-    def plain(p: Array) -> Array:
-        """Back within the bounds, in plain form, the levels about one."""
-        p = settle(problem.layout, np.clip(p, low, high))
-        return balanced(problem.layout, p) if free is None else p
-
-    def moved(state: Solution, step: Array) -> Solution:
-        """The law after a step, its starts moved along."""
-        pairs = zip(state.starts, state.responses, strict=True)
-        return _state(problem, plain(state.p + step), [s + r.start_step(step[r.active]) for s, r in pairs], tau)
-
-    def projected(trial: Solution, goal: float) -> Solution:
-        """The best coefficients for the trial's non-linear parameters (variable projection), if they reach the goal."""
-        for _ in range(PROJECTIONS):
-            if trial.objective < goal:
-                break
-            bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
-            trial = moved(trial, _step(trial, UNDAMPED, bounds)[0])
-        return trial
-
-    state = _state(problem, plain(p), list(starts), tau)
-    damping = 1e-8
+    walk = _Walk(problem, tau, low, high, free is None)
+    state, damping = walk.at(p, list(starts)), FIRST_DAMPING
     for _ in range(max_steps):
         enough = ENOUGH * max(1.0, state.objective / max(problem.n_frames, 1))
-        step, gain = _step(state, damping, (low, high))
-        if gain < enough:
+        step, promised = _step(state, damping, (low, high))
+        if promised < enough or damping > MOST_DAMPED:
             break
         try:
-            trial = projected(moved(state, step), state.objective)
+            trial = walk.stepped(state, step)
         except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
             damping *= 100
             continue
-        if trial.objective < state.objective:
-            improved = state.objective - trial.objective
+        improved = state.objective - trial.objective
+        if improved > 0:
             state, damping = trial, max(damping * 0.01, UNDAMPED)
-            if improved < enough and damping == UNDAMPED:
-                break
         else:
             damping *= 100
-            if damping > 1e8:
-                break
+        if 0 < improved < enough and damping == UNDAMPED:
+            break
     return state
 
 
