@@ -73,8 +73,8 @@ def residual_force(response: Response, scale: float | None = None) -> ResidualFo
     a, sigma = max(tried, key=lambda pair: float(np.max(np.abs(pair[0]) / pair[1])))
     return ResidualForce(
         t=piece.t,
-        x=response.motion.x_edge[:: piece.per_frame],
-        v=response.motion.v_edge[:: piece.per_frame],
+        x=response.motion.x_edge[piece.at],
+        v=response.motion.v_edge[piece.at],
         F=-piece.mass * a,
         sigma_F=piece.mass * sigma,
     )
@@ -133,7 +133,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
 
 def _unopposed(solution: Solution, response: Response, missing: str) -> ResidualForce:
     """The force of a missing effect as the failure it leaves, known to a thousandth."""
-    piece, at = response.piece, slice(None, None, response.piece.per_frame)
+    piece, at = response.piece, response.piece.at
     force = effect_force(solution, response, missing)
     noise = np.full(len(force), 1e-3 * max(float(np.max(np.abs(force))), 1e-12))
     return ResidualForce(piece.t, response.motion.x_edge[at], response.motion.v_edge[at], force, noise)
@@ -143,7 +143,7 @@ def effect_force(solution: Solution, response: Response, name: str) -> Array:
     """Force that one effect adds along the solved motion of one piece, N, (n,); zero for one of the picture."""
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
-    at = slice(None, None, piece.per_frame)
+    at = piece.at
     path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
     without = Model(tuple(e for e in problem.model.effects if e.name != name))
     return problem.model.force(path, values) - without.force(path, values)

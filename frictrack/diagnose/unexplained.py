@@ -18,9 +18,9 @@ def unexplained_force(solution: Solution) -> dict[str, Any]:
     parts = [residual_force(r) for r in solution.responses]
     force = np.concatenate([p.F for p in parts])
     axes = {
-        "x": np.concatenate([r.motion.x_edge[:: r.piece.per_frame] for r in solution.responses]),
+        "x": np.concatenate([r.motion.x_edge[r.piece.at] for r in solution.responses]),
         "t": np.concatenate([r.piece.t for r in solution.responses]),
-        "v": np.concatenate([r.motion.v_edge[:: r.piece.per_frame] for r in solution.responses]),
+        "v": np.concatenate([r.motion.v_edge[r.piece.at] for r in solution.responses]),
     }
     curves = {name: _binned(axis, force) for name, axis in axes.items()}
     best = max(curves, key=lambda name: curves[name][1])

@@ -52,7 +52,7 @@ def atm2(order: int) -> Effect:
             Parameter("f_c", "N", linear=True, loaded=True),
             Parameter("f_s", "N", linear=True, loaded=True),
             Parameter("f_v", "N s/m", linear=True),
-            Parameter("v_s", "m/s", (0.001, 2.0), scan=speeds),
+            Parameter("v_s", "m/s", scan=speeds),
             *lines,
         ),
         columns=columns,

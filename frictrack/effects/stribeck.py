@@ -15,8 +15,8 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 
 def speeds(span: Span) -> Array:
-    """Stribeck velocities worth trying, m/s."""
-    return log_grid(0.02, 2.0, 8)
+    """Stribeck velocities worth trying, m/s: one far below the slowest speed seen would leave no trace."""
+    return log_grid(min(max(0.02, span.v_min / 6), 1.0), 2.0, 8)
 
 
 def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
@@ -30,7 +30,7 @@ stribeck = Effect(
     equation="(F_s - F_c) L s exp(-(|v|/v_s)^delta)",
     parameters=(
         Parameter("F_s", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("v_s", "m/s", (0.001, 2.0), scan=speeds),
+        Parameter("v_s", "m/s", scan=speeds),
         Parameter("delta", "1", (0.5, 2.0), fixed=1.0),
     ),
     columns=columns,

@@ -14,6 +14,7 @@ from frictrack.fit.start import without
 from frictrack.records import Array
 
 CHI2_95 = 3.84  # one parameter, 95 %
+STIR = 1.05  # factor on the spread, to see which variances follow it
 NULL = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
 
 
@@ -40,20 +41,22 @@ class Estimates:
     correlations: list[tuple[str, str, float]]
 
 
-def covariance_of(solution: Solution, noise: Array | None = None) -> tuple[Array, Array]:
+def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """Covariance of the unknowns (P, P), and which of them the data do not see, (P,).
 
-    The part that comes from the scatter of few runs is widened from normal to Student's t.
+    A variance is known as well as the spread of few runs is, as far as it follows it: Student's t with
+    (runs - 1)/share^2 degrees of freedom, share = d log variance / d log spread^2 (Satterthwaite 1946).
     """
     layout = solution.problem.layout
-    rows = restraint_rows(layout, solution.tau or 0.03)
-    random = len(layout.levels) >= MIN_RUNS
-    full, unseen = _inverse(np.vstack([solution.jac, rows]))
-    if not random:
+    tau = solution.tau or 0.03
+    full, unseen = _inverse(np.vstack([solution.jac, restraint_rows(layout, tau)]))
+    if len(layout.levels) < MIN_RUNS:
         return full, unseen
-    fixed, _ = _inverse(np.vstack([solution.jac, rows * solution.tau / 1e-6]))
-    widen = float(student.ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
-    return fixed + widen * (full - fixed), unseen
+    more, _ = _inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau)]))
+    variance = np.maximum(np.diag(full), 1e-300)
+    share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
+    widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / 1.96
+    return full * widen[:, None] * widen, unseen
 
 
 def _inverse(jac: Array) -> tuple[Array, Array]:

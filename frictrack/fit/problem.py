@@ -36,7 +36,8 @@ class Piece:
     y: Array
     sigma: Array
     panels: Panels
-    per_frame: int  # panels between frames
+    at: Rows  # which edge of the panels each frame is
+    per_frame: int  # panels per frame interval
     x_hat: Array  # smoothed motion at the nodes: the first guess
     v_hat: Array
     a_hat: Array
@@ -50,21 +51,21 @@ class Piece:
 
     def refined(self, per_frame: int) -> Piece:
         """The same piece with more panels per frame."""
-        edges = np.interp(np.arange((len(self.t) - 1) * per_frame + 1) / per_frame, np.arange(len(self.t)), self.t)
+        edges, at = _cut_time(self.t, per_frame)
         panels = Panels(edges)
         old, new = self.panels.t, panels.t
         moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
         drive = None if self.path.drive is None else np.interp(new, old, self.path.drive)
         still = np.zeros_like(new)
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
-        return replace(self, panels=panels, per_frame=per_frame, path=path, **moved)
+        return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
     def cut(self, n: int) -> Piece:
         """The first n frames of the piece."""
-        edges = (n - 1) * self.per_frame + 1
+        edges = int(self.at[n - 1]) + 1
         nodes = slice(0, 3 * (edges - 1))
         at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
-        at_frames = {name: getattr(self, name)[:n] for name in ("frames", "t", "y", "sigma")}
+        at_frames = {name: getattr(self, name)[:n] for name in ("frames", "t", "y", "sigma", "at")}
         drive = None if self.path.drive is None else self.path.drive[nodes]
         path = replace(
             self.path,
@@ -123,6 +124,14 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame:
     return made
 
 
+def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:
+    """Edges of panels through the frame times t (n,), none longer than a frame, and which edge each frame is."""
+    interval = np.diff(t)
+    count = per_frame * np.maximum(1, np.rint(interval / np.median(interval)).astype(int))
+    at = np.concatenate([[0], np.cumsum(count)])
+    return np.interp(np.arange(at[-1] + 1), at, t), at
+
+
 def relative_noise(sigma: Array, use: Mask) -> Array:
     """Tracker's standard deviations as relative weights: 1 in the typical frame, 1 where not stated."""
     known = np.isfinite(sigma) & (sigma > 0) & use
@@ -137,7 +146,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Ref
     release, reference, per_frame = how
     mass = float(run.mass or 1.0)
     t = run.displacement.t[rows] - release
-    edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
+    edges, at = _cut_time(t, per_frame)
     panels = Panels(edges)
     nodes = panels.t
     motion = run.motion
@@ -164,6 +173,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Ref
         y=run.displacement.x[rows],
         sigma=noise[rows],
         panels=panels,
+        at=at,
         per_frame=per_frame,
         x_hat=CubicSpline(motion.t - release, motion.x)(nodes),
         v_hat=v_of(nodes),
@@ -226,11 +236,11 @@ class Problem:
         active = layout.active(piece.run)
         g = self._inputs(piece, p, motion, active)
         _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
-        x_sens = edges[:: piece.per_frame, 0, :]
+        x_sens = edges[piece.at, 0, :]
         shift, slope, direct = self._picture(piece, p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
-        model_y = motion.x_edge[:: piece.per_frame] + shift
+        model_y = motion.x_edge[piece.at] + shift
         weighted = x_sens / piece.sigma[:, None]
         residual = (piece.y - model_y) / piece.sigma
         q, upper = np.linalg.qr(weighted[:, -2:])
@@ -286,8 +296,8 @@ class Problem:
 
     def _picture(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> tuple[Array, Array, Array]:
         """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown."""
-        x = motion.x_edge[:: piece.per_frame]
-        v = motion.v_edge[:: piece.per_frame]
+        x = motion.x_edge[piece.at]
+        v = motion.v_edge[piece.at]
         shift, slope, direct = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), len(active)))
         if all(e.acts_on == "force" for e in self.model.effects):
             return shift, slope, direct

@@ -183,7 +183,7 @@ def _curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, 
 def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
     piece, motion, problem = response.piece, response.motion, solution.problem
     values, level = problem.layout.values(solution.p, piece.run)
-    x, v = motion.x_edge[:: piece.per_frame], motion.v_edge[:: piece.per_frame]
+    x, v = motion.x_edge[piece.at], motion.v_edge[piece.at]
     path = piece.at_frames(x, v, level)
     parts = {
         name: np.asarray(block @ problem.model.coefficients(name, values))

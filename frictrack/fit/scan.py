@@ -132,7 +132,7 @@ def _columns(solution: Solution, response: Response, effect: Effect, grid: list[
     motion = response.motion
     forms = [point | phase for point in grid for phase in _phases(effect)]
     if effect.acts_on == "measurement":
-        path = piece.at_frames(motion.x_edge[:: piece.per_frame], motion.v_edge[:: piece.per_frame], level)
+        path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
         moved = np.concatenate([effect.columns(path, form) for form in forms], axis=1)
     else:
         path = piece.along(motion.x, motion.v, level)
@@ -143,7 +143,7 @@ def _columns(solution: Solution, response: Response, effect: Effect, grid: list[
             made = [effect.columns(path, form) for form in forms]
         g = -np.concatenate(made, axis=1) / piece.mass
         _, edges = response.linear.respond(g, np.zeros((2, g.shape[1])))
-        moved = (1 + response.shift_slope)[:, None] * edges[:: piece.per_frame, 0]
+        moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0]
     weighted = moved / piece.sigma[:, None]
     clean: Array = weighted - response.q @ (response.q.T @ weighted)
     return clean

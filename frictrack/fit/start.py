@@ -62,7 +62,7 @@ def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
 def _sliding(response: Response) -> int:
     """Frames of a piece before the model's own stop."""
     piece, motion = response.piece, response.motion
-    speed = (piece.path.s[0] * motion.v_edge)[:: piece.per_frame]
+    speed = (piece.path.s[0] * motion.v_edge)[piece.at]
     slowing = np.abs(np.gradient(speed, piece.t))
     late = np.flatnonzero(speed < STOPPING * slowing * np.gradient(piece.t))
     after = late[late >= MIN_FRAMES]
