@@ -35,6 +35,11 @@ class Model:
             raise FrictrackError(f"expected every effect once but got {', '.join(twice)} twice; {hint}", usage=True)
         if not names:
             raise FrictrackError("expected at least one effect but got an empty model", usage=True)
+        kinds = {e.kind for e in self.effects}
+        idle = [e for e in self.effects if e.modifies and not kinds & e.modifies]
+        if idle:
+            wanted = " or ".join(sorted(idle[0].modifies))
+            raise FrictrackError(f"{idle[0].name} modifies {wanted}, and the model has neither; add one", usage=True)
 
     @property
     def names(self) -> list[str]:

@@ -1,4 +1,3 @@
-
 """What a whole study has come to: the one thing that `report`, `plots` and `export` are given.
 
 `flow` fills it from the store; nothing here computes or opens a file.

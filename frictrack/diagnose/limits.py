@@ -14,6 +14,7 @@ from frictrack.fit.scan import ABSORBED, Family
 from frictrack.records import Array
 
 POWER = 0.95
+VISITED = 1e-3  # of the usual gain: less belongs to a place, speed or moment that no run comes near
 
 
 def noncentrality(threshold: float, freedom: int) -> float:
@@ -22,7 +23,7 @@ def noncentrality(threshold: float, freedom: int) -> float:
 
 
 def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Limit at the least favourable setting, as the JSON has it, and the curve over the settings.
+    """Limit at the least favourable setting that the runs visit, as the JSON has it, and the curve over all settings.
 
     The amplitude of one coefficient (for events: of the best run) whose expected likelihood ratio passes the
     threshold of the whole search; phases at their worst.
@@ -36,7 +37,8 @@ def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple
     per_amplitude = _unit_gain(family, shrink)
     needed = np.sqrt(noncentrality(threshold, freedom) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
-    worst = int(np.argmax(needed))
+    visited = per_amplitude > VISITED * np.median(per_amplitude)
+    worst = int(np.argmax(np.where(visited, needed, 0.0))) if visited.any() else 0
     size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
     unit = size.unit if size else ""
     at = {p.name: family.grid[worst][p.name] for p in scanned.effect.nonlinear if p.scan is not None}

@@ -49,7 +49,7 @@ def get(name: str) -> Effect:
         near = difflib.get_close_matches(kind, [*LIBRARY, "atm2"], 1)
         hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(LIBRARY)}, atm2"
         raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
-    return LIBRARY[kind].called(name) if suffix else LIBRARY[kind]
+    return LIBRARY[kind].called(name) if suffix and int(suffix) > 1 else LIBRARY[kind]
 
 
 def catalogue() -> list[dict[str, Any]]:

@@ -118,6 +118,9 @@ class Effect:
 
     def adjusted(self, **changes: dict[str, Any]) -> Effect:
         """A copy whose named parameters have the given fields changed: ``adjusted(phase={"per_run": False})``."""
+        known = {p.name for p in self.parameters}
+        if not changes.keys() <= known:
+            raise KeyError(f"{self.name} has {', '.join(sorted(known))} but not {', '.join(changes.keys() - known)}")
         parameters = tuple(replace(p, **changes.get(p.name, {})) for p in self.parameters)
         return replace(self, parameters=parameters)
 

@@ -83,7 +83,7 @@ def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
     values = dict(zip(names, p, strict=True))
     quoted, jacobian = _quoted(solution, values)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
-    unsure = undetermined(solution) if profile else {}
+    unsure = undetermined(solution, covariance) if profile else {}
     out: dict[str, Estimate] = {}
     shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
     for row, i in enumerate(shown):
@@ -153,7 +153,7 @@ def _correlations(names: list[str], shown: list[int], covariance: Array) -> list
     return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > 0.95]
 
 
-def undetermined(solution: Solution) -> dict[tuple[str, str], str]:
+def undetermined(solution: Solution, covariance: Array) -> dict[tuple[str, str], str]:
     """Stribeck parameters that these runs do not settle, with the reason and the run that would.
 
     F_s counts when taking the effect away costs more than chi-squared 3.84, v_s when its profile rises by as much
@@ -164,7 +164,9 @@ def undetermined(solution: Solution) -> dict[tuple[str, str], str]:
     for effect in solution.problem.model.effects:
         if effect.kind != "stribeck" or any(effect.kind in e.modifies for e in solution.problem.model.effects):
             continue
-        why = _stribeck_profile(solution, effect.name)
+        rise = solution.problem.layout.index(effect.name, "F_s")
+        faint = solution.p[rise] < 1.96 * np.sqrt(covariance[rise, rise])
+        why = "F_s - F_c is not distinguishable from zero" if faint else _stribeck_profile(solution, effect.name)
         if why:
             text = f"{why}; the slowest speed seen is {slowest:.2g} m/s: film a run that slows to a stop"
             out |= {(effect.name, p.name): text for p in effect.parameters if p.fixed is None}

@@ -31,6 +31,7 @@ _AA = _A @ _A
 _BA = _B @ _A
 
 MOST_STEPS = 30
+RUNAWAY = 1e6  # m, beyond which there is no motion to speak of
 SETTLING = 1e-6  # m, a Newton step below which the linear response is kept
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
@@ -158,7 +159,7 @@ def _newton(
         step, edges = response.respond((f - a)[:, None], np.zeros((2, 1)))
         a = a + step[:, 0]
         moved = float(np.max(np.abs(edges[:, 0])))
-        if not np.isfinite(moved):
+        if not max(moved, float(np.max(np.abs(x_edge)))) < RUNAWAY:
             return None
         if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
             x, v, x_edge, v_edge = panels.integrate(a, *start)

@@ -24,7 +24,7 @@ def aligned(track: Track, reference: Track) -> Track:
     """
     found = _offset(track.picture, reference.picture)
     if found is None:
-        note = f'its target does not look like the first run\'s: places along the course agree to {BORDER} px only'
+        note = f"its target does not look like the first run's: places along the course agree to {BORDER} px only"
         return replace(track, notes=(*track.notes, note))
     dx, dy = found
     if np.hypot(dx, dy) < 0.02:
