@@ -14,6 +14,7 @@ from frictrack.diagnose.null import Ensemble, ensemble
 from frictrack.diagnose.rivals import NEAR, SAME, information, separation
 from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
 from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.estimate import estimates
@@ -23,7 +24,7 @@ from frictrack.fit.start import grow
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other
-BEHIND = 0.7  # of the best candidate's rise that another must reach to be refined
+BEHIND, FAR_BEHIND = 0.7, 0.2  # of the best candidate's rise that another must reach to be refined
 HELD_OUT = 3  # candidates whose held-out error is computed
 
 Progress = Callable[[int, int, str], None]
@@ -166,8 +167,16 @@ def _worth_refining(tests: Tests) -> list[Scanned]:
     """Candidates that stand out by themselves and are not far behind the best; the best two in any case."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
     top = order[0].statistic[0] if order else 0.0
-    near = [s for s in order if tests.p[s.effect.name] < 0.05 and s.statistic[0] > BEHIND * top - NEAR]
+    near = [s for s in order if tests.p[s.effect.name] < 0.05 and s.statistic[0] > _behind(s.effect) * top - NEAR]
     return near if len(near) >= 2 else order[:2]
+
+
+def _behind(effect: Effect) -> float:
+    """Share of the best rise that a candidate must reach: more where every run brings its own unknowns.
+
+    The scan bends the law only to first order, so that it says too little of a strong effect.
+    """
+    return BEHIND if any(p.per_run for p in effect.parameters) else FAR_BEHIND
 
 
 def _unrefined(first: _Round) -> list[Candidate]:
