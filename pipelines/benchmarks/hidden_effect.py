@@ -198,6 +198,9 @@ def main() -> None:
     none = [r for r in rows if not r["truth"]]
     first = sum(bool(r["group"]) and r["group"][0] == r["truth"] for r in hidden)
     print(f"\nhidden: right {sum(r['right'] for r in hidden)} of {len(hidden)} (first {first})")
+    alone = [r for r in hidden if r["verdict"] == "missing" and r["missing"][0] != r["truth"]]
+    silent = sum(r["verdict"] == "complete" for r in hidden)
+    print(f"a single wrong name: {len(alone)}; not seen (complete): {silent}")
     print(f"nothing hidden: complete {sum(r['verdict'] == 'complete' for r in none)} of {len(none)}")
 
 
