@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from frictrack.fit import Fit
 from frictrack.fit.estimate import estimates
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.solve import Solution
-from frictrack.fit.start import grow
+from frictrack.fit.start import grow, settled
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other
@@ -138,7 +138,7 @@ def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Di
     found: list[_Tried] = []
     last = first
     while last.passing and len(found) < MOST_ROUNDS:
-        found.append(last.passing[0])
+        found.append(replace(last.passing[0], solution=settled(last.passing[0].solution)))
         tell(len(found), MOST_ROUNDS, f"added {found[-1].scanned.effect.name}, testing again")
         last = _round(found[-1].solution, rng, lambda what: tell(len(found), MOST_ROUNDS, what))
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")

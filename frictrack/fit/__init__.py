@@ -13,7 +13,7 @@ from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.layout import Layout
 from frictrack.fit.papers import check_how, scaffold
 from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
-from frictrack.fit.relaxed import solve_relaxed, starts_alone
+from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.scan import grid_of
@@ -66,7 +66,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
             solution = solve_model(law, pieces, names, _fps(fitted))
         else:
             start = scaffold(law, pieces, names, _fps(fitted))
-            solution = until_stop(solve_relaxed(start, fitted, np.random.default_rng(seed)))
+            solution = until_stop(solve_reduced(start, fitted, np.random.default_rng(seed)))
         found = in_force(solution, fitted) if domain == "force" else Found(solution)
     else:
         found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)

@@ -40,6 +40,11 @@ class Balance:
     rest: float
     picture: Callable[[Array], Array]  # shifts (P, n) to (P, k)
 
+    @property
+    def highest(self) -> float:
+        """Frequency of the last cosine, Hz."""
+        return self.cosines.shape[1] / (2 * float(self.piece.t[-1] - self.piece.t[0]))
+
     def moved(self, force: Array) -> Array:
         """Change of the residual (P, k) by forces (P, n)."""
         out: Array = (force @ self.cosines) @ self.response.T

@@ -183,10 +183,12 @@ def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
     return np.vstack(rows), np.concatenate(right)
 
 
-def settle_scatter(problem: Problem, p: Array, starts: Sequence[Array], tau: float = 0.03) -> Solution:
+def settle_scatter(
+    problem: Problem, p: Array, starts: Sequence[Array], tau: float = 0.03, *, max_steps: int = 20
+) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
     for _ in range(4):
-        solution = refine(problem, p, starts, tau=tau)
+        solution = refine(problem, p, starts, tau=tau, max_steps=max_steps)
         basis = solution.basis
         if not basis.random or problem.layout.levels_free:
             return solution
@@ -195,4 +197,4 @@ def settle_scatter(problem: Problem, p: Array, starts: Sequence[Array], tau: flo
         p, starts, old, tau = solution.p, solution.starts, tau, new
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break
-    return refine(problem, p, starts, tau=tau)
+    return refine(problem, p, starts, tau=tau, max_steps=max_steps)

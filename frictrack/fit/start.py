@@ -16,6 +16,7 @@ from frictrack.fit.solve import Solution, refine, settle_scatter
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
+TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
 STOPPING = 2.0  # frames before the stop that are left out
 PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
 TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at this level
@@ -36,7 +37,7 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     for effect in model.effects:
         if _needs_scan(effect):
             solution = grow(solution, effect)
-    return until_stop(reordered(solution, model))
+    return until_stop(settled(reordered(solution, model)))
 
 
 def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
@@ -95,7 +96,7 @@ def _first_guess(problem: Problem) -> Array:
 
 
 def grow(solution: Solution, effect: Effect) -> Solution:
-    """Add an effect where its scan gains most, and refine everything.
+    """Add an effect where its scan gains most, and refine everything as far as a trial needs; see `settled`.
 
     One amplitude serves all runs unless that is significantly worse than an amplitude per run.
     Raises FrictrackError when the runs lack what the effect needs.
@@ -201,8 +202,12 @@ def _refined(solution: Solution, effect: Effect, start: Start) -> Solution:
     linear = np.array([s.linear or s.effect == LEVEL for s in layout.slots], dtype=bool)
     # the scan's coefficients go with a base law that has moved along: that first
     first = refine(problem, np.array(p), solution.starts, tau=tau, free=linear, max_steps=4)
-    first = refine(problem, first.p, first.starts, tau=tau, max_steps=12)
-    return settle_scatter(problem, first.p, first.starts, tau)
+    return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS)
+
+
+def settled(solution: Solution) -> Solution:
+    """A law that `grow` has tried, refined to its end."""
+    return settle_scatter(solution.problem, solution.p, solution.starts, solution.tau or 0.03)
 
 
 def rebuilt(problem: Problem, layout: Layout) -> Problem:
