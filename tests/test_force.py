@@ -139,7 +139,15 @@ class TestSearch:
         misfit = misfit_of(problem, chains)
         assert misfit(seen.p[None])[0] == pytest.approx(seen.chi2 * misfit.unit, rel=0.01)
 
-    @pytest.mark.parametrize(("search", "close"), [("ga", 1.5), ("mga", 1.5), ("sga", 1.1), ("sa", 1.1)])
+    @pytest.mark.parametrize(
+        ("search", "close"),
+        [
+            ("ga", 1.5),
+            pytest.param("mga", 1.5, marks=pytest.mark.slow),
+            ("sga", 1.1),
+            pytest.param("sa", 1.1, marks=pytest.mark.slow),
+        ],
+    )
     def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
         # binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do
         best = fit("tustin", [one_slide()], domain="force").found.force
@@ -155,14 +163,25 @@ class TestSearch:
         found = fit("tustin", [run], domain="force", search="de")
         assert np.abs(numbers(found)[0] - numbers(best)[0]) == pytest.approx(0, abs=0.1 * numbers(best)[1].max())
 
+    @pytest.mark.slow
+    def test_searches_find_the_sines_of_atm1(self):
+        run = one_slide(base=BASE | ATM1, model=models.atm1(2))
+        without = fit("tustin", [run], domain="force").found.force
+        best = fit("atm1:2", [run], domain="force").found.force
+        misfit = misfit_of(best.problem, best.problem.chains)
+
+        def found(search):
+            return min(searched(misfit, search, np.random.default_rng(s), best.p)[1][0] for s in range(3)) / misfit.unit
+
+        assert found("de") < 1.1 * best.chi2
+        assert found("sga") < 0.5 * without.chi2  # at least one of two sines: the rest is the papers' local optimum
+
     def test_sga_on_atm1_reports_all_parameters_with_deviations(self):
         run = one_slide(base=BASE | ATM1, model=models.atm1(2))
         summary = fit("atm1:2", [run], domain="force", search="sga", seed=1).summary()
         assert (summary["domain"], summary["search"]) == ("force", "sga")
-        found = summary["parameters"]
-        frequencies = sorted(found[f"{v}.frequency"]["value"] for v in ("vibration", "vibration:2"))
-        assert any(abs(f - 43.0) < 3 for f in frequencies)
-        assert all(e["reason"] or e["std"] > 0 for e in found.values())
+        assert len(summary["parameters"]) == 11
+        assert all(e["reason"] or e["std"] > 0 for e in summary["parameters"].values())
 
     def test_seed_decides(self, monkeypatch):
         monkeypatch.setattr(papers, "BUDGET", 4000)

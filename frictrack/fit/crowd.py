@@ -21,6 +21,7 @@ from frictrack.fit.problem import Piece
 from frictrack.records import Array
 
 PASSED = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
+VISIBLE = 2.0  # times the cut-off: beyond, it leaves less than a sixtieth, too little to look for
 Forward = Callable[[Array], Array]  # displacements (n, k) to whitened residuals (m, k)
 
 
@@ -39,11 +40,7 @@ class Balance:
     base: Array
     rest: float
     picture: Callable[[Array], Array]  # shifts (P, n) to (P, k)
-
-    @property
-    def highest(self) -> float:
-        """Frequency of the last cosine, Hz."""
-        return self.cosines.shape[1] / (2 * float(self.piece.t[-1] - self.piece.t[0]))
+    highest: float = np.inf  # frequency that is looked for, Hz
 
     def moved(self, force: Array) -> Array:
         """Change of the residual (P, k) by forces (P, n)."""
@@ -55,7 +52,8 @@ def force_balance(piece: Piece, chain: Chain, noise: float) -> Balance:
     """Accelerations compared through the chain, in units of `noise`."""
     n = len(piece.t)
     wide = 2 * (piece.t[-1] - piece.t[0]) * PASSED * chain.cutoff
-    return _balance(piece, lambda x: chain.apply(x) / noise, min(n, int(wide) + 8))
+    balance = _balance(piece, lambda x: chain.apply(x) / noise, min(n, int(wide) + 8))
+    return replace(balance, highest=VISIBLE * chain.cutoff)
 
 
 def displacement_balance(piece: Piece) -> Balance:

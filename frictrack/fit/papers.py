@@ -2,8 +2,7 @@
 
 The searched misfit is the papers' sum of squared acceleration residuals (force domain), or the displacement's
 chi-squared. What the search found is reported as it is, without a hidden polish: parameters, and their deviations by
-linearisation there. Where no law can be started by scans (ATM2), a search over the non-linear parameters alone gives
-variable projection its start.
+linearisation there.
 """
 
 from __future__ import annotations
@@ -85,7 +84,8 @@ def bounds_of(misfit: Misfit) -> Array:
     """The box (d, 2) of a search: the parameters' own bounds, and where these are open, what the data allow.
 
     A force reaches 1.5 times the largest friction measured, the amplitude of a wave its whole swing, other coefficients
-    what makes such a force along the measured motion; phases from -pi to pi.
+    what makes such a force along the measured motion; phases from -pi to pi; frequencies as far as they are scanned, in
+    the force domain up to twice the cut-off.
     """
     reach = _Reach(misfit)
     layout = misfit.layout
@@ -99,6 +99,7 @@ class _Reach:
     def __init__(self, misfit: Misfit) -> None:
         self.balances = misfit.balances
         self.span = misfit.layout.span
+        self.highest = max(b.highest for b in misfit.balances)
         force = np.concatenate([self._measured(b) for b in self.balances])
         low, high = np.percentile(force, [1, 99])
         self.top = ROOM * max(abs(low), abs(high))
@@ -117,6 +118,8 @@ class _Reach:
         low, high = slot.bounds
         if parameter.role == "phase":
             return -np.pi, np.pi
+        if parameter.unit == "Hz":
+            return low, max(min(high, self.highest), 2 * low)
         size = self._size(effect, parameter)
         if _is_wave(effect, parameter):
             low = 0.0
