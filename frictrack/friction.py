@@ -174,6 +174,9 @@ def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
         release, event = start + fastest, f"the highest speed at {t[start + fastest]:.4g} s"
     if not rested:
         return start, start, f"the first frame at {t[start]:.4g} s, which moves freely already"
+    quiet = [b for b in run.motion.breaks if b > release]
+    if quiet:  # the push was filtered apart: nothing of it is smeared into what follows
+        return min(quiet[0], stop), release, f"{event}, after the push at {t[min(quiet[0], stop)]:.4g} s,"
     return min(release + guard, stop), release, f"{event} and {guard} frames for the filter"
 
 
@@ -181,6 +184,9 @@ def _end(run: Run, first: int, stop: int) -> tuple[int, str]:
     """Last free frame, and why."""
     t, guard = run.motion.t, run.motion.guard
     impact = _impact(run, first, stop)
+    violent = [b for b in run.motion.breaks if impact is not None and first < b <= impact + 2]
+    if impact is not None and violent:  # filtered apart from the slide
+        return min(violent[-1] - 1, stop), f"an impact at {t[impact]:.4g} s"
     if impact is not None:
         return max(impact - guard, first), f"an impact at {t[impact]:.4g} s less {guard} frames for the filter"
     if stop == np.flatnonzero(run.displacement.valid)[-1]:

@@ -121,6 +121,9 @@ class Filtered(Table):
     cutoff: float = scalar("Hz", default=float("nan"))
     cutoff_y: float = scalar("Hz", default=float("nan"))
     reason: str = ""  # why this cut-off
+    breaks: tuple[int, ...] = (0,)  # first row of every stretch that was filtered apart (a push, the slide, an impact)
+    cutoffs: tuple[float, ...] = ()  # Hz, of every stretch; empty: the one above
+    cutoffs_y: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +141,7 @@ class Motion(Table):
     sigma_a_y: Array = column("m/s^2", nan=True)
     guard: int = 0  # frames at either end, and round a jump, that the filter smears
     cutoff: float = scalar("Hz", default=float("nan"))
+    breaks: tuple[int, ...] = (0,)  # first row of every stretch that was derived apart
 
 
 @dataclass(frozen=True, eq=False)

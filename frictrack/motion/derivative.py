@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,11 +23,14 @@ def differentiate(filtered: Filtered) -> Motion:
     is half a period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in
     which sigma_a exceeds twice its median, if these are more; never more than an eighth of the record.
     """
-    grid = frame_grid(filtered.t)
-    x, v, a = _derive(filtered.x, filtered.sigma_x, filtered.cutoff, grid)
-    a_y = np.full((2, len(filtered)), np.nan)
-    if np.isfinite(filtered.cutoff_y):
-        a_y = _derive(filtered.y, filtered.sigma_y, filtered.cutoff_y, grid)[2]
+    bounds = [*filtered.breaks, len(filtered)]
+    cutoffs = filtered.cutoffs or (filtered.cutoff,)
+    cutoffs_y = filtered.cutoffs_y or (filtered.cutoff_y,)
+    stretches = [slice(i, j) for i, j in pairwise(bounds)]
+    made = [_stretch(filtered, s, f, f_y) for s, f, f_y in zip(stretches, cutoffs, cutoffs_y, strict=True)]
+    x, v, a, a_y = np.concatenate(made, axis=2)
+    slide = stretches[cutoffs.index(filtered.cutoff)]
+    period = 1.0 / (filtered.cutoff * frame_grid(filtered.t).interval)
     return Motion(
         t=filtered.t,
         x=x[0],
@@ -36,9 +41,20 @@ def differentiate(filtered: Filtered) -> Motion:
         sigma_v=v[1],
         sigma_a=a[1],
         sigma_a_y=a_y[1],
-        guard=_guard(a[1][filtered.sigma_x < MISSING], 1.0 / (filtered.cutoff * grid.interval)),
+        guard=_guard(a[1][slide][filtered.sigma_x[slide] < MISSING], period),
         cutoff=filtered.cutoff,
+        breaks=filtered.breaks,
     )
+
+
+def _stretch(filtered: Filtered, s: slice, cutoff: float, cutoff_y: float) -> Array:
+    """x, v, a and a_y of one stretch with their standard deviations, (4, 2, n)."""
+    grid = frame_grid(filtered.t[s])
+    along = _derive(filtered.x[s], filtered.sigma_x[s], cutoff, grid)
+    across = np.full((1, 2, along.shape[2]), np.nan)
+    if np.isfinite(cutoff_y):
+        across = _derive(filtered.y[s], filtered.sigma_y[s], cutoff_y, grid)[2:]
+    return np.concatenate([along, across])
 
 
 def _derive(x: Array, sigma: Array, cutoff: float, grid: Grid) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from frictrack.errors import FrictrackError
@@ -10,6 +12,9 @@ from frictrack.motion.smoother import MISSING, best_cutoff, noise_variance, pena
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses more than the deviations say
+VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
+MOVING = 0.05  # of the highest speed
+SHORTEST = 16  # valid frames of a stretch that is filtered apart
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
 
 
@@ -27,22 +32,94 @@ def low_pass(displacement: Displacement, cutoff: float | None = None) -> Filtere
     known = displacement.valid & np.isfinite(displacement.x)
     _check_position(displacement.x[known], len(known))
     _check_cutoff(cutoff, grid)
-    x, sigma_x, cutoff_x, reason = _low_pass_one(displacement.x, displacement.sigma_x, known, grid, cutoff)
+    first, _, best, _ = _low_pass_one(displacement.x, displacement.sigma_x, known, grid, (None, None))
+    stretches, main = quiet_stretches(displacement.t, first, known, best)
+    parts = [_low_pass_stretch(displacement, s, cutoff, best if len(stretches) == 1 else None) for s in stretches]
+    slide = parts[main]
+    sigma_x = [_like(slide.sigma_x, p.sigma_x) for p in parts]  # a short violent stretch cannot tell its noise
+    return Filtered(
+        t=displacement.t,
+        x=np.concatenate([p.x for p in parts]),
+        y=np.concatenate([p.y for p in parts]),
+        sigma_x=np.concatenate(sigma_x),
+        sigma_y=np.concatenate([p.sigma_y for p in parts]),
+        cutoff=slide.cutoff,
+        cutoff_y=slide.cutoff_y,
+        reason=slide.reason,
+        breaks=tuple(s.start for s in stretches),
+        cutoffs=tuple(p.cutoff for p in parts),
+        cutoffs_y=tuple(p.cutoff_y for p in parts),
+    )
+
+
+def _low_pass_stretch(displacement: Displacement, s: slice, cutoff: float | None, best: float | None) -> Filtered:
+    """Low-pass the rows of one stretch by themselves; `best` is x's cut-off of the highest likelihood, if known."""
+    t, valid = displacement.t[s], displacement.valid[s]
+    grid = frame_grid(t)
+    known = valid & np.isfinite(displacement.x[s])
+    x, sigma_x, cutoff_x, reason = _low_pass_one(
+        displacement.x[s], displacement.sigma_x[s], known, grid, (cutoff, best)
+    )
     y = sigma_y = np.full(len(x), np.nan)
     cutoff_y = float("nan")
-    known = displacement.valid & np.isfinite(displacement.y)
+    known = valid & np.isfinite(displacement.y[s])
     if np.sum(known) >= MIN_FRAMES:
-        y, sigma_y, cutoff_y, _ = _low_pass_one(displacement.y, displacement.sigma_y, known, grid, cutoff)
-    return Filtered(displacement.t, x, y, sigma_x, sigma_y, cutoff_x, cutoff_y, reason)
+        across = displacement.y[s], displacement.sigma_y[s]
+        y, sigma_y, cutoff_y, _ = _low_pass_one(*across, known, grid, (cutoff, None))
+    return Filtered(t, x, y, sigma_x, sigma_y, cutoff_x, cutoff_y, reason)
+
+
+def _like(slide: Array, own: Array) -> Array:
+    """Noise of a stretch at the level of the slide's, missing frames kept missing."""
+    usual = float(np.median(slide[slide < MISSING]))
+    here = own < MISSING
+    level = float(np.median(own[here])) if here.any() else 1.0
+    return np.where(here, own * usual / level, MISSING)
+
+
+def quiet_stretches(t: Array, smoothed: Array, known: Mask, cutoff: float) -> tuple[list[slice], int]:
+    """Rows of a record cut where something violent begins and ends, and which stretch is the longest quiet one.
+
+    A push or an impact accelerates the mass far more than the slide does and would drag the cut-off of the whole
+    record up with it, and its smear into the slide. Violent is what exceeds `VIOLENT` times the median
+    acceleration of the moving frames after a first low-pass at `cutoff` (Hz), and half a
+    period of that filter round it.
+    """
+    v = np.gradient(smoothed, t)
+    a = np.abs(np.gradient(v, t))
+    moving = known & (np.abs(v) > MOVING * np.max(np.abs(v[known])))
+    violent = known & (a > VIOLENT * np.median(a[moving]))
+    reach = int(np.ceil(0.5 / (cutoff * float(np.median(np.diff(t)))))) + 1
+    violent = np.convolve(violent, np.ones(2 * reach + 1), mode="same") > 0
+    cuts = [int(c) + 1 for c in np.flatnonzero(np.diff(violent))]
+    bounds = _long_enough([0, *cuts, len(t)], known)
+    stretches = [slice(i, j) for i, j in pairwise(bounds)]
+    quiet = [int(np.sum(known[s] & ~violent[s])) for s in stretches]
+    return stretches, int(np.argmax(quiet))
+
+
+def _long_enough(bounds: list[int], known: Mask) -> list[int]:
+    """The same bounds without those that would leave fewer than `SHORTEST` valid frames in a stretch."""
+    kept = [0]
+    for b in bounds[1:-1]:
+        if np.sum(known[kept[-1] : b]) >= SHORTEST:
+            kept.append(b)
+    while len(kept) > 1 and np.sum(known[kept[-1] :]) < SHORTEST:
+        kept.pop()
+    return [*kept, bounds[-1]]
 
 
 def _low_pass_one(
-    y: Array, sigma: Array, known: Mask, grid: Grid, cutoff: float | None
+    y: Array, sigma: Array, known: Mask, grid: Grid, asked: tuple[float | None, float | None]
 ) -> tuple[Array, Array, float, str]:
-    """Low-pass one coordinate: smoothed rows, the noise of each row, the cut-off and why it is this."""
+    """Low-pass one coordinate: smoothed rows, the noise of each row, the cut-off and why it is this.
+
+    `asked` is the cut-off that is wanted, and the one of the highest likelihood where that is known already.
+    """
+    cutoff, best = asked
     w = grid.spread(weights(sigma, known))
     full = grid.spread(np.where(known, y, 0.0))
-    best = best_cutoff(full, w, grid.interval)
+    best = best or best_cutoff(full, w, grid.interval)
     level = np.sqrt(noise_variance(full, w, penalty(best, grid.interval)))  # whatever cut-off is given
     sigma_rows = np.full(len(y), MISSING)
     sigma_rows[known] = level / np.sqrt(w[grid.frames][known])
