@@ -10,6 +10,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
+from frictrack.fit.groups import GroupFits
 from frictrack.fit.problem import Response
 from frictrack.fit.solve import Solution
 from frictrack.models import Model
@@ -50,7 +51,9 @@ def compare(fits: Fit | Sequence[Fit]) -> Comparison:
     tried = [fits] if isinstance(fits, Fit) else list(fits)
     if not tried:
         raise FrictrackError("expected at least one fitted model to compare but got none; run `frictrack fit` first")
-    return Comparison([_entry(i, f) for i, f in enumerate(tried, 1)], failing_spans(tried[-1].solution, tried[-1].runs))
+    last = tried[-1].fits.values() if isinstance(tried[-1], GroupFits) else [tried[-1]]
+    spans = [span for f in last for span in failing_spans(f.solution, f.runs)]
+    return Comparison([_entry(i, f) for i, f in enumerate(tried, 1)], spans)
 
 
 def history(fits: Sequence[Fit]) -> Comparison:

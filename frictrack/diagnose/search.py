@@ -18,6 +18,7 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.estimate import estimates
+from frictrack.fit.groups import GroupFits
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.solve import Solution
 from frictrack.fit.start import grow, settled
@@ -134,7 +135,11 @@ def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Di
     """
     tell = progress or (lambda done, total, what: None)
     rng = np.random.default_rng(seed)
-    first = _round(fit.solution, rng, lambda what: tell(0, MOST_ROUNDS, what))
+    if isinstance(fit, GroupFits):
+        raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
+    # the tests work on the displacement, whatever domain or search the fit used
+    start = fit.solution if fit.route.plain else settled(fit.solution)
+    first = _round(start, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[_Tried] = []
     last = first
     while last.passing and len(found) < MOST_ROUNDS:
