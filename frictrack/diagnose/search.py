@@ -300,6 +300,11 @@ def _remarks(fit: Fit) -> list[str]:
         out.append("peak_locking was not tried: it needs the pixel pitch (scale in [camera])")
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
+    if any(run.has_incline for run in fit.runs):
+        out.append(
+            "on an incline Coulomb friction and gravity act alike while the mass slides one way: with a nominal scale, "
+            "mass or angle only changes of the force along the run mean anything"
+        )
     out.append(
         "a constant error of scale, frame rate or mass is absorbed exactly: "
         "forces go with mass and scale, and with fps^2"
