@@ -133,7 +133,8 @@ def candidates(found: list[dict[str, Any]]) -> Table:
         unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
         before, after = (number(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
         rivals = ", ".join(c["indistinguishable_from"])
-        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}"
+        known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
+        held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
         table.add_row(c["effect"], "\n".join(values), number(c["p"], 2), number(c["delta_bic"], 3), held_out, rivals)
     return table
 
