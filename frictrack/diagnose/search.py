@@ -209,7 +209,8 @@ def _unrefined(first: _Round) -> list[Candidate]:
 def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Diagnosis:
     rivals = {t.scanned.effect.name: _rivals(first, t) for t in first.passing[:3]}
     listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ()), k) for k, t in enumerate(first.tried)]
-    listed = sorted(listed + _unrefined(first), key=lambda c: (c.p >= ALPHA / 2, -c.delta_bic))
+    chosen = [t.scanned.effect.name for t in found[:1]]
+    listed = sorted(listed + _unrefined(first), key=lambda c: (c.effect not in chosen, c.p >= ALPHA / 2, -c.delta_bic))
     leftover = last.tests.p_lack_of_fit < ALPHA / 2
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
