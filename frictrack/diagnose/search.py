@@ -46,6 +46,11 @@ class Candidate:
     indistinguishable_from: tuple[str, ...] = ()
     words: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def helps(self) -> bool:
+        """Whether the held-out error falls with it."""
+        return self.heldout_after is None or self.heldout_before is None or self.heldout_after < self.heldout_before
+
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
         scale = 1e6
@@ -215,7 +220,7 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
         verdict = "complete"
-    elif leftover or not found:
+    elif leftover or not found or not listed[0].helps:
         verdict = "unexplained"
     else:
         verdict = "ambiguous" if rivals[found[0].scanned.effect.name] else "missing"
