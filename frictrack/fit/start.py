@@ -96,6 +96,29 @@ def _first_guess(problem: Problem) -> Array:
 
 
 def grow(solution: Solution, effect: Effect) -> Solution:
+    """Add an effect to a fitted law; where that law is too wild to move on from, add it before the scanned ones.
+
+    Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
+    Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
+    """
+    scanned = [e for e in solution.problem.model.effects if _needs_scan(e)]
+    try:
+        return _grown(solution, effect)
+    except FrictrackError:
+        if not scanned:
+            raise
+    plain = [e for e in solution.problem.model.effects if not _needs_scan(e)]
+    if not plain:
+        raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
+    layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
+    problem = Problem(layout.model, layout, solution.problem.pieces)
+    grown = settle_scatter(problem, _first_guess(problem), problem.first_starts())
+    for e in [effect, *scanned]:
+        grown = _grown(grown, e)
+    return reordered(grown, Model((*solution.problem.model.effects, effect)))
+
+
+def _grown(solution: Solution, effect: Effect) -> Solution:
     """Add an effect where its scan gains most, and refine everything as far as a trial needs; see `settled`.
 
     One amplitude serves all runs unless that is significantly worse than an amplitude per run.
