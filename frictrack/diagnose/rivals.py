@@ -16,19 +16,13 @@ NEAR = 40.0  # measured difference beyond which the expected one is not worth co
 
 def separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
-    predicted = {id(r.piece): r for r in best.responses}
-    ideal = {_key(r): r.model_y for r in predicted.values()}
+    ideal = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, float(p.t[0])]) for p in rival.problem.pieces]
     problem = Problem(rival.problem.model, rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
     held = restraint(best.problem.layout, best.p, tau)
     return fitted.objective - float(held @ held)
-
-
-def _key(response: object) -> tuple[int, float]:
-    piece = response.piece  # type: ignore[attr-defined]
-    return piece.run, float(piece.t[0])
 
 
 def information(solution: Solution) -> float:

@@ -16,14 +16,13 @@ from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, referenc
 from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
-from frictrack.fit.scan import grid_of
 from frictrack.fit.solve import Solution, refine
 from frictrack.fit.start import grow, solve_model, until_stop, without
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Run
 
-__all__ = ["Fit", "GroupFits", "fit", "grid_of", "grow", "restore", "without"]
+__all__ = ["Fit", "GroupFits", "fit", "grow", "restore", "without"]
 
 Progress = Callable[[int, int, str], None]
 

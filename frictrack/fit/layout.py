@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.models import Model
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
 
@@ -86,6 +86,11 @@ class Layout:
     def levels(self) -> list[int]:
         """Positions of the friction levels."""
         return [i for i, s in enumerate(self.slots) if s.effect == LEVEL]
+
+    @property
+    def coefficients(self) -> Mask:
+        """Which unknowns the motion follows nearly linearly: coefficients and levels, (P,)."""
+        return np.array([s.linear or s.effect == LEVEL for s in self.slots], dtype=bool)
 
     @property
     def bounds(self) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import LEVEL, balanced, settle
+from frictrack.fit.layout import balanced, settle
 from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
 from frictrack.records import Array, Mask
@@ -93,7 +93,7 @@ class _Walk:
         Where it went too far, the coefficients are solved again for its non-linear parameters (variable projection).
         """
         trial = self.moved(state, step)
-        linear = np.array([s.linear or s.effect == LEVEL for s in self.problem.layout.slots], dtype=bool)
+        linear = self.problem.layout.coefficients
         for _ in range(PROJECTIONS):
             if trial.objective < state.objective:
                 break

@@ -9,7 +9,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import LEVEL, Layout
+from frictrack.fit.layout import Layout
 from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response, spans_of
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
@@ -222,9 +222,8 @@ def _refined(solution: Solution, effect: Effect, start: Start) -> Solution:
     ]
     problem = rebuilt(solution.problem, layout)
     tau = solution.tau or 0.03
-    linear = np.array([s.linear or s.effect == LEVEL for s in layout.slots], dtype=bool)
     # the scan's coefficients go with a base law that has moved along: that first
-    first = refine(problem, np.array(p), solution.starts, tau=tau, free=linear, max_steps=4)
+    first = refine(problem, np.array(p), solution.starts, tau=tau, free=layout.coefficients, max_steps=4)
     return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS)
 
 
