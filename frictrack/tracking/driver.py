@@ -12,8 +12,9 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Track
 from frictrack.tracking.find import locate
 from frictrack.tracking.findings import key_frames
-from frictrack.tracking.follow import UNREAD, Coarse, Rectangle, cut_out, follow
+from frictrack.tracking.follow import UNREAD, Coarse, follow
 from frictrack.tracking.learn import learn
+from frictrack.tracking.match import Rectangle, cut_out
 from frictrack.tracking.refine import Fine, Template, refine
 
 Progress = Callable[[int, int, str], None]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.follow import Rectangle, correlate
+from frictrack.tracking.match import Rectangle, correlate
 
 SAMPLES = 60
 SAMPLE_BYTES = 40_000_000

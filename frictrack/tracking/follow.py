@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
+from frictrack.tracking.match import Rectangle, correlate, cut_out, vertex
 from frictrack.tracking.resample import PAD, Patch
 
 Progress = Callable[[int, int, str], None]
-Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 
 UNREAD = "frame cannot be read"
 NEAR = 0.8  # share of the usual score that a find near the prediction needs
@@ -171,38 +171,7 @@ def _match(frame: Frame, patch: Frame, part: Rectangle | None) -> tuple[Array, f
     x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
     scores = correlate(frame[y : y + h, x : x + w], patch)
     _, best, _, (i, j) = cv2.minMaxLoc(scores)
-    return np.array([x + i + _vertex(scores[j], i), y + j + _vertex(scores[:, i], j)]), float(best)
-
-
-def correlate(frame: Patch, patch: Patch) -> Patch:
-    """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0."""
-    if frame.dtype != np.uint8:
-        frame, patch = frame.astype(np.float32), patch.astype(np.float32)
-    scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED)
-    # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
-    scores[~(np.abs(scores) <= 1.0001)] = 0
-    return np.asarray(scores)
-
-
-def _vertex(scores: Array, i: int) -> float:
-    """Vertex of the parabola through the best score and its neighbours, px from `i`."""
-    if i in (0, len(scores) - 1):
-        return 0.0
-    a, b, c = (float(s) for s in scores[i - 1 : i + 2])
-    bend = a - 2 * b + c
-    return 0.5 * (a - c) / bend if bend < 0 else 0.0
-
-
-def cut_out(frame: Patch, corner: Patch, size: tuple[int, ...]) -> Patch:
-    """The target's rectangle and PAD pixels round it, mirrored where the frame ends."""
-    x, y = corner - PAD
-    h, w = size[0] + 2 * PAD, size[1] + 2 * PAD
-    height, width = frame.shape
-    inside = frame[max(y, 0) : min(y + h, height), max(x, 0) : min(x + w, width)]
-    if inside.shape == (h, w):
-        return inside
-    beyond = (max(-y, 0), max(y + h - height, 0), max(-x, 0), max(x + w - width, 0))
-    return np.asarray(cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101))
+    return np.array([x + i + vertex(scores[j], i), y + j + vertex(scores[:, i], j)]), float(best)
 
 
 def _background_frames(recording: Recording) -> int:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.follow import Coarse, cut_out
+from frictrack.tracking.follow import Coarse
+from frictrack.tracking.match import cut_out
 from frictrack.tracking.refine import Fine, Template, refine
 from frictrack.tracking.resample import MARGIN, Patch, resample
 

@@ -1,0 +1,42 @@
+"""Normalised correlation, and the cutting out of rectangles: what finding and following share."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from frictrack.records import Array
+from frictrack.tracking.resample import PAD, Patch
+
+Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
+
+
+def correlate(frame: Patch, patch: Patch) -> Patch:
+    """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0."""
+    if frame.dtype != np.uint8:
+        frame, patch = frame.astype(np.float32), patch.astype(np.float32)
+    scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED)
+    # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
+    scores[~(np.abs(scores) <= 1.0001)] = 0
+    return np.asarray(scores)
+
+
+def vertex(scores: Array, i: int) -> float:
+    """Vertex of the parabola through the best score and its neighbours, px from `i`."""
+    if i in (0, len(scores) - 1):
+        return 0.0
+    a, b, c = (float(s) for s in scores[i - 1 : i + 2])
+    bend = a - 2 * b + c
+    return 0.5 * (a - c) / bend if bend < 0 else 0.0
+
+
+def cut_out(frame: Patch, corner: Patch, size: tuple[int, ...]) -> Patch:
+    """The target's rectangle and PAD pixels round it, mirrored where the frame ends."""
+    x, y = corner - PAD
+    h, w = size[0] + 2 * PAD, size[1] + 2 * PAD
+    height, width = frame.shape
+    inside = frame[max(y, 0) : min(y + h, height), max(x, 0) : min(x + w, width)]
+    if inside.shape == (h, w):
+        return inside
+    beyond = (max(-y, 0), max(y + h - height, 0), max(-x, 0), max(x + w - width, 0))
+    return np.asarray(cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101))
