@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import film
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ from film import Film, block_film, expose, moved, speckle
 from scipy.ndimage import map_coordinates
 
 from frictrack.errors import FrictrackError
-from frictrack.tracking import contact_sheet, find_target, target_line, track
-from frictrack.tracking.findings import key_frames
+from frictrack.tracking import target_line, track
 from frictrack.tracking.refine import Template, refine
 from frictrack.tracking.resample import MARGIN, PAD, gradient, kernels, resample
 
@@ -170,46 +168,7 @@ def test_refine_recovers_shift_gain_and_offset():
     np.testing.assert_allclose(fine.score, 1.0, atol=1e-4)
 
 
-# ---- finding the target
-
-
-@pytest.mark.parametrize(
-    "x",
-    [
-        SLIDE,
-        SLIDE[::-1],
-        40 + 9.3 * np.arange(18.0),  # moves from the first frame on, nine pixels a frame
-        np.where(np.arange(N) < 50, 60.0, 60 + 0.15 * (np.arange(N) - 50.0) ** 2),  # rests most of the time
-        120 + 4 * np.sin(np.arange(N) / 5),  # never clears its own place
-    ],
-    ids=["slide", "reverse", "fast", "rest", "oscillation"],
-)
-def test_finds_the_block_by_itself(x):
-    recording = a_film(x)
-    result = track(recording)
-    assert result.found.all()
-    assert np.std(error(result, x)) < 0.005
-    left, top, w, h = result.target
-    assert find_target(recording) == (left, top, w, h)
-    at = int(target_line(result).split("template = ")[-1]) if "template" in target_line(result) else 0
-    assert x[at] - SIZE[1] / 2 <= left + 0.5
-    assert left + w - 0.5 <= x[at] + SIZE[1] / 2
-    assert w * h > 0.5 * SIZE[0] * SIZE[1]
-
-
-def test_a_plain_body_is_found_by_its_outline():
-    def draw(i):
-        picture = np.full(SHAPE, 180.0)
-        cover = np.outer(film.cover(SHAPE[0], 24, 38), film.cover(SHAPE[1], SLIDE[i] - 8, SLIDE[i] + 8))
-        picture = cv2.GaussianBlur(picture * (1 - cover) + 60 * cover, (0, 0), 0.8)
-        return expose(picture, np.random.default_rng([7, i]))
-
-    result = track(Film(draw, N, SHAPE))
-    assert result.found.all()
-    left, _, w, _ = result.target
-    assert left <= SLIDE[0] - 8
-    assert left + w >= SLIDE[0] + 8
-    assert np.std(error(result, SLIDE)) < 0.02
+# ---- what cannot be tracked
 
 
 def nothing_moves(i):
@@ -331,50 +290,6 @@ def test_progress_counts_up():
     track(a_film(SLIDE), progress=lambda done, total, what: seen.append((done, total, what)))
     assert {what for _, _, what in seen} == {"find the target", "search", "refine"}
     assert all(0 <= done <= total for done, total, _ in seen)
-
-
-def test_contact_sheet(tmp_path):
-    recording = a_film(SLIDE)
-    result = track(recording)
-    path = contact_sheet(recording, result, tmp_path / "sheet.png")
-    picture = cv2.imread(str(path))
-    assert picture.shape[1] == 1280
-    assert 300 < picture.shape[0] < 1400
-    orange = np.all(np.abs(picture.astype(int) - (0x1C, 0x9F, 0xFF)) < 30, axis=2)
-    assert orange.sum() > 500  # the rectangles
-    assert target_line(result).startswith("target = [")
-
-
-# ---- findings
-
-
-def key_frame_data(jump, period=15, n=600):
-    rng = np.random.default_rng(8)
-    at = np.arange(n) % period == 4
-    change = 2 + 0.3 * rng.random(n) + 0.8 * at + np.linspace(0, 1, n)
-    x = np.cumsum(np.linspace(0.2, 2, n)) + 0.02 * rng.standard_normal(n) + jump * np.cumsum(at)
-    return change, x, 0.02 * rng.standard_normal(n)
-
-
-def test_key_frames_that_move_the_target():
-    (note,) = key_frames(*key_frame_data(0.1))
-    assert note.startswith("positions jump by 0.1")
-    assert note.endswith("px every 15th frame (key frames of the codec)")
-
-
-def test_key_frames_that_do_not_move_it():
-    (note,) = key_frames(*key_frame_data(0.0))
-    assert note.startswith(
-        "the picture jumps every 15th frame (key frames of the codec); positions jump with it by less"
-    )
-
-
-@pytest.mark.parametrize("flicker", [0.0, 1.0])
-def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
-    rng = np.random.default_rng(9)
-    i = np.arange(600)
-    change = 2 + 0.3 * rng.random(600) + flicker * np.abs(np.sin(np.pi * i / 15))
-    assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
 
 
 def test_a_false_find_is_given_up_when_the_target_appears():
