@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import tifffile
 from frictrack.errors import FrictrackError
 from frictrack.simulate.camera import Camera, Oscillation, speckle_bound
 from frictrack.simulate.film import write_film
+from frictrack.simulate.foreground import Highlight, Rod
 from frictrack.simulate.render import Target, render, render_clean
 from frictrack.simulate.texture import Series, Surface
 
@@ -221,6 +223,49 @@ def test_rotation_turns_the_block_about_its_centre() -> None:
     assert np.array_equal(still(30.2, 22.6, target=spun), still(30.2, 22.6, 0.07))
 
 
+def test_a_rod_hides_what_is_behind_it_to_the_part_of_a_pixel() -> None:
+    bare = still(30.3, 20.4)
+    seen = still(30.3, 20.4, target=replace(SMALL, rod=Rod(29.8, 5.0, 0.06)))  # from 27.3 to 32.3 px
+    cover = np.zeros(64)
+    cover[27:33] = [0.2, 1, 1, 1, 1, 0.8]
+    assert np.abs(seen - (bare * (1 - cover) + 0.06 * cover)).max() < 1e-12
+
+
+def test_a_rod_shakes_with_the_scene_and_dims_with_the_light() -> None:
+    rod = replace(SMALL, rod=Rod(29.8, 5.0, 0.06))
+    lit = {"flicker": Oscillation(0.2, 0.0, np.pi / 2), "shake_x": Oscillation(3.0, 0.0, np.pi / 2)}
+    a = still(30.3, 20.4, target=rod)
+    b = still(30.3, 20.4, target=rod, camera=Camera(width=64, height=48, exposure=0.1, **lit))
+    assert np.abs(b[:, 3:] - 1.2 * a[:, :-3]).max() < 1e-12
+
+
+def test_a_highlight_stays_in_the_picture_and_adds_its_light() -> None:
+    spot = Highlight(40.3, 11.2, 2.0, 0.25)
+    shaken = Camera(width=64, height=48, exposure=0.1, shake_x=Oscillation(3.0, 0.0, np.pi / 2))
+    added = still(30.3, 20.4, target=replace(SMALL, highlight=spot), camera=shaken) - still(30.3, 20.4, camera=shaken)
+    fine = (np.arange(64 * 40) + 0.5) / 40 - 0.5
+    light = 0.25 * np.exp(-((fine - 40.3) ** 2 + (fine[: 48 * 40, None] - 11.2) ** 2) / 8)
+    assert np.abs(added - light.reshape(48, 40, 64, 40).mean(axis=(1, 3))).max() < 1e-5
+
+
+def test_drift_changes_the_light_linearly() -> None:
+    camera = Camera(fps=100.0, drift=-5.0, flicker=Oscillation(0.1, 0.0, np.pi / 2))
+    assert camera.light(np.array([0.0, 0.1, 0.15, 0.3])) == pytest.approx([1.1, 0.55, 0.275, 0.0])
+
+
+def test_flat_field_noise_is_a_fixed_pattern_in_proportion_to_the_light() -> None:
+    camera = Camera(width=200, height=150, full_well=1e6, read_noise=0.0, bit_depth=16, black=0.0, prnu=0.01)
+    rng = np.random.default_rng(0)
+    light = np.repeat([0.2, 0.8], 100) * np.ones((150, 1))
+    frames = np.stack([camera.record(light, rng) / camera.mean(light) for _ in range(8)])
+    pattern = frames.mean(axis=0) - 1
+    shot = 1 / np.sqrt(8 * camera.electrons(np.array([0.2, 0.8])))
+    for half, alone in ((pattern[:, :100], shot[0]), (pattern[:, 100:], shot[1])):
+        assert half.std() == pytest.approx(np.hypot(0.01, alone), rel=0.025)  # 15 000 values: 0.6 %
+    assert np.abs(pattern - (camera.sensitivity - 1)).max() < 6 * shot[0]
+    assert not np.array_equal(camera.sensitivity, replace(camera, prnu_seed=1).sensitivity)
+
+
 # ---- camera
 
 
@@ -344,6 +389,9 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path, frames) -> None:
         (lambda: Camera(fps=0), "expected fps above 0 but got 0"),
         (lambda: Surface("stripes"), 'expected kind speckle, dots, checker but got "stripes"'),
         (lambda: Surface(level=0.2, contrast=0.3), "contrast between 0 and the level 0.2 but got 0.3"),
+        (lambda: Camera(prnu=1.0), "flat-field noise between 0 and 0.2 but got 1; 0.01 is 1 %"),
+        (lambda: Rod(9.0, 0.0), "rod: expected a width above 0 px but got 0 px"),
+        (lambda: Highlight(9.0, 9.0, -1.0), "highlight: expected a radius above 0 px but got -1 px"),
         (lambda: Target(0.5, 20), "larger than 1 x 1 px but got 0.5 x 20"),
         (lambda: render_clean(lambda t: (t, t), SNAP, SMALL), "n_frames with a position function but got none"),
         (lambda: render_clean(np.zeros((9, 4)), SNAP, SMALL), r"but got \(9, 4\); give x, y"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,9 @@ class Oscillation:
 class Camera:
     """A high-speed camera. Frame i is exposed symmetrically round t = i / fps.
 
-    Flicker is relative to the light; shake moves the whole picture and is not part of the target's position.
+    Flicker is relative to the light, which besides changes by `drift` per second; shake moves the whole picture
+    and is not part of the target's position. Every pixel has a sensitivity of its own, of relative standard
+    deviation `prnu` (photo response non-uniformity, drawn from `prnu_seed`): a pattern fixed in the picture.
     """
 
     fps: float = 4000.0
@@ -45,7 +48,10 @@ class Camera:
     full_well: float = 15_000.0  # e-
     read_noise: float = 20.0  # e-
     black: float = 4.0  # digital number of no light
+    prnu: float = 0.0  # relative
+    prnu_seed: int = 0
     flicker: Oscillation | None = None
+    drift: float = 0.0  # 1/s
     shake_x: Oscillation | None = None  # px
     shake_y: Oscillation | None = None  # px
 
@@ -62,6 +68,8 @@ class Camera:
             )
         if self.bit_depth not in (8, 12, 16):
             faults.append(f"expected a bit depth of 8, 12 or 16 but got {self.bit_depth}")
+        if not 0 <= self.prnu < 0.2:
+            faults.append(f"expected a flat-field noise between 0 and 0.2 but got {self.prnu:g}; 0.01 is 1 %")
         if not self.read_noise >= 0:
             faults.append(f"expected a read noise of at least 0 e- but got {self.read_noise:g} e-")
         if not 0 <= self.black < self.full_scale:
@@ -84,8 +92,15 @@ class Camera:
         return (self.shake_x(t) if self.shake_x else still, self.shake_y(t) if self.shake_y else still)
 
     def light(self, t: Array) -> Array:
-        """Illumination at the times t (s), 1 without flicker."""
-        return 1 + self.flicker(t) if self.flicker else np.ones_like(t)
+        """Illumination at the times t (s), 1 without flicker and drift; never below 0."""
+        flicker = self.flicker(t) if self.flicker else 0.0
+        return np.maximum((1 + flicker) * (1 + self.drift * np.asarray(t)), 0.0)
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """Relative sensitivity of every pixel (height, width)."""
+        pattern = np.random.default_rng(self.prnu_seed).standard_normal((self.height, self.width))
+        return np.maximum(1 + self.prnu * pattern, 0.0)
 
     def electrons(self, clean: Array) -> Array:
         """Mean number of electrons for light `clean` (1 = white)."""
@@ -103,8 +118,10 @@ class Camera:
         return np.sqrt(self.gain**2 * (self.electrons(clean) + self.read_noise**2) + 1 / 12)
 
     def record(self, clean: Array, rng: np.random.Generator) -> NDArray[Any]:
-        """One frame (uint8, else uint16) of light `clean` (ny, nx)."""
+        """One frame (uint8, else uint16) of light `clean` (height, width); any shape where prnu is 0."""
         electrons = self.electrons(clean)
+        if self.prnu:
+            electrons = electrons * self.sensitivity
         if electrons.min() >= MANY:
             spread = np.sqrt(electrons + self.read_noise**2).astype(np.float32)
             electrons = electrons + spread * rng.standard_normal(clean.shape, dtype=np.float32)

@@ -3,7 +3,7 @@
 The picture is a static background, uniform within each pixel, and in front of it the block, whose texture is
 integrated exactly over the covered part of each pixel (`texture`). An exposure is cut wherever an edge of the
 block passes a pixel border; between two cuts the light on every pixel is smooth in time and a Gauss-Legendre
-rule integrates it.
+rule integrates it. A rod may stand in front of the block, and a highlight on the window adds its light to all.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from scipy.interpolate import make_interp_spline
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.camera import Camera, Oscillation
+from frictrack.simulate.foreground import Highlight, Rod
 from frictrack.simulate.texture import Surface
 from frictrack.simulate.turned import Pose, turned_block
 
@@ -36,7 +37,8 @@ FEW, MORE = (np.polynomial.legendre.leggauss(n) for n in (3, 5))  # enough for 0
 class Target:
     """A painted block in front of a static background; the course is the light band under its foot.
 
-    Sizes in px. `rotation` (rad) turns the block about its centre in addition to the path's own angle.
+    Sizes in px. `rotation` (rad) turns the block about its centre in addition to the path's own angle. `rod` and
+    `highlight` lie in front of all.
     """
 
     width: float = 90.0
@@ -45,6 +47,8 @@ class Target:
     background: Surface = WALL
     course: bool = True
     rotation: Oscillation | None = None
+    rod: Rod | None = None
+    highlight: Highlight | None = None
 
     def __post_init__(self) -> None:
         if not (self.width > 1 and self.height > 1):
@@ -118,7 +122,10 @@ class _Stage:
         self.course_y = float(path(np.zeros(1))[1][0]) + target.height / 2
         self.turns = target.rotation is not None or len(path(np.zeros(1))) == 3
         self.shakes = camera.shake_x is not None or camera.shake_y is not None
+        self.edges = _edges(np.arange(camera.width)), _edges(np.arange(camera.height))
+        self.grid = self.background.grid(*self.edges)
         self.still = self._background(np.ones(1), np.zeros(1), np.zeros(1))
+        self.glare = target.highlight.light(*self.edges) if target.highlight else None
 
     def frame(self, t: float) -> Array:
         """Light of the frame exposed round t (s): (height, width)."""
@@ -133,7 +140,18 @@ class _Stage:
             part = picture[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
             part *= 1 - cover / moments.weight.sum()
             part += block
+        self._in_front(picture, moments)
         return picture
+
+    def _in_front(self, picture: Array, moments: _Moments) -> None:
+        """Put the rod and the highlight on the picture."""
+        rod, light = self.target.rod, moments.weight.sum()
+        if rod is not None:
+            cover = moments.weight @ rod.cover(self.edges[0] - moments.shake_x[:, None]) / light
+            hidden = np.flatnonzero(cover)
+            picture[:, hidden] += cover[hidden] * (rod.reflectance * light - picture[:, hidden])
+        if self.glare is not None:
+            picture += light * self.glare
 
     def _place(self, t: Array) -> tuple[Array, Array, Array]:
         """Centre of the block in the picture, shake included, and its angle, at times (n,)."""
@@ -188,11 +206,9 @@ class _Stage:
 
     def _background(self, weight: Array, shake_x: Array, shake_y: Array) -> Array:
         """Weighted sum over the exposure of wall and course, (height, width)."""
-        x_edges = _edges(np.arange(self.camera.width)) - shake_x[:, None]
-        y_edges = _edges(np.arange(self.camera.height)) - shake_y[:, None]
-        picture = self.background.cells(x_edges, y_edges, weight)
+        picture = self.background.shifted(self.grid, weight, (shake_x, shake_y))
         if self.target.course:
-            step = _soft_step(y_edges - self.course_y)
+            step = _soft_step(self.edges[1] - shake_y[:, None] - self.course_y)
             picture += COURSE_STEP * (weight @ np.diff(step))[:, None]
         return picture
 

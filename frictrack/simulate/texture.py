@@ -46,6 +46,18 @@ class Series:
         # Only the real part is needed: two real products instead of one complex one.
         return columns.real @ rows.real - columns.imag @ rows.imag
 
+    def shifted(self, cells: tuple[Complex, Complex], weight: Array, shift: tuple[Array, Array]) -> Array:
+        """Light of a fixed `grid` of pixels when the surface lies at the shifts (q,), px, with weights (q,)."""
+        e_x, e_y = cells
+        turn_x = np.exp(-1j * np.outer(self.q_x, shift[0]))
+        turn_y = np.exp(-1j * np.outer(self.q_y, shift[1])) * weight
+        rows = (self.c * (turn_y @ turn_x.T)) @ e_x
+        return e_y.real.T @ rows.real - e_y.imag.T @ rows.imag
+
+    def grid(self, x_edges: Array, y_edges: Array) -> tuple[Complex, Complex]:
+        """Integrals of all waves over the pixels between the borders: (kx, nx) and (ky, ny)."""
+        return np.diff(_antiderivative(self.q_x, x_edges)), np.diff(_antiderivative(self.q_y, y_edges))
+
 
 def _antiderivative(q: Array, x: Array) -> Complex:
     """Integral of exp(i q x) for every wavenumber and place: (k, *x.shape)."""

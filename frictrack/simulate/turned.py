@@ -55,9 +55,15 @@ def _pixel_mean(series: Series, angle: float, dx: Array, dy: Array) -> Array:
     q_x, q_y = q_x[keep], q_y[keep]
     q_x, q_y = cos * q_x - sin * q_y, sin * q_x + cos * q_y
     c = series.c[keep] * np.sinc(q_x / (2 * np.pi)) * np.sinc(q_y / (2 * np.pi))
-    rows = c[:, None] * np.exp(1j * np.outer(q_x, dx))
-    columns = np.exp(1j * np.outer(dy, q_y))
-    return columns.real @ rows.real - columns.imag @ rows.imag
+    rows, columns = c[:, None] * _wave(q_x, dx), _wave(q_y, dy)
+    return columns.real.T @ rows.real - columns.imag.T @ rows.imag
+
+
+def _wave(q: Array, place: Array) -> NDArray[np.complex128]:
+    """exp(i q place) at neighbouring pixels (k, n): each is the one before, turned; exponentials would cost most."""
+    out = np.empty((len(q), len(place)), complex)
+    out[:, 0], out[:, 1:] = np.exp(1j * q * place[0]), np.exp(1j * q)[:, None]
+    return np.multiply.accumulate(out, axis=1)
 
 
 def _between(place: Array, half: float, sides: tuple[float, float]) -> tuple[Array, Array]:
