@@ -1,9 +1,11 @@
 """Scenes: films of known truth and a study file that does not tell it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 
 import frictrack as ft
 from frictrack.errors import FrictrackError
@@ -67,6 +69,40 @@ def test_the_truth_is_the_closed_form_of_viscous_decay(folder):
     assert np.max(np.abs(x - x[0] - closed)) < 1e-12
 
 
+def test_every_nuisance_of_a_scene_is_filmed_and_recorded(tmp_path):
+    nuisances = """
+    prnu = 0.01
+    drift = -1.5
+    flicker = { amplitude = 0.05, frequency = 100 }
+    shake_x = { amplitude = 0.3, frequency = 35 }
+    [rod]
+    x = 150
+    [highlight]
+    x = 90
+    y = 30
+    """
+    text = SCENE.replace("height = 72\n", "height = 72\n" + nuisances).replace(
+        "height = 44", "height = 44\nrotation = { amplitude = 0.15, frequency = 40 }"
+    )
+    scene = replace(read_scene(text), runs=read_scene(text).runs[:1], format="tif")
+    film_scene(scene, tmp_path)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    camera = truth["runs"][0]["camera"]
+    assert (camera["prnu"], camera["drift"]) == (0.01, -1.5)
+    assert camera["flicker"] == {"amplitude": 0.05, "frequency": 100.0, "phase": 0.0}
+    assert camera["shake_x"]["amplitude"] == 0.3
+    assert truth["target"]["rotation"]["amplitude"] == pytest.approx(0.15 * np.pi / 180)
+    assert truth["target"]["rod"] == {"x": 150.0, "width": 14.0, "reflectance": 0.06}
+    assert truth["target"]["highlight"] == {"x": 90.0, "y": 30.0, "radius": 14.0, "amplitude": 0.25}
+    film = tifffile.imread(tmp_path / "there.tif").astype(float)
+    assert film[:, :, 145:155].mean() < 20  # the rod is dark
+    assert film[:, 30, 90].mean() > film[:, 30, 220].mean() + 30  # the highlight is bright
+    t = np.arange(60) / 4000
+    light = (1 + 0.05 * np.sin(2 * np.pi * 100 * t)) * (1 - 1.5 * t)
+    seen = (film[:, 60:, 220:].mean(axis=(1, 2)) - 4) / light
+    assert np.std(seen) < 0.004 * np.mean(seen)
+
+
 def test_the_same_seed_makes_the_same_film(folder, tmp_path):
     film_scene(read_scene(SCENE), tmp_path, seed=3)
     assert (tmp_path / "there.avi").read_bytes() == (folder / "there.avi").read_bytes()
@@ -78,6 +114,9 @@ def test_the_same_seed_makes_the_same_film(folder, tmp_path):
         (SCENE.replace("mass = 0.35", "mas = 0.35"), 'unknown key "mas"'),
         (SCENE.replace("v = 4.0", "speed = 4.0"), 'unknown key "speed" in a run'),
         (SCENE.replace("fps = 4000", "fsp = 4000"), r'unknown key "fsp" in \[camera\]'),
+        (SCENE.replace("width = 60", "depth = 60"), r'unknown key "depth" in \[target\]'),
+        (SCENE + "[rod]\ny = 3", "expected rod as a table of the numbers x, width, reflectance but got {'y': 3}"),
+        (SCENE.replace("fps = 4000", "flicker = 3"), "flicker as a table of the numbers amplitude, frequency, phase"),
         ("name = 'empty'", r"expected a \[law.coulomb\] table"),
     ],
 )

@@ -6,6 +6,15 @@
     [law.coulomb]                   # any effects of the library, parameters by their names
     F_c = 8.0
     [camera]                        # fps, width, height, scale (m/px), exposure, bit_depth, full_well, read_noise
+    prnu = 0.01                     # relative flat-field noise; drift (1/s) of the light
+    flicker = { amplitude = 0.05, frequency = 100 }      # relative; shake_x, shake_y likewise in px
+    [target]                        # width, height, speckle (px)
+    rotation = { amplitude = 0.15, frequency = 40 }      # deg
+    [rod]                           # in front of the block: x, width (px), reflectance
+    x = 300
+    [highlight]                     # on the window: x, y, radius (px), amplitude (1 = white)
+    x = 200
+    y = 40
     [[run]]
     name = "v4"
     v = 4.0                         # m/s; negative moves toward -x
@@ -20,10 +29,10 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -34,14 +43,20 @@ from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.simulate.camera import Camera, Oscillation
 from frictrack.simulate.film import write_film
+from frictrack.simulate.foreground import Highlight, Rod
 from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Conditions, Slide, simulate
 from frictrack.simulate.texture import Surface
 
 Progress = Callable[[int, int, str], None]
-KEYS = {"name", "mass", "scatter", "law", "camera", "target", "run", "format"}
+KEYS = {"name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"}
 RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline"}
+TARGET_KEYS = {"width", "height", "speckle", "rotation"}
+OSCILLATIONS = ("flicker", "shake_x", "shake_y")
 MARGIN = 14.0  # px between the block and the edge of the first frame
+
+
+Part = TypeVar("Part", Oscillation, Rod, Highlight)
 
 
 @dataclass(frozen=True)
@@ -53,9 +68,10 @@ class Scene:
     scatter: float
     law: dict[str, dict[str, float]]
     camera: dict[str, Any]
-    target: dict[str, float]
+    target: dict[str, Any]
     runs: tuple[dict[str, Any], ...]
     format: str = "avi"
+    front: dict[str, Any] = field(default_factory=dict)  # rod and highlight
 
     @property
     def model(self) -> Model:
@@ -72,6 +88,7 @@ def read_scene(text: str) -> Scene:
     faults = [f'unknown key "{k}"' for k in raw if k not in KEYS]
     faults += [f'unknown key "{k}" in a run' for run in raw.get("run", []) for k in run if k not in RUN_KEYS]
     faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in _camera_keys()]
+    faults += [f'unknown key "{k}" in [target]' for k in raw.get("target", {}) if k not in TARGET_KEYS]
     if not raw.get("law") or not raw.get("run"):
         faults.append("expected a [law.coulomb] table or the like and at least one [[run]]")
     if faults:
@@ -81,15 +98,41 @@ def read_scene(text: str) -> Scene:
         mass=float(raw.get("mass", 0.35)),
         scatter=float(raw.get("scatter", 0.0)),
         law={k: dict(v) for k, v in raw["law"].items()},
-        camera=raw.get("camera", {}),
-        target=raw.get("target", {}),
+        camera={k: _part(Oscillation, k, v) if k in OSCILLATIONS else v for k, v in raw.get("camera", {}).items()},
+        target=_target_keys(raw.get("target", {})),
         runs=tuple(raw["run"]),
         format=str(raw.get("format", "avi")),
+        front=_front(raw),
     )
 
 
 def _camera_keys() -> set[str]:
-    return {f.name for f in fields(Camera) if f.name not in ("flicker", "shake_x", "shake_y")}
+    return {f.name for f in fields(Camera)}
+
+
+def _target_keys(given: dict[str, Any]) -> dict[str, Any]:
+    """The table of the target; its rotation comes in degrees."""
+    if "rotation" not in given:
+        return given
+    turn = _part(Oscillation, "rotation", given["rotation"])
+    return given | {"rotation": replace(turn, amplitude=float(np.deg2rad(turn.amplitude)))}
+
+
+def _front(raw: dict[str, Any]) -> dict[str, Any]:
+    """Rod and highlight, where the scene has them."""
+    rod = {"rod": _part(Rod, "rod", raw["rod"])} if "rod" in raw else {}
+    return rod | ({"highlight": _part(Highlight, "highlight", raw["highlight"])} if "highlight" in raw else {})
+
+
+def _part(kind: type[Part], name: str, given: Any) -> Part:
+    """A part of the scene from its table."""
+    known = [f.name for f in fields(kind)]
+    try:
+        return kind(**{key: float(value) for key, value in given.items()})
+    except (TypeError, ValueError, AttributeError):
+        raise FrictrackError(
+            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}", usage=True
+        ) from None
 
 
 def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | None = None) -> None:
@@ -117,6 +160,7 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
     truth: dict[str, Any] = {"scene": scene.name, "mass": scene.mass, "law": scene.law, "seed": seed, "runs": []}
+    truth["target"] = asdict(_target(scene))
     for i, run in enumerate(scene.runs):
         if progress:
             progress(i, len(scene.runs), f"rendering {run['name']}")
@@ -125,7 +169,8 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
         slide = slide_of(scene, run, camera, level)
         film = f"{run['name']}.{scene.format}"
         write_film(_frames(scene, run, camera, slide, rng), folder / film, camera.fps)
-        truth["runs"].append({"name": run["name"], "level": level, "v": run["v"], "x_m": slide.x.tolist()})
+        about = {"name": run["name"], "level": level, "v": run["v"], "camera": asdict(camera)}
+        truth["runs"].append(about | {"x_m": slide.x.tolist()})
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
     if progress:
@@ -187,11 +232,6 @@ def _values(scene: Scene) -> dict[str, dict[str, float]]:
 
 
 def _frames(scene: Scene, run: dict[str, Any], camera: Camera, slide: Slide, rng: np.random.Generator) -> Any:
-    target = Target(
-        width=float(scene.target.get("width", 90)),
-        height=float(scene.target.get("height", 56)),
-        surface=Surface(size=float(scene.target.get("speckle", 4.0)), seed=11),
-    )
     x = (slide.x + slide.shift) / camera.scale
     y = np.full_like(x, camera.height / 2 - 4)
     spline = CubicSpline(slide.t, x)
@@ -199,7 +239,18 @@ def _frames(scene: Scene, run: dict[str, Any], camera: Camera, slide: Slide, rng
     def position(t: Array) -> tuple[Array, Array]:
         return spline(t), np.interp(t, slide.t, y)
 
-    return render(position, camera, target, rng, n_frames=len(x))
+    return render(position, camera, _target(scene), rng, n_frames=len(x))
+
+
+def _target(scene: Scene) -> Target:
+    """The block, and what stands in front of it."""
+    return Target(
+        width=float(scene.target.get("width", 90)),
+        height=float(scene.target.get("height", 56)),
+        surface=Surface(size=float(scene.target.get("speckle", 4.0)), seed=11),
+        rotation=scene.target.get("rotation"),
+        **scene.front,
+    )
 
 
 def _study_text(scene: Scene) -> str:
