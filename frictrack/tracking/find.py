@@ -1,48 +1,49 @@
-"""Find the moving body: what differs from the still background and travels."""
+"""Find the moving body: what differs from the still scene, looks the same from frame to frame, and travels.
+
+Everything is searched on reduced pictures; only the outline of the body that is chosen is drawn on full ones.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Frame, Recording
+from frictrack.recording import Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.match import Rectangle, correlate
+from frictrack.tracking.match import Rectangle, correlate, vertex
+from frictrack.tracking.outline import outline
+from frictrack.tracking.scene import Blob, Picture, Scene, sample, touches_edge
 
-SAMPLES = 60
-SAMPLE_BYTES = 40_000_000
-LEAST_AREA = 40  # px
-LEAST_SIDE = 8  # px
 LEAST_TRAVEL = 1.5  # px
-MATCH = 0.6
-ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
-OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
-CANDIDATES = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """Frames spread over the recording, and what in them is not background."""
-
-    index: list[int]
-    frames: list[Frame]
-    background: Array
-    foreground: list[Mask]
+MATCH, AT_REST = 0.6, 0.9  # least score among what moves, and where nothing moves
+NEARER = 0.3  # score that a match on the other side of the picture must be better by
+ROWS = 6  # sampled frames from which candidates are taken
+PURSUED = 8
+CUT_OFF = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
+# A second body is worth a question when it is as large and travels as far as this share of the first ...
+RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE = 0.25, 0.5, 0.75
+APART = 0.3  # ... and moves against it by this share of the way; shadow, reflection and rod in contact do not
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A moving thing: its bounding box, and where that was in the sampled frames (NaN where not seen)."""
+    """A moving thing on the reduced pictures: its bounding box in sampled frame `row`, and where that went."""
 
     box: Rectangle
-    row: int  # of the sample that the box was taken from
-    corner: Array  # (k, 2)
+    row: int
+    corner: Array  # (k, 2) px, NaN where not seen
+    score: Array  # (k,)
     merit: float
+
+    @property
+    def seen(self) -> Mask:
+        """Sampled frames (k,) that show the body."""
+        return np.isfinite(self.corner[:, 0])
 
 
 def find_target(recording: Recording) -> Rectangle:
@@ -53,200 +54,173 @@ def find_target(recording: Recording) -> Rectangle:
 def locate(recording: Recording) -> tuple[Rectangle, int]:
     """Rectangle of the body that moves farthest, slightly inside its outline, and the frame it refers to.
 
-    Raises `FrictrackError` when the film has no contrast or nothing moves.
+    Raises `FrictrackError` when the film has no contrast, nothing moves, or two bodies move apart.
     """
-    sample = _sample(recording)
-    bodies = [_pursue(sample, row, box) for row, box in _candidates(sample)]
-    best = max(bodies, key=lambda body: body.merit, default=None)
-    if best is None or best.merit <= 0:
+    scene = sample(recording)
+    bodies = moving(scene)
+    if not bodies and scene.shake.any():  # perhaps what filled the picture was the body, and no shake
+        scene = sample(recording, steady=False)
+        bodies = moving(scene)
+    if not bodies:
         raise FrictrackError(
             f"{recording.path.name}: expected a moving target but nothing moves by more than "
             f"{LEAST_TRAVEL:g} px; check the film, or give target = [x, y, w, h]"
         )
-    return _outline(sample, best)
+    rivals = [body for body in bodies[1:] if _rivals(scene, bodies[0], body)]
+    if rivals:
+        raise FrictrackError(_which(recording, scene, (bodies[0], rivals[0])))
+    return drawn(scene, bodies[0])
 
 
-def _sample(recording: Recording) -> Sample:
-    size = recording.shape[0] * recording.shape[1] * (2 if recording.bit_depth > 8 else 1)
-    count = min(recording.n_frames, int(np.clip(SAMPLE_BYTES // size, 9, SAMPLES)))
-    index = np.unique(np.linspace(0, recording.n_frames - 1, count).astype(int)).tolist()
-    frames = recording.pick(index)
-    index = index[: len(frames)]
-    if max(int(np.ptp(frame)) for frame in frames) < 2:
-        raise FrictrackError(
-            f"{recording.path.name}: the film has no contrast, its frames are all one grey; "
-            "check lighting, exposure and lens cap"
-        )
-    background = np.median(np.stack(frames), axis=0).astype(np.float32)
-    differences = [_difference(frame, background) for frame in frames]
-    noise = 1.4826 * float(np.median([np.median(np.abs(d[::3, ::3])) for d in differences]))
-    return Sample(index, frames, background, [_foreground(d, noise) for d in differences])
+def drawn(scene: Scene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
+    """Rectangle of a body on the full picture and the frame it refers to; `frame` if given and sampled."""
+    return outline(scene, body.box, body.row, body.corner, frame)
 
 
-def _difference(frame: Frame, background: Array) -> Array:
-    """Frame minus background, after the light has been evened out."""
-    picture = frame.astype(np.float32)
-    few, still = picture[::3, ::3], background[::3, ::3]
-    bright = still > 0.5 * np.median(still)
-    ratio = float(np.median(few[bright] / np.maximum(still[bright], 1)))
-    return picture - (ratio if 0.2 < ratio < 5 else 1.0) * background
+def moving(scene: Scene) -> list[Body]:
+    """The bodies that travel, the one most worth tracking first."""
+    tried: list[Body] = []
+    for row, box in _candidates(scene):
+        if len(tried) < PURSUED and not any(_is(body, row, box) for body in tried):
+            tried.append(pursue(scene, row, box))
+    return sorted((body for body in tried if body.merit > 0), key=lambda body: -body.merit)
 
 
-def _foreground(difference: Array, noise: float) -> Mask:
-    """Where the picture differs from the background by more than noise, as closed patches."""
-    energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
-    # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
-    return _tidy(energy > 9 * max(noise, 0.5) ** 2, close=7)
+def _candidates(scene: Scene) -> Iterator[tuple[int, Rectangle]]:
+    """Boxes of foreground in frames spread over the film: the largest of each, then the second."""
+    least = scene.least_side
+    boxes = [[b.box for b in blobs if min(b.box[2:]) >= least] for blobs in scene.blobs]
+    busy = [row for row, found in enumerate(boxes) if found]
+    if not busy:
+        return
+    rows = [busy[i] for i in np.unique(np.linspace(0, len(busy) - 1, ROWS).astype(int))]
+    for rank in range(2):
+        yield from ((row, boxes[row][rank]) for row in rows if len(boxes[row]) > rank)
 
 
-def _tidy(mask: Mask, close: int) -> Mask:
-    """The mask without gaps narrower than `close` px and without specks."""
-    bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
-    return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
+def _is(body: Body, row: int, box: Rectangle) -> bool:
+    """Whether this box is the body, as pursued already."""
+    if not body.seen[row] or body.score[row] < 0.8:
+        return False
+    size = np.array(body.box[2:])
+    low, high = np.maximum(body.corner[row], box[:2]), np.minimum(body.corner[row] + size, np.add(box[:2], box[2:]))
+    common = np.prod(np.maximum(high - low, 0))
+    return bool(common > 0.5 * (size.prod() + box[2] * box[3] - common))
 
 
-def _candidates(sample: Sample) -> list[tuple[int, Rectangle]]:
-    """The largest patches of foreground, from frames spread over the film: (row, box)."""
-    busy = [row for row, mask in enumerate(sample.foreground) if mask.any()]
-    rows = [busy[i] for i in np.unique(np.linspace(0, len(busy) - 1, 6).astype(int))] if busy else []
-    found = []
-    for row in rows:
-        boxes = _boxes(sample.foreground[row])
-        found += [(row, box) for box in boxes[: CANDIDATES // len(rows)]]
-    return found
-
-
-def _boxes(mask: Mask) -> list[Rectangle]:
-    """Bounding boxes of the connected patches, the largest first, those that fill the picture left out."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    blobs = [s for s in stats[1:] if s[4] >= LEAST_AREA and min(s[2:4]) >= LEAST_SIDE and s[4] < 0.6 * mask.size]
-    return [(int(x), int(y), int(w), int(h)) for x, y, w, h, _ in sorted(blobs, key=lambda s: -s[4])]
-
-
-def _pursue(sample: Sample, row: int, box: Rectangle) -> Body:
+def pursue(scene: Scene, row: int, box: Rectangle) -> Body:
     """Look for the contents of `box` in every sampled frame, among what is foreground there."""
     x, y, w, h = box
-    patch = sample.frames[row][y : y + h, x : x + w]
-    corner = np.full((len(sample.frames), 2), np.nan)
-    for k, (frame, foreground) in enumerate(zip(sample.frames, sample.foreground, strict=True)):
-        part = _surrounding(foreground, (h, w))
-        if part is None:
-            continue
-        _, score, _, (i, j) = cv2.minMaxLoc(correlate(frame[part], patch))
-        i, j = i + part[1].start, j + part[0].start
-        if score > MATCH and foreground[j : j + h, i : i + w].mean() > 0.3:
-            corner[k] = i, j
+    patch = scene.small[row][y : y + h, x : x + w]
+    n = len(scene.small)
+    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    for frames in (range(row, n), range(row - 1, -1, -1)):
+        last = np.array([x, y], dtype=np.float64)
+        for k in frames:
+            at, best, moves = _match(scene.small[k], scene.foreground[k], patch, last)
+            if best > (MATCH if moves else AT_REST):
+                corner[k], score[k] = at, best
+                last = at if moves else last
+    known = _known_axes(patch)
+    # Along a stripe nothing can be told: a find far along it is another stripe.
+    strays = np.hypot(*((corner - (x, y)) @ (np.eye(2) - known)).T) > 0.5 * max(w, h)
+    corner[strays], score[strays] = np.nan, np.nan
+    return Body(box, row, corner, score, _merit(scene, box, corner, score, known))
+
+
+def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
+    """Corner (x, y) of the best match where it was `last` or is foreground by a third; its score; whether it is.
+
+    Among matches that are about as good, the nearest to the last: a bar looks the same all along.
+    """
+    part = _surrounding(foreground, patch.shape, last)
+    scores = correlate(picture[part], patch)
+    share = cv2.boxFilter(foreground[part].astype(np.float32), -1, patch.shape[::-1], anchor=(0, 0))
+    rows, columns = np.arange(scores.shape[0]) + part[0].start, np.arange(scores.shape[1]) + part[1].start
+    away = np.abs(rows - last[1])[:, None] + np.abs(columns - last[0])
+    scores[(share[: scores.shape[0], : scores.shape[1]] < 0.3) & (away > 2)] = 0
+    _, _, _, (i, j) = cv2.minMaxLoc(scores - NEARER / max(picture.shape) * away)
+    at = (columns[i] + vertex(scores[j], i), rows[j] + vertex(scores[:, i], j))
+    return np.array(at), float(scores[j, i]), bool(share[j, i] >= 0.3)
+
+
+def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[slice, slice]:
+    """The part of the picture that has room for a patch of `size` (h, w) round all foreground and where it was."""
+    fx, fy, fw, fh = cv2.boundingRect(foreground.astype(np.uint8))
+    x, y = np.rint(last).astype(int)
+    x0, y0, x1, y1 = x - 3, y - 3, x + size[1] + 4, y + size[0] + 4
+    if fw:
+        x0, y0 = min(x0, fx - size[1]), min(y0, fy - size[0])
+        x1, y1 = max(x1, fx + fw + size[1]), max(y1, fy + fh + size[0])
+    return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
+
+
+def _known_axes(patch: Picture) -> Array:
+    """Projection (2, 2) onto the directions in which the patch's place can be told; a stripe has only one."""
+    gy, gx = np.gradient(patch)
+    power, axes = np.linalg.eigh([[np.sum(gx * gx), np.sum(gx * gy)], [np.sum(gx * gy), np.sum(gy * gy)]])
+    known = axes[:, power > 0.02 * power[1]]
+    return np.asarray(known @ known.T, dtype=np.float64)
+
+
+def _merit(scene: Scene, box: Rectangle, corner: Array, score: Array, known: Array) -> float:
+    """How much a body is worth tracking: seen often and well, large, far travelled; 0 for what does not move."""
     seen = np.isfinite(corner[:, 0])
-    travel = _travel(corner[seen])
-    merit = seen.sum() * travel * np.sqrt(w * h) if travel > LEAST_TRAVEL else 0.0
-    return Body(box, row, corner, float(merit))
+    far = travel(corner[seen] @ known)
+    if far * scene.factor <= LEAST_TRAVEL:
+        return 0.0
+    cut = np.mean([_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
+    alike = np.sum(score[seen] - MATCH)
+    return float(alike * far * (box[2] * box[3]) ** 0.25 * (CUT_OFF if cut else 1.0))
 
 
-def _travel(corner: Array) -> float:
-    """Distance covered by the finds (k, 2), px; one stray match does not count."""
+def travel(corner: Array) -> float:
+    """Distance covered by the finds (k, 2), px; a stray match in ten does not count, nor a single one."""
     if len(corner) < 2:
         return 0.0
     away = np.sort(np.hypot(*(corner - np.median(corner, axis=0)).T))
-    return 2 * float(away[-2])
+    return 2 * float(away[-max(2, len(corner) // 10)])
 
 
-def _surrounding(foreground: Mask, size: tuple[int, int]) -> tuple[slice, slice] | None:
-    """The part of the picture that holds all foreground and has room for a patch of `size` (h, w) round it."""
-    x, y, w, h = cv2.boundingRect(foreground.astype(np.uint8))
-    if not w:
-        return None
-    return slice(max(y - size[0], 0), y + h + size[0]), slice(max(x - size[1], 0), x + w + size[1])
+def _cut_off(scene: Scene, row: int, box: Rectangle, corner: Array) -> bool:
+    """Whether the foreground that a body is part of goes on beyond the picture."""
+    centre = corner + np.array(box[2:]) / 2
+    mine = [blob.box for blob in scene.blobs[row] if _holds(blob, centre)]
+    return bool(mine) and touches_edge(mine[0], scene.background.shape)
 
 
-def _outline(sample: Sample, body: Body) -> tuple[Rectangle, int]:
-    """The rectangle of the body and the frame it refers to: the first, unless that shows it badly."""
-    look = _look(sample, body)
-    x, y, w, h = _rectangle(look)
-    typical = int(np.argmin(look.misfit))
-    row = 0 if look.misfit[0] < max(2 * look.misfit[typical], ALIKE) else typical
-    left, top = (int(c) for c in look.corner[row])
-    height, width = sample.background.shape
-    x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
-    x1, y1 = min(left + x + w, width), min(top + y + h, height)
-    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), sample.index[look.rows[row]]
+def _holds(blob: Blob, point: NDArray[np.float64]) -> bool:
+    x, y, w, h = blob.box
+    return bool(x <= point[0] < x + w and y <= point[1] < y + h)
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What a body looks like, from the sampled frames registered on it: a window somewhat larger than it."""
-
-    picture: Array  # median of the registered frames
-    member: Mask  # pixels that move with the body
-    corner: NDArray[np.int64]  # (k, 2) corner of the window in each frame that shows the body
-    rows: NDArray[np.int64]  # (k,) those frames
-    misfit: Array  # (k,) share of each that the median does not explain
-
-
-def _look(sample: Sample, body: Body) -> Look:
-    """A pixel moves with the body if the body's median picture explains it better than the background does."""
-    _, _, w, h = body.box
-    reach = int(np.ceil(0.1 * max(w, h))) + 3
-    shape = (h + 2 * reach, w + 2 * reach)
-    rows = np.flatnonzero(np.isfinite(body.corner[:, 0]))
-    corner = body.corner[rows].astype(int) - reach
-    stack = np.stack([_window(sample.frames[k], at, shape) for k, at in zip(rows, corner, strict=True)])
-    scene = np.stack([_window(sample.background, at, shape) for at in corner])
-    picture = np.median(stack, axis=0)
-    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
-    differs = cv2.GaussianBlur(np.median((stack - scene) ** 2, axis=0), (0, 0), 1.0)
-    member = _largest(_tidy(np.asarray(spread < 0.5 * differs), close=5))
-    return Look(picture, member, corner, rows, _misfit(stack[:, member], picture[member]))
+def _rivals(scene: Scene, first: Body, second: Body) -> bool:
+    """Whether the second body moves on its own, so far and so plainly that one must ask which is meant."""
+    both = first.seen & second.seen
+    if both.sum() < min(3, len(both)):
+        return False
+    a, b = first.corner[both], second.corner[both]
+    size = np.array([first.box[2:], second.box[2:]])
+    if size[1].prod() < RIVAL_AREA * size[0].prod() or np.median(second.score[both]) < RIVAL_SCORE:
+        return False
+    apart = np.any(np.abs(a + size[0] / 2 - b - size[1] / 2) > 0.5 * size.sum(axis=0), axis=1)
+    if apart.mean() < 0.5 or _span(b) < RIVAL_TRAVEL * _span(a):
+        return False
+    if np.mean([_cut_off(scene, row, second.box, second.corner[row]) for row in np.flatnonzero(both).tolist()]) > 0.5:
+        return False
+    return _span(b - a) > APART * _span(a) + 2
 
 
-def _misfit(pictures: Array, picture: Array) -> Array:
-    """Share (k,) of each picture (k, p) that the median picture (p,) does not explain, whatever the light."""
-    pictures = pictures - pictures.mean(axis=1, keepdims=True)
-    picture = picture - picture.mean()
-    power = np.sum(pictures**2, axis=1) * np.sum(picture**2)
-    return 1 - np.asarray(pictures @ picture) ** 2 / np.maximum(power, 1e-12)
+def _span(at: Array) -> float:
+    """Diagonal of the box that holds the places (k, 2), px."""
+    return float(np.hypot(*np.ptp(at, axis=0)))
 
 
-def _largest(mask: Mask) -> Mask:
-    """The largest connected patch of a mask; the whole window when there is none."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    if len(stats) < 2:
-        return np.ones(mask.shape, np.bool_)
-    return np.asarray(labels == 1 + int(np.argmax(stats[1:, 4])))
-
-
-def _rectangle(look: Look) -> Rectangle:
-    """Inside the body where its texture is; round it where most of its contrast is the outline."""
-    inner = _inside(look.member)
-    x, y, w, h = inner
-    energy = np.sum(np.square(np.gradient(look.picture)), axis=0)
-    outlined = cv2.dilate(look.member.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if energy[y : y + h, x : x + w].sum() > OUTLINE * energy[outlined].sum():
-        return inner
-    x, y, w, h = cv2.boundingRect(outlined.astype(np.uint8))
-    return (x, y, w, h)
-
-
-def _window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Array:
-    """A window of the picture, float32, continued by its edge where it reaches beyond."""
-    height, width = picture.shape
-    rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
-    columns = np.clip(np.arange(shape[1]) + corner[0], 0, width - 1)
-    return picture[np.ix_(rows, columns)].astype(np.float32)
-
-
-def _inside(member: Mask) -> Rectangle:
-    """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
-
-    The margin is what interpolation reaches across: background beyond the edge would leak in.
-    """
-    x, y, w, h = cv2.boundingRect(member.astype(np.uint8))
-    x1, y1 = x + w, y + h
-    while min(x1 - x, y1 - y) > 8:
-        part = member[y:y1, x:x1]
-        fill = [part[:, 0].mean(), part[0].mean(), part[:, -1].mean(), part[-1].mean()]
-        side = int(np.argmin(fill))
-        if fill[side] > 0.85:
-            break
-        x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
-    inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
-    return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
+def _which(recording: Recording, scene: Scene, bodies: tuple[Body, Body]) -> str:
+    """The question which of two bodies is meant."""
+    lines = []
+    for body in sorted(bodies, key=lambda body: float(np.nanmin(body.corner[:, 0]))):
+        (x, y, w, h), frame = drawn(scene, body)
+        line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
+        lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
+    return f"{recording.path.name}: expected one moving target but two move; give " + " or ".join(lines)

@@ -1,0 +1,135 @@
+"""The rectangle of a moving body on the full picture: the pixels that move with it, a little inside its edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array, Mask
+from frictrack.tracking.match import Rectangle, correlate
+from frictrack.tracking.scene import Picture, Scene, tidy, window
+
+LOOKS = 15  # frames that are registered
+ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
+OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a body looks like, from sampled frames registered on it: a window somewhat larger than it."""
+
+    picture: Picture  # median of the registered frames
+    member: Mask  # pixels that move with the body
+    corner: NDArray[np.int64]  # (k, 2) px, corner of the window in each frame
+    rows: NDArray[np.int64]  # (k,) those frames
+    misfit: Array  # (k,) share of each that the median does not explain
+
+
+def outline(scene: Scene, box: Rectangle, row: int, corner: Array, frame: int | None = None) -> tuple[Rectangle, int]:
+    """The rectangle of a body and the frame it refers to: the first, unless that shows it badly, or `frame`.
+
+    The body has this reduced `box` in sampled frame `row` and was seen at `corner` (k, 2), reduced, in the others.
+    """
+    look = _look(scene, box, row, corner)
+    x, y, w, h = _rectangle(look)
+    at = _row(scene, look, frame)
+    left, top = (int(c) for c in look.corner[at])
+    height, width = scene.frames[0].shape
+    x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
+    x1, y1 = min(left + x + max(w, 8), width), min(top + y + max(h, 8), height)
+    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), scene.index[look.rows[at]]
+
+
+def _row(scene: Scene, look: Look, frame: int | None) -> int:
+    """Which of the registered frames the rectangle is given in."""
+    index = np.array(scene.index)[look.rows]
+    if frame is not None and frame in index:
+        return int(np.flatnonzero(index == frame)[0])
+    typical = int(np.argmin(look.misfit))
+    return 0 if look.misfit[0] < max(2 * look.misfit[typical], ALIKE) else typical
+
+
+def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
+    """A pixel moves with the body if the body's median picture explains it better than the background does."""
+    w, h = box[2] * scene.factor, box[3] * scene.factor
+    reach = int(np.ceil(0.1 * max(w, h))) + 3
+    shape = (h + 2 * reach, w + 2 * reach)
+    seen = np.flatnonzero(np.isfinite(corner[:, 0]))
+    rows = np.unique([row, *seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)]])
+    whole = _full(scene, box, row, corner)[rows]
+    at = whole - reach
+    still = at - np.rint(scene.shake[rows] * scene.factor).astype(int)
+    background = scene.background
+    if scene.factor > 1:
+        background = np.asarray(cv2.resize(background, None, fx=scene.factor, fy=scene.factor), dtype=np.float32)
+    stack = np.stack([window(scene.frames[k], c, shape) for k, c in zip(rows, at, strict=True)])
+    behind = np.stack([window(background, c, shape) for c in still])
+    picture = np.median(stack, axis=0).astype(np.float32)
+    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
+    differs = cv2.GaussianBlur(np.median((stack - behind) ** 2, axis=0), (0, 0), 1.0)
+    member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
+    return Look(picture, member, at, rows, _misfit(stack[:, member], picture[member]))
+
+
+def _full(scene: Scene, box: Rectangle, row: int, corner: Array) -> NDArray[np.int64]:
+    """Corner (k, 2) of the body's box on the full pictures, whole px: reduced, then matched once more."""
+    rough = np.rint(np.nan_to_num(corner + scene.shake) * scene.factor).astype(np.int64)
+    if scene.factor == 1 and not scene.shake.any():
+        return rough
+    size, reach = (box[3] * scene.factor, box[2] * scene.factor), scene.factor + 1
+    patch = window(scene.frames[row], rough[row], size)
+    for k in np.flatnonzero(np.isfinite(corner[:, 0])):
+        around = window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
+        _, _, _, best = cv2.minMaxLoc(correlate(around, patch))
+        rough[k] += np.array(best) - reach
+    return rough
+
+
+def _misfit(pictures: Picture, picture: Picture) -> Array:
+    """Share (k,) of each picture (k, p) that the median picture (p,) does not explain, whatever the light."""
+    pictures = pictures - pictures.mean(axis=1, keepdims=True)
+    picture = picture - picture.mean()
+    power = np.sum(pictures**2, axis=1) * np.sum(picture**2)
+    return 1 - np.asarray(pictures @ picture, dtype=np.float64) ** 2 / np.maximum(power, 1e-12)
+
+
+def _main(mask: Mask) -> Mask:
+    """The largest connected patch, with those nearly as large (the two edges of a plain body); all if there is none."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    if len(stats) < 2:
+        return np.ones(mask.shape, np.bool_)
+    large = 1 + np.flatnonzero(stats[1:, 4] > 0.5 * stats[1:, 4].max())
+    return np.asarray(np.isin(labels, large))
+
+
+def _rectangle(look: Look) -> Rectangle:
+    """Inside the body where its texture is; round it where most of its contrast is the outline."""
+    inner = _inside(look.member)
+    x, y, w, h = inner
+    energy = np.sum(np.square(np.gradient(look.picture)), axis=0)
+    outlined = cv2.dilate(look.member.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if energy[y : y + h, x : x + w].sum() > OUTLINE * energy[outlined].sum():
+        return inner
+    x, y, w, h = cv2.boundingRect(outlined.astype(np.uint8))
+    return (x, y, w, h)
+
+
+def _inside(member: Mask) -> Rectangle:
+    """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
+
+    The margin is what interpolation reaches across: background beyond the edge would leak in.
+    """
+    x, y, w, h = cv2.boundingRect(member.astype(np.uint8))
+    x1, y1 = x + w, y + h
+    while min(x1 - x, y1 - y) > 8:
+        part = member[y:y1, x:x1]
+        fill = [part[:, 0].mean(), part[0].mean(), part[:, -1].mean(), part[-1].mean()]
+        side = int(np.argmin(fill))
+        if fill[side] > 0.85:
+            break
+        x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
+    inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
+    return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)

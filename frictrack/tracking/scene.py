@@ -1,0 +1,215 @@
+"""The still scene, and what in each sampled frame is not part of it: on reduced pictures, which is quick.
+
+Some frames spread over the film are shrunk, brought to rest if the whole picture shakes, and their median is the
+background. What differs from it by more than noise, after the light has been evened out, moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+from frictrack.recording import Frame, Recording
+from frictrack.records import Array, Mask
+from frictrack.tracking.match import Rectangle
+
+SAMPLES = 32
+FEW = 10  # intervals between samples in which something must happen
+SAMPLE_BYTES = 40_000_000
+WORK = 40_000  # px of a reduced picture
+LEAST_AREA = 40  # px, reduced
+LEAST_SIDE = 8  # px
+CELLS = (4, 8)  # one point that is followed from each, to tell whether the whole picture shakes
+LEAST_SHAKE = 0.15  # px, reduced
+MOST_SHAKE = 0.05  # of the picture's longer side
+
+Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Blob:
+    """A connected patch of foreground in one reduced frame."""
+
+    box: Rectangle
+    area: int
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Frames spread over the recording; reduced by `factor`, brought to rest, and what moves in them."""
+
+    index: list[int]
+    frames: list[Frame]
+    factor: int
+    shake: Array  # (k, 2) px, reduced: where the still scene is in each frame, relative to the background
+    small: list[Picture]
+    background: Picture
+    foreground: list[Mask]
+
+    @cached_property
+    def blobs(self) -> list[list[Blob]]:
+        """Patches of foreground in every sampled frame, the largest first; one that fills the picture is none."""
+        return [_blobs(mask) for mask in self.foreground]
+
+    @property
+    def least_side(self) -> int:
+        """The shortest side of a body, px reduced."""
+        return max(LEAST_SIDE // self.factor, 4)
+
+
+def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) -> Scene:
+    """Look at frames spread over the film, and at frames `also`. Raises `FrictrackError` for a grey film."""
+    index, frames = _pick(recording, also)
+    factor = max(1, round(float(np.sqrt(recording.shape[0] * recording.shape[1] / WORK))))
+    small = [_reduced(frame, factor) for frame in frames]
+    more = _between(index, small)
+    if more:
+        extra = [i for i in more if i not in index]
+        pairs = [*zip(index, frames, small, strict=True)]
+        pairs += [(i, f, _reduced(f, factor)) for i, f in zip(extra, recording.pick(extra), strict=False)]
+        index, frames, small = (list(part) for part in zip(*sorted(pairs, key=lambda p: p[0]), strict=True))
+    shake = _shake(small) if steady else np.zeros((len(small), 2))
+    if shake.any():
+        small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
+    background = np.median(np.stack(small), axis=0).astype(np.float32)
+    differences = [_difference(picture, background) for picture in small]
+    noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
+    foreground = [_foreground(d, noise) for d in differences]
+    return Scene(index, frames, factor, shake, small, background, foreground)
+
+
+def _between(index: list[int], small: list[Picture]) -> list[int]:
+    """More frames to look at where all that happens lies between few of those sampled; a rest tells nothing."""
+    steps = np.abs(np.diff(np.stack(small)[:, ::2, ::2], axis=0))
+    noise = 1.4826 * max(float(np.median(steps)), 0.3)
+    busy = np.flatnonzero(np.sum(steps > 6 * noise, axis=(1, 2)) > LEAST_AREA / 4)
+    if not 0 < len(busy) < FEW:
+        return []
+    each = 2 * FEW // len(busy) + 1
+    return sorted({int(i) for k in busy for i in np.linspace(index[k], index[k + 1], each + 1)})
+
+
+def _pick(recording: Recording, also: Iterable[int]) -> tuple[list[int], list[Frame]]:
+    """Frames that show something, and their numbers."""
+    size = recording.shape[0] * recording.shape[1] * (2 if recording.bit_depth > 8 else 1)
+    count = min(recording.n_frames, int(np.clip(SAMPLE_BYTES // size, 9, SAMPLES)))
+    spread = np.linspace(0, recording.n_frames - 1, count).astype(int)
+    index = np.unique([*spread, *also]).astype(int).tolist()
+    # A file that breaks off gives fewer frames; one that is spoilt comes as one grey.
+    pairs = zip(index, recording.pick(index), strict=False)
+    seen = [(i, frame) for i, frame in pairs if int(np.ptp(frame[::2, ::2])) >= 2]
+    if not seen:
+        raise FrictrackError(
+            f"{recording.path.name}: the film has no contrast, its frames are all one grey; "
+            "check lighting, exposure and lens cap"
+        )
+    return [i for i, _ in seen], [frame for _, frame in seen]
+
+
+def _reduced(frame: Frame, factor: int) -> Picture:
+    """The frame shrunk by a whole factor, float32; what is left over at the right and below is cut off."""
+    h, w = (s // factor for s in frame.shape)
+    whole = frame[: h * factor, : w * factor]
+    small = whole if factor == 1 else cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+def _shake(small: list[Picture]) -> Array:
+    """Shift (k, 2) px of the whole picture against the middle frame; zero where the picture stands still.
+
+    Points from all over the picture are followed; most must agree and they must come from everywhere, for a large
+    body that moves in front of a plain wall is no shake.
+    """
+    middle = len(small) // 2
+    high = max(float(np.percentile(small[middle], 99.5)), 1.0)
+    pictures = [np.clip(p * (255 / high), 0, 255).astype(np.uint8) for p in small]
+    points = _points(pictures[middle])
+    limit = MOST_SHAKE * max(small[0].shape)
+    out = np.zeros((len(small), 2))
+    if len(points) < 8:
+        return out
+    for k, picture in enumerate(pictures):
+        at, status, _ = cv2.calcOpticalFlowPyrLK(
+            pictures[middle], picture, points, points.copy(), winSize=(15, 15), maxLevel=2
+        )
+        shift = (at - points)[status.ravel() > 0, 0]
+        common = np.median(shift, axis=0) if len(shift) else np.zeros(2)
+        agree = np.hypot(*(shift - common).T) < 0.3
+        if agree.sum() > 0.6 * len(points) and np.hypot(*common) < limit:
+            out[k] = common
+    return out if np.max(np.hypot(*out.T)) > LEAST_SHAKE else np.zeros_like(out)
+
+
+def _points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The best corner (n, 1, 2) of every cell that has one nearly as good as the others'; few when one part has all."""
+    strength = cv2.cornerMinEigenVal(picture, 7)
+    strength[:8], strength[-8:], strength[:, :8], strength[:, -8:] = 0, 0, 0, 0
+    rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, CELLS, strict=True))
+    best, size = [], []
+    for r in rows:
+        for c in columns:
+            cell = strength[r[0] : r[-1] + 1, c[0] : c[-1] + 1]
+            _, top, _, (x, y) = cv2.minMaxLoc(cell)
+            best.append((x + c[0], y + r[0]))
+            size.append(top)
+    good = np.array(size) > 0.02 * max(size)
+    if good.mean() < 0.5:
+        good[:] = False
+    return np.array(best, dtype=np.float32)[good].reshape(-1, 1, 2)
+
+
+def _shifted(picture: Picture, by: Array) -> Picture:
+    """The picture read at a place moved by `by` px, its edge continued."""
+    matrix = np.array([[1, 0, by[0]], [0, 1, by[1]]], dtype=np.float64)
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    size = (picture.shape[1], picture.shape[0])
+    return np.asarray(cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _difference(picture: Picture, background: Picture) -> Picture:
+    """Picture minus background, after the light has been evened out."""
+    few, still = picture[::3, ::3], background[::3, ::3]
+    bright = still > 0.5 * np.median(still)
+    ratio = float(np.median(few[bright] / np.maximum(still[bright], 1)))
+    return picture - np.float32(ratio if 0.2 < ratio < 5 else 1.0) * background
+
+
+def _foreground(difference: Picture, noise: float) -> Mask:
+    """Where the picture differs from the background by more than noise, as closed patches."""
+    energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
+    # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
+    return tidy(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
+
+
+def tidy(mask: Mask, close: int) -> Mask:
+    """The mask without gaps narrower than `close` px and without specks."""
+    bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
+    return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
+
+
+def _blobs(mask: Mask) -> list[Blob]:
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    stats = stats[1:]
+    stats = stats[(stats[:, 4] >= LEAST_AREA) & (stats[:, 4] < 0.6 * mask.size)]
+    return [Blob((int(x), int(y), int(w), int(h)), int(a)) for x, y, w, h, a in stats[np.argsort(-stats[:, 4])]]
+
+
+def touches_edge(box: Rectangle, shape: tuple[int, ...]) -> bool:
+    """Whether a box reaches the edge of the picture: what it holds may go on outside."""
+    x, y, w, h = box
+    return x <= 1 or y <= 1 or x + w >= shape[1] - 1 or y + h >= shape[0] - 1
+
+
+def window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Picture:
+    """A window of the picture, float32, continued by its edge where it reaches beyond."""
+    height, width = picture.shape
+    rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
+    columns = np.clip(np.arange(shape[1]) + corner[0], 0, width - 1)
+    return picture[np.ix_(rows, columns)].astype(np.float32)
