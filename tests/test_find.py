@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import time
+
 import cv2
 import film
 import numpy as np
 import pytest
-from film import Film, block_film, expose
+from film import Film, block_film, expose, moved, speckle
 
+from frictrack.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
+from frictrack.tracking.find import locate
 
 SIZE, SHAPE = (36, 48), (64, 240)  # of the block and the picture, px
 N = 80
@@ -67,3 +72,177 @@ def test_a_plain_body_is_found_by_its_outline():
     assert left <= SLIDE[0] - 8
     assert left + w >= SLIDE[0] + 8
     assert np.std(error(result, SLIDE)) < 0.02
+
+
+# ---- what could mislead it
+
+
+def pasted(shape=SHAPE, seed=3, contrast=25.0):
+    """A speckled scene and a way to paste speckled blocks at any place on it, exactly."""
+    scene = 110 + speckle(shape, np.random.default_rng(seed), contrast=contrast)
+
+    def paste(picture, x, y, size, block):
+        """Block number `block` of `size` (h, w), centre at x, y; `picture` is changed."""
+        texture = 128 + speckle((size[0] + 36, size[1] + 38), np.random.default_rng([seed, block]))
+        h, w = picture.shape
+        x0, y0 = int(np.floor(x - size[1] / 2)) - 2, int(np.floor(y - size[0] / 2)) - 2
+        left, top = x - size[1] / 2, y - size[0] / 2
+        body = moved(texture, left - x0, top - y0)[: size[0] + 6, : size[1] + 6]
+        mask = np.zeros(shape)
+        whole = np.zeros(shape)
+        rows, columns = slice(max(y0, 0), min(y0 + size[0] + 6, h)), slice(max(x0, 0), min(x0 + size[1] + 6, w))
+        whole[rows, columns] = body[rows.start - y0 : rows.stop - y0, columns.start - x0 : columns.stop - x0]
+        mask = np.outer(film.cover(h, top, top + size[0]), film.cover(w, left, left + size[1]))
+        picture += mask * (whole - picture)
+
+    return scene, paste
+
+
+def shown(draw, n=N, shape=SHAPE, seed=5):
+    """A film of pictures with camera noise, drawn once."""
+    frames = [expose(draw(i), np.random.default_rng([seed, i])) for i in range(n)]
+    return Film(lambda i: frames[i], n, shape)
+
+
+def holds(rect, x, y, size):
+    """The rectangle lies within the body (half a pixel of grace) and covers most of it."""
+    left, top, w, h = rect
+    inside = (
+        left - 0.5 >= x - size[1] / 2 - 1.1
+        and left + w - 0.5 <= x + size[1] / 2 + 1.1
+        and top - 0.5 >= y - size[0] / 2 - 1.1
+        and top + h - 0.5 <= y + size[0] / 2 + 1.1
+    )
+    return inside and w * h > 0.5 * size[0] * size[1]
+
+
+def test_two_that_move_apart_are_asked_about():
+    scene, paste = pasted()
+
+    def draw(i):
+        picture = scene.copy()
+        paste(picture, SLIDE[i], 20, (26, 40), 1)
+        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
+        return picture
+
+    with pytest.raises(FrictrackError, match="expected one moving target but two move; give target") as failure:
+        find_target(shown(draw))
+    lines = re.findall(
+        r"\[(\d+), (\d+), (\d+), (\d+)\](?: with template = (\d+))? \(moves (\d+) px\)", str(failure.value)
+    )
+    assert len(lines) == 2
+    paths = [(SLIDE, 20, (26, 40), 130), (200 - 1.5 * np.arange(N), 48, (22, 36), 118)]
+    for line in lines:
+        rect, frame, far = [int(v) for v in line[:4]], int(line[4] or 0), int(line[5])
+        assert any(holds(rect, x[frame], y, size) and abs(far - travel) < 5 for x, y, size, travel in paths)
+
+
+def with_shadow(i, scene, paste):
+    picture = scene.copy()
+    shadow = np.outer(film.cover(SHAPE[0], 44, 60), film.cover(SHAPE[1], SLIDE[i] - 30, SLIDE[i] + 20))
+    picture *= 1 - 0.5 * shadow
+    paste(picture, SLIDE[i], 24, (36, 48), 1)
+    return picture
+
+
+def with_reflection(i, scene, paste):
+    picture = scene.copy()
+    paste(picture, SLIDE[i], 20, (30, 48), 1)
+    mirror = picture[5:35][::-1]
+    picture[35:] = 0.5 * picture[35:]
+    picture[35:64] += 0.4 * mirror[:29] - 40
+    return picture
+
+
+def with_rod(i, scene, paste):
+    """A rod pushes the block for a while and stays behind."""
+    picture = scene.copy()
+    tip = min(SLIDE[i], 110) - 24
+    rod = np.outer(film.cover(SHAPE[0], 26, 36), film.cover(SHAPE[1], -1, tip))
+    picture += rod * (200 - picture)
+    paste(picture, SLIDE[i], 31, (36, 48), 1)
+    return picture
+
+
+def with_twin_at_rest(i, scene, paste):
+    picture = scene.copy()
+    paste(picture, 200, 46, (30, 44), 1)
+    paste(picture, 30 + 1.1 * i, 17, (30, 44), 1)
+    return picture
+
+
+def with_glare(i, scene, paste):
+    """A fixed highlight on whatever passes, and a lamp that flickers and drifts."""
+    picture = scene.copy()
+    paste(picture, SLIDE[i], 24, (36, 48), 1)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    glare = 90 * np.exp(-(((x - 120) / 14) ** 2) - ((y - 24) / 9) ** 2)
+    return np.clip((picture + glare) * (1 + 0.1 * np.sin(0.8 * i) - 0.2 * i / N), 0, 255)
+
+
+def with_post(i, scene, paste):
+    """A post that the block passes behind."""
+    picture = scene.copy()
+    paste(picture, SLIDE[i], 31, (36, 48), 1)
+    picture[:, 118:132] = 30
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("draw", "x", "y", "size"),
+    [
+        (with_shadow, SLIDE, 24, (36, 48)),
+        (with_reflection, SLIDE, 20, (30, 48)),
+        (with_rod, SLIDE, 31, (36, 48)),
+        (with_twin_at_rest, 30 + 1.1 * np.arange(N), 17, (30, 44)),
+        (with_glare, SLIDE, 24, (36, 48)),
+        (with_post, SLIDE, 31, (36, 48)),
+    ],
+    ids=["shadow", "reflection", "rod", "twin at rest", "glare", "post"],
+)
+def test_one_body_is_one_target(draw, x, y, size):
+    scene, paste = pasted()
+    rect, frame = locate(shown(lambda i: draw(i, scene, paste)))
+    assert holds(rect, x[frame], y, size), (rect, frame, x[frame])
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_a_short_film(n):
+    x = 70 + 60 * np.arange(n) if n < 5 else 60 + 21.3 * np.arange(n)
+    rect, frame = locate(a_film(x))
+    assert holds(rect, x[frame], 31.5, SIZE), (rect, frame)
+
+
+def test_a_short_move_in_a_long_rest():
+    """A camera that waits for its trigger: one frame in twenty shows motion."""
+    x = 60 + np.clip(np.arange(1200) - 900, 0, 60) * 1.7
+    source = block_film(x, size=SIZE, shape=SHAPE)
+    rect, frame = locate(source)
+    assert holds(rect, x[frame], 31.5, SIZE), (rect, frame)
+
+
+def shaking(scale=3.0):
+    """Whole-picture shake (n, 2) px and a film of it."""
+    shake = scale * np.stack([np.sin(np.arange(N) / 3.1), 0.6 * np.cos(np.arange(N) / 2.3)], axis=1)
+    wide = 110 + speckle((SHAPE[0], SHAPE[1]), np.random.default_rng(8), contrast=25.0)
+    _, paste = pasted()
+
+    def draw(i):
+        picture = moved(wide, *shake[i])
+        paste(picture, SLIDE[i] + shake[i, 0], 31.5 + shake[i, 1], SIZE, 1)
+        return picture
+
+    return shake, shown(draw)
+
+
+def test_a_camera_that_shakes():
+    shake, recording = shaking()
+    rect, frame = locate(recording)
+    assert holds(rect, SLIDE[frame] + shake[frame, 0], 31.5 + shake[frame, 1], SIZE), (rect, frame)
+
+
+def test_it_is_quick():
+    recording = a_film(np.linspace(60, 180, 600), noise=False)
+    start = time.process_time()
+    find_target(recording)
+    assert time.process_time() - start < 0.5  # 0.04 s here; slow and busy machines have time

@@ -17,16 +17,16 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Rectangle, correlate, vertex
 from frictrack.tracking.outline import outline
-from frictrack.tracking.scene import Blob, Picture, Scene, sample, touches_edge
+from frictrack.tracking.scene import Blob, Picture, Scene, sample
 
 LEAST_TRAVEL = 1.5  # px
-MATCH, AT_REST = 0.6, 0.9  # least score among what moves, and where nothing moves
+MATCH = 0.6
 NEARER = 0.3  # score that a match on the other side of the picture must be better by
 ROWS = 6  # sampled frames from which candidates are taken
 PURSUED = 8
 CUT_OFF = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
 # A second body is worth a question when it is as large and travels as far as this share of the first ...
-RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE = 0.25, 0.5, 0.75
+RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE = 0.25, 0.5, 0.7
 APART = 0.3  # ... and moves against it by this share of the way; shadow, reflection and rod in contact do not
 
 
@@ -118,9 +118,8 @@ def pursue(scene: Scene, row: int, box: Rectangle) -> Body:
         last = np.array([x, y], dtype=np.float64)
         for k in frames:
             at, best, moves = _match(scene.small[k], scene.foreground[k], patch, last)
-            if best > (MATCH if moves else AT_REST):
-                corner[k], score[k] = at, best
-                last = at if moves else last
+            if best > MATCH and moves:
+                corner[k], score[k], last = at, best, at
     known = _known_axes(patch)
     # Along a stripe nothing can be told: a find far along it is another stripe.
     strays = np.hypot(*((corner - (x, y)) @ (np.eye(2) - known)).T) > 0.5 * max(w, h)
@@ -131,7 +130,8 @@ def pursue(scene: Scene, row: int, box: Rectangle) -> Body:
 def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
     """Corner (x, y) of the best match where it was `last` or is foreground by a third; its score; whether it is.
 
-    Among matches that are about as good, the nearest to the last: a bar looks the same all along.
+    Among matches that are about as good, the nearest to the last: a bar looks the same all along, and a body
+    that rests must not be seen elsewhere.
     """
     part = _surrounding(foreground, patch.shape, last)
     scores = correlate(picture[part], patch)
@@ -170,8 +170,8 @@ def _merit(scene: Scene, box: Rectangle, corner: Array, score: Array, known: Arr
     if far * scene.factor <= LEAST_TRAVEL:
         return 0.0
     cut = np.mean([_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
-    alike = np.sum(score[seen] - MATCH)
-    return float(alike * far * (box[2] * box[3]) ** 0.25 * (CUT_OFF if cut else 1.0))
+    alike = np.sum((score[seen] - MATCH) ** 2)
+    return float(alike * far * np.sqrt(box[2] * box[3]) * (CUT_OFF if cut else 1.0))
 
 
 def travel(corner: Array) -> float:
@@ -185,8 +185,7 @@ def travel(corner: Array) -> float:
 def _cut_off(scene: Scene, row: int, box: Rectangle, corner: Array) -> bool:
     """Whether the foreground that a body is part of goes on beyond the picture."""
     centre = corner + np.array(box[2:]) / 2
-    mine = [blob.box for blob in scene.blobs[row] if _holds(blob, centre)]
-    return bool(mine) and touches_edge(mine[0], scene.background.shape)
+    return any(blob.cut for blob in scene.blobs[row] if _holds(blob, centre))
 
 
 def _holds(blob: Blob, point: NDArray[np.float64]) -> bool:
@@ -203,7 +202,7 @@ def _rivals(scene: Scene, first: Body, second: Body) -> bool:
     size = np.array([first.box[2:], second.box[2:]])
     if size[1].prod() < RIVAL_AREA * size[0].prod() or np.median(second.score[both]) < RIVAL_SCORE:
         return False
-    apart = np.any(np.abs(a + size[0] / 2 - b - size[1] / 2) > 0.5 * size.sum(axis=0), axis=1)
+    apart = np.any(np.abs(a + size[0] / 2 - b - size[1] / 2) > 0.35 * size.sum(axis=0), axis=1)
     if apart.mean() < 0.5 or _span(b) < RIVAL_TRAVEL * _span(a):
         return False
     if np.mean([_cut_off(scene, row, second.box, second.corner[row]) for row in np.flatnonzero(both).tolist()]) > 0.5:

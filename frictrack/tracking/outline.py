@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.match import Rectangle, correlate
-from frictrack.tracking.scene import Picture, Scene, tidy, window
+from frictrack.tracking.match import Rectangle, correlate, vertex
+from frictrack.tracking.scene import Picture, Scene, read, tidy, window
 
 LOOKS = 15  # frames that are registered
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
+STEADY = 6  # times the body's own noise variance above which a pixel is not the body's
 OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
 
 
@@ -61,31 +62,54 @@ def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
     rows = np.unique([row, *seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)]])
     whole = _full(scene, box, row, corner)[rows]
     at = whole - reach
-    still = at - np.rint(scene.shake[rows] * scene.factor).astype(int)
+    still = at - scene.shake[rows] * scene.factor
     background = scene.background
     if scene.factor > 1:
         background = np.asarray(cv2.resize(background, None, fx=scene.factor, fy=scene.factor), dtype=np.float32)
-    stack = np.stack([window(scene.frames[k], c, shape) for k, c in zip(rows, at, strict=True)])
-    behind = np.stack([window(background, c, shape) for c in still])
+    stack = np.stack([read(scene.frames[k], c, shape) for k, c in zip(rows, at, strict=True)])
+    behind = np.stack([read(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
-    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
+    member = _member(stack, behind, picture)
+    return Look(picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member]))
+
+
+def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
+    """The pixels that move with the body, of registered frames (k, h, w) and the scene behind them."""
     differs = cv2.GaussianBlur(np.median((stack - behind) ** 2, axis=0), (0, 0), 1.0)
+    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
     member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
-    return Look(picture, member, at, rows, _misfit(stack[:, member], picture[member]))
+    # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
+    even = _evened(stack, picture, member)
+    spread = cv2.GaussianBlur(np.median((even - picture) ** 2, axis=0), (0, 0), 1.0)
+    slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
+    own = float(np.percentile(spread[member], 25))
+    alike = (
+        cv2.dilate((spread < STEADY * max(own, 0.25) + 0.04 * slope).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    )
+    return _main(tidy(np.asarray(alike & (spread < 0.5 * differs)), close=5))
 
 
-def _full(scene: Scene, box: Rectangle, row: int, corner: Array) -> NDArray[np.int64]:
-    """Corner (k, 2) of the body's box on the full pictures, whole px: reduced, then matched once more."""
+def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
+    """The frames in the light of the median picture, as told by the body's pixels."""
+    pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
+    level = pixels.mean(axis=1)
+    gain = (pixels - level[:, None]) @ wanted / max(float(wanted @ wanted), 1e-6)
+    gain = np.where(gain > 0.2, gain, 1.0).astype(np.float32)
+    return (stack - level[:, None, None]) / gain[:, None, None] + picture[member].mean()
+
+
+def _full(scene: Scene, box: Rectangle, row: int, corner: Array) -> Array:
+    """Corner (k, 2) px of the body's box on the full pictures, by one more match there."""
     rough = np.rint(np.nan_to_num(corner + scene.shake) * scene.factor).astype(np.int64)
-    if scene.factor == 1 and not scene.shake.any():
-        return rough
+    fine = rough.astype(np.float64)
     size, reach = (box[3] * scene.factor, box[2] * scene.factor), scene.factor + 1
     patch = window(scene.frames[row], rough[row], size)
     for k in np.flatnonzero(np.isfinite(corner[:, 0])):
         around = window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
-        _, _, _, best = cv2.minMaxLoc(correlate(around, patch))
-        rough[k] += np.array(best) - reach
-    return rough
+        scores = correlate(around, patch)
+        _, _, _, (i, j) = cv2.minMaxLoc(scores)
+        fine[k] += np.array([i + vertex(scores[j], i), j + vertex(scores[:, i], j)]) - reach
+    return fine
 
 
 def _misfit(pictures: Picture, picture: Picture) -> Array:

@@ -39,6 +39,7 @@ class Blob:
 
     box: Rectangle
     area: int
+    cut: bool  # by the edge of the picture: it goes on outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +53,12 @@ class Scene:
     small: list[Picture]
     background: Picture
     foreground: list[Mask]
+    rim: list[Mask]  # pixels at the picture's edge that are not background
 
     @cached_property
     def blobs(self) -> list[list[Blob]]:
         """Patches of foreground in every sampled frame, the largest first; one that fills the picture is none."""
-        return [_blobs(mask) for mask in self.foreground]
+        return [_blobs(mask, rim) for mask, rim in zip(self.foreground, self.rim, strict=True)]
 
     @property
     def least_side(self) -> int:
@@ -82,7 +84,7 @@ def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) 
     differences = [_difference(picture, background) for picture in small]
     noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
     foreground = [_foreground(d, noise) for d in differences]
-    return Scene(index, frames, factor, shake, small, background, foreground)
+    return Scene(index, frames, factor, shake, small, background, foreground, [_rim(d, noise) for d in differences])
 
 
 def _between(index: list[int], small: list[Picture]) -> list[int]:
@@ -194,17 +196,21 @@ def tidy(mask: Mask, close: int) -> Mask:
     return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
-def _blobs(mask: Mask) -> list[Blob]:
-    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    stats = stats[1:]
-    stats = stats[(stats[:, 4] >= LEAST_AREA) & (stats[:, 4] < 0.6 * mask.size)]
-    return [Blob((int(x), int(y), int(w), int(h)), int(a)) for x, y, w, h, a in stats[np.argsort(-stats[:, 4])]]
+def _rim(difference: Picture, noise: float) -> Mask:
+    """Single pixels along the picture's edge that differ from the background; patches reach further than they."""
+    rim = np.abs(difference) > 4 * max(noise, 0.5)
+    rim[1:-1, 1:-1] = False
+    return np.asarray(rim)
 
 
-def touches_edge(box: Rectangle, shape: tuple[int, ...]) -> bool:
-    """Whether a box reaches the edge of the picture: what it holds may go on outside."""
-    x, y, w, h = box
-    return x <= 1 or y <= 1 or x + w >= shape[1] - 1 or y + h >= shape[0] - 1
+def _blobs(mask: Mask, rim: Mask) -> list[Blob]:
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    out = np.bincount(labels[rim], minlength=len(stats))
+    large = [k for k in range(1, len(stats)) if LEAST_AREA <= stats[k, 4] < 0.6 * mask.size]
+    blobs = [
+        Blob((int(x), int(y), int(w), int(h)), int(a), bool(out[k] > 3)) for k in large for x, y, w, h, a in [stats[k]]
+    ]
+    return sorted(blobs, key=lambda blob: -blob.area)
 
 
 def window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Picture:
@@ -213,3 +219,10 @@ def window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) 
     rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
     columns = np.clip(np.arange(shape[1]) + corner[0], 0, width - 1)
     return picture[np.ix_(rows, columns)].astype(np.float32)
+
+
+def read(picture: NDArray[Any], corner: Array, shape: tuple[int, int]) -> Picture:
+    """A window of the picture at a `corner` between the pixels, by cubic interpolation."""
+    whole = np.floor(corner).astype(int)
+    part = window(picture, whole - 2, (shape[0] + 5, shape[1] + 5))
+    return _shifted(part, corner - whole)[2 : 2 + shape[0], 2 : 2 + shape[1]]
