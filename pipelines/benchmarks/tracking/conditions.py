@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
 
 import frictrack.simulate
@@ -36,7 +37,8 @@ BEGIN_X, BEGIN_Y = 60.3, 60.1  # px, the block's centre in frame 0
 BOUND_FRAMES = 12
 FOLDER = Path(os.environ.get("FRICTRACK_FILMS", Path(tempfile.gettempdir()) / "frictrack_films"))
 
-SPECKLE = Surface("speckle", 4.0, level=0.625, contrast=0.355)
+# Speckle of 4 px: full width at half maximum of the autocorrelation of the paint, 4 / sqrt 2 of one blot.
+SPECKLE = Surface("speckle", 2.83, level=0.625, contrast=0.29)
 DOTS = Surface("dots", 3.5, level=0.55, contrast=0.5)
 CHECKER = Surface("checker", 6.0, level=0.625, contrast=0.293)
 
@@ -89,7 +91,7 @@ NUISANCES = ("prnu", "rotation", "shake", "highlight", "rod")
 class Condition(NamedTuple):
     """A film and its truth: the block's centre in the picture (shake included) at mid-exposure."""
 
-    frames: NDArray[Any]  # (n, 128, 1024) uint8, mapped from a file
+    frames: NDArray[Any]  # (n, 128, 1024) uint8, mapped from the film where that is uncompressed
     x: Array  # (n,) px
     y: Array  # (n,) px
     angle: Array  # (n,) rad
@@ -108,16 +110,14 @@ def condition(name: str, seed: int = 0, n_frames: int = FRAMES) -> Condition:
     stem = FOLDER / f"{name}_{seed}_{n}_{_version()}"
     stem.parent.mkdir(parents=True, exist_ok=True)
     film, numbers = stem.with_suffix(".avi" if name == "mjpg" else ".tif"), stem.with_suffix(".npz")
-    frames = stem.with_suffix(".npy")
     if not numbers.exists():  # written last
-        _film(name, seed, n, film, frames)
+        path, camera, target = scene(name, seed, n)
+        write_film(render(path, camera, target, np.random.default_rng([seed, 5]), n), film, FPS)
         _save(numbers, truth(name, seed, n))
     known = np.load(numbers)
     rectangle = tuple(int(v) for v in known["rectangle"])
     bounds = float(known["bound"][0]), float(known["bound"][1])
-    return Condition(
-        np.load(frames, mmap_mode="r"), known["x"], known["y"], known["angle"], rectangle, *bounds, film=film
-    )
+    return Condition(_frames(film, n), known["x"], known["y"], known["angle"], rectangle, *bounds, film=film)
 
 
 def scene(name: str, seed: int, n: int = FRAMES) -> tuple[Callable[[Array], tuple[Array, ...]], Camera, Target]:
@@ -189,26 +189,15 @@ def _window(x: float, y: float) -> tuple[slice, slice]:
     return slice(top, top + WINDOW[1]), slice(left, left + WINDOW[0])
 
 
-def _film(name: str, seed: int, n: int, film: Path, frames: Path) -> None:
-    """Render the film and its frames as they are decoded."""
-    path, camera, target = scene(name, seed, n)
-    write_film(render(path, camera, target, np.random.default_rng([seed, 5]), n), film, FPS)
-    out = np.lib.format.open_memmap(frames, "w+", np.uint8, (n, camera.height, camera.width))
-    for i, frame in enumerate(decoded(film)):
-        out[i] = frame
-    out.flush()
-
-
-def decoded(film: Path) -> Iterator[NDArray[Any]]:
-    """Grey frames of a film that `condition` wrote."""
+def _frames(film: Path, n: int) -> NDArray[Any]:
+    """Grey frames as they are decoded, mapped from the film or from a copy beside it."""
     if film.suffix == ".tif":
-        import tifffile  # noqa: PLC0415
-
-        yield from tifffile.memmap(film, mode="r")
-        return
-    capture = cv2.VideoCapture(str(film))
-    while (answer := capture.read())[0]:
-        yield cv2.cvtColor(answer[1], cv2.COLOR_BGR2GRAY)
+        return tifffile.memmap(film, mode="r")
+    copy = film.with_suffix(".npy")
+    if not copy.exists():
+        capture = cv2.VideoCapture(str(film))
+        np.save(copy, [cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2GRAY) for _ in range(n)])
+    return np.load(copy, mmap_mode="r")
 
 
 def _save(path: Path, arrays: dict[str, Any]) -> None:
