@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 WINDOW = 83, 53  # px, width and height of what is tracked
 BLOCK = 90.0, 60.0
 FPS, SCALE = 4000.0, 0.5e-3
+WIDTH, HEIGHT = 1024, 128
 TRAVEL, FRAMES, LONGEST = 743.0, 600, {"blur8": 240}
 DRY, VISCOUS = 5.0, 2.5  # m/s^2 and 1/s: deceleration 5 + 2.5 v
 BEGIN_X, BEGIN_Y = 60.3, 60.1  # px, the block's centre in frame 0
@@ -124,7 +125,7 @@ def scene(name: str, seed: int, n: int = FRAMES) -> tuple[Callable[[Array], tupl
     """Path, camera and target of a condition."""
     setting = SETTINGS[name]
     seconds = max(n, FRAMES) / FPS
-    camera = Camera(fps=FPS, width=1024, height=128, scale=SCALE, black=0.0, prnu_seed=seed)
+    camera = Camera(fps=FPS, width=WIDTH, height=HEIGHT, scale=SCALE, black=0.0, prnu_seed=seed)
     camera = replace(camera, drift=setting.drift / seconds, **setting.camera)
     target = Target(*BLOCK, surface=replace(setting.surface, seed=1000 + seed), **setting.target)
     return _path(setting.speed, seconds), camera, target
@@ -196,7 +197,12 @@ def _frames(film: Path, n: int) -> NDArray[Any]:
     copy = film.with_suffix(".npy")
     if not copy.exists():
         capture = cv2.VideoCapture(str(film))
-        np.save(copy, [cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2GRAY) for _ in range(n)])
+        partial = copy.with_name(f"{copy.stem}.{os.getpid()}.npy")
+        frames = np.lib.format.open_memmap(partial, "w+", np.uint8, (n, HEIGHT, WIDTH))
+        for i in range(n):
+            frames[i] = cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2GRAY)
+        frames.flush()
+        partial.replace(copy)
     return np.load(copy, mmap_mode="r")
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 import frictrack as ft
 
-from .conditions import FPS, Condition, condition
+from .conditions import FPS, LONGEST, Condition, condition
 from .measures import Judged, judge, pool
 from .peers import ONLY_ON, PEERS
 
@@ -69,7 +69,8 @@ def accuracy(names: Sequence[str], seeds: int, frames: int, python: str | None, 
     results: Results = {}
     for name in names:
         judged: dict[str, list[Judged]] = {}
-        for seed in range(seeds):
+        # A short film is made up for by more seeds.
+        for seed in range(-(-seeds * frames // min(frames, LONGEST.get(name, frames)))):
             film = condition(name, seed, frames)
             here = {OURS: ours(film)} | (others(name, film, python) if python else {})
             for tracker, one in here.items():
