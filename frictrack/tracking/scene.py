@@ -27,6 +27,7 @@ WORK = 40_000  # px of a reduced picture
 LEAST_AREA = 40  # px, reduced
 LEAST_SIDE = 8  # px
 CELLS = (4, 8)  # one point that is followed from each, to tell whether the whole picture shakes
+AGREE = 0.4  # share of the points that must move together
 LEAST_SHAKE = 0.15  # px, reduced
 MOST_SHAKE = 0.05  # of the picture's longer side
 
@@ -126,8 +127,8 @@ def _reduced(frame: Frame, factor: int) -> Picture:
 def _shake(small: list[Picture]) -> Array:
     """Shift (k, 2) px of the whole picture against the middle frame; zero where the picture stands still.
 
-    Points from all over the picture are followed; most must agree and they must come from everywhere, for a large
-    body that moves in front of a plain wall is no shake.
+    Points from all over the picture are followed; those that agree must come from everywhere, for a large body
+    that moves in front of a plain wall is no shake.
     """
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
@@ -141,12 +142,23 @@ def _shake(small: list[Picture]) -> Array:
         at, status, _ = cv2.calcOpticalFlowPyrLK(
             pictures[middle], picture, points, points.copy(), winSize=(15, 15), maxLevel=2
         )
-        shift = (at - points)[status.ravel() > 0, 0]
-        common = np.median(shift, axis=0) if len(shift) else np.zeros(2)
-        agree = np.hypot(*(shift - common).T) < 0.3
-        if agree.sum() > 0.6 * len(points) and np.hypot(*common) < limit:
+        followed = status.ravel() > 0
+        common = _common(points[followed, 0], (at - points)[followed, 0], small[0].shape, len(points))
+        if np.hypot(*common) < limit:
             out[k] = common
     return out if np.max(np.hypot(*out.T)) > LEAST_SHAKE else np.zeros_like(out)
+
+
+def _common(points: Array, shift: Array, shape: tuple[int, ...], count: int) -> Array:
+    """The shift that most of the points (n, 2) share, if they come from all over the picture; else zero."""
+    if not len(shift):
+        return np.zeros(2)
+    near = np.hypot(*(shift[:, None] - shift[None]).transpose(2, 0, 1)) < 0.3
+    agree = near[int(np.argmax(near.sum(axis=1)))]
+    spread = np.ptp(points[agree], axis=0) / np.array(shape[::-1])
+    if agree.sum() < AGREE * count or min(spread) < 0.4 or max(spread) < 0.6:
+        return np.zeros(2)
+    return np.asarray(np.median(shift[agree], axis=0), dtype=np.float64)
 
 
 def _points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:

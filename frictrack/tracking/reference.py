@@ -1,0 +1,116 @@
+"""A fixed reference: a patch of the still scene that tells the camera's shake from the body's motion."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.recording import Recording
+from frictrack.records import Array, Mask, Track
+from frictrack.tracking.match import Rectangle
+from frictrack.tracking.outline import evened
+from frictrack.tracking.scene import Picture, Scene, read, sample
+
+FRAMES = 9
+SIZES = ((64, 128), (48, 96), (32, 96), (16, 128), (32, 48), (24, 24), (16, 64), (12, 48))  # h, w px
+WORST = 0.05  # px, standard deviation above which a reference is of no use
+NEAR = 2.0  # times the best standard deviation that a patch below the path, on the course, may have
+JITTER = 0.2  # px by which the shake may be wrong
+STRAY = 5.0  # standard deviations beyond which a pixel has changed
+
+
+def find_reference(recording: Recording, track: Track) -> Rectangle | None:
+    """The rectangle (x, y, w, h) px that is best tracked as a fixed reference, None where none can be.
+
+    It lies where nothing ever moved and the target of `track` never was, below the target's path (on the course)
+    if that is nearly as good as anywhere; both axes can be told in it to better than 0.05 px in a single frame.
+    """
+    if track.target is None:
+        return None
+    scene = sample(recording)
+    still, noise, taken = _still(scene)
+    taken |= _swept(track, recording.shape)
+    margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
+    taken[:margin], taken[-margin:], taken[:, :margin], taken[:, -margin:] = True, True, True, True
+    foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])
+    return _best(_precisions(still, noise, taken), foot)
+
+
+def _still(scene: Scene) -> tuple[Picture, float, Mask]:
+    """The still picture at full size, the noise of a single frame, and where anything ever moved."""
+    rows = np.unique(np.linspace(0, len(scene.frames) - 1, FRAMES).astype(int))
+    shape = (scene.frames[0].shape[0], scene.frames[0].shape[1])
+    if scene.shake.any():
+        frames = [read(scene.frames[k], scene.shake[k] * scene.factor, shape) for k in rows]
+    else:
+        frames = [scene.frames[k].astype(np.float32) for k in rows]
+    still = np.median(np.stack(frames), axis=0).astype(np.float32)
+    away = np.abs(evened(np.stack(frames), still, np.ones(shape, np.bool_)) - still)
+    noise = max(1.4826 * float(np.median(away)), 0.3)
+    slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
+    moved = cv2.blur(away.max(axis=0) - JITTER * slope, (3, 3)) > STRAY * noise
+    for mask in scene.foreground:
+        small = cv2.resize(mask.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
+        moved |= np.asarray(small) > 0
+    return still, noise, np.asarray(moved)
+
+
+def _swept(track: Track, shape: tuple[int, int]) -> Mask:
+    """Every pixel that the target's rectangle, somewhat enlarged, ever covered."""
+    assert track.target is not None
+    size = np.array(track.target[2:])
+    centre = np.stack([track.x_px, track.y_px], axis=1)[track.found]
+    limit = np.array(shape[::-1])
+    low = np.clip(np.floor(centre - 0.7 * size), 0, limit).astype(int)
+    high = np.clip(np.ceil(centre + 0.7 * size) + 1, 0, limit).astype(int)
+    corners = np.zeros((shape[0] + 1, shape[1] + 1))
+    np.add.at(corners, (low[:, 1], low[:, 0]), 1)
+    np.add.at(corners, (high[:, 1], high[:, 0]), 1)
+    np.add.at(corners, (low[:, 1], high[:, 0]), -1)
+    np.add.at(corners, (high[:, 1], low[:, 0]), -1)
+    return np.asarray(np.cumsum(np.cumsum(corners, axis=0), axis=1)[:-1, :-1] > 0)
+
+
+def _precisions(still: Picture, noise: float, taken: Mask) -> list[tuple[float, Rectangle, Array]]:
+    """For each size of patch the standard deviation px at every corner, inf where taken: worst axis, Cramer-Rao."""
+    smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
+    gy, gx = (np.asarray(g, dtype=np.float64) for g in np.gradient(smooth))
+    found = []
+    for h, w in SIZES:
+        if h + 4 > still.shape[0] or w + 4 > still.shape[1]:
+            continue
+        xx, yy, xy, blocked = (_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, taken.astype(np.float64)))
+        weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        # What the noise left in the median has of gradient is no texture.
+        weakest -= 0.1 * noise**2 * h * w
+        sigma = np.where((blocked < 0.5) & (weakest > 0), noise / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
+        found.append((float(sigma.min()), (0, 0, w, h), sigma))
+    return found
+
+
+def _sums(values: Array, size: tuple[int, int]) -> Array:
+    """Sum over the patch of `size` (h, w) with its corner at each pixel (those that fit)."""
+    total = cv2.integral(values)
+    h, w = size
+    return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w])
+
+
+def _best(found: list[tuple[float, Rectangle, Array]], foot: float) -> Rectangle | None:
+    """The patch of smallest deviation; one below the row `foot` if it is nearly as good."""
+    best = min((sigma for sigma, _, _ in found), default=np.inf)
+    if best > WORST:
+        return None
+    row = max(int(np.ceil(foot)), 0)
+    below = [(float(s[row:].min()), _at(s[row:], row), size) for _, size, s in found if s[row:].size]
+    anywhere = [(sigma, _at(s, 0), size) for sigma, size, s in found]
+    sigma, corner, size = min(below, default=(np.inf, (0, 0), (0, 0, 0, 0)), key=lambda p: p[0])
+    if sigma > min(NEAR * best, WORST):
+        _, corner, size = min(anywhere, key=lambda p: p[0])
+    return (*corner, *size[2:])
+
+
+def _at(sigma: NDArray[np.float64], row: int) -> tuple[int, int]:
+    """Corner (x, y) of the smallest."""
+    y, x = np.unravel_index(int(np.argmin(sigma)), sigma.shape)
+    return int(x), int(y) + row
