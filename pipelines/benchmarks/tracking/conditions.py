@@ -36,6 +36,7 @@ TRAVEL, FRAMES, LONGEST = 743.0, 600, {"blur8": 240}
 DRY, VISCOUS = 5.0, 2.5  # m/s^2 and 1/s: deceleration 5 + 2.5 v
 BEGIN_X, BEGIN_Y = 60.3, 60.1  # px, the block's centre in frame 0
 BOUND_FRAMES = 12
+EDITION = 1  # count up when the code below makes other films of the same numbers
 FOLDER = Path(os.environ.get("FRICTRACK_FILMS", Path(tempfile.gettempdir()) / "frictrack_films"))
 
 # Speckle of 4 px: full width at half maximum of the autocorrelation of the paint, 4 / sqrt 2 of one blot.
@@ -53,6 +54,7 @@ class Setting:
     surface: Surface = SPECKLE
     speed: float | None = None  # m/s in frame 0; else so that 743 px are travelled
     drift: float = 0.0
+    quality: int | None = None  # of MJPEG; without it the film is not compressed
 
 
 SETTINGS = {
@@ -60,7 +62,7 @@ SETTINGS = {
     "lowlight": Setting(camera={"full_well": 1000.0}),
     "flicker": Setting(camera={"flicker": Oscillation(0.15, 100.0)}, drift=-0.25),
     "blur8": Setting(camera={"exposure": 0.5}, speed=8.0),
-    "mjpg": Setting(),
+    "mjpg": Setting(quality=16),  # what FFmpeg writes unless told otherwise: 11 kB a frame
     "hard": Setting(
         camera={
             "prnu": 0.01,
@@ -108,12 +110,12 @@ def condition(name: str, seed: int = 0, n_frames: int = FRAMES) -> Condition:
     At most as many frames as fit into the picture (240 with blur); more than 600 frames slow the slide down.
     """
     n = min(n_frames, LONGEST.get(name, n_frames))
-    stem = FOLDER / f"{name}_{seed}_{n}_{_version()}"
+    stem, quality = FOLDER / f"{name}_{seed}_{n}_{_version(name)}", SETTINGS[name].quality
     stem.parent.mkdir(parents=True, exist_ok=True)
-    film, numbers = stem.with_suffix(".avi" if name == "mjpg" else ".tif"), stem.with_suffix(".npz")
+    film, numbers = stem.with_suffix(".avi" if quality else ".tif"), stem.with_suffix(".npz")
     if not numbers.exists():  # written last
         path, camera, target = scene(name, seed, n)
-        write_film(render(path, camera, target, np.random.default_rng([seed, 5]), n), film, FPS)
+        write_film(render(path, camera, target, np.random.default_rng([seed, 5]), n), film, FPS, quality or 0)
         _save(numbers, truth(name, seed, n))
     known = np.load(numbers)
     rectangle = tuple(int(v) for v in known["rectangle"])
@@ -212,7 +214,8 @@ def _save(path: Path, arrays: dict[str, Any]) -> None:
     partial.replace(path)
 
 
-def _version() -> str:
-    """Changes with the renderer and with this file, so that no film outlives the code that made it."""
-    sources = [Path(__file__), *sorted(Path(frictrack.simulate.__path__[0]).glob("*.py"))]
-    return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:10]
+def _version(name: str) -> str:
+    """Changes with the renderer and with the condition, so that no film outlives what it was made by."""
+    sources = [p.read_bytes() for p in sorted(Path(frictrack.simulate.__path__[0]).glob("*.py"))]
+    about = repr((SETTINGS[name], WINDOW, BLOCK, TRAVEL, DRY, VISCOUS, BEGIN_X, BEGIN_Y, EDITION))
+    return hashlib.sha256(b"".join(sources) + about.encode()).hexdigest()[:10]
