@@ -77,8 +77,9 @@ def test_no_quantity(text, said):
         ("0.5 mm/px", 5e-4, 0.0),
         ("0.500 +/- 0.002 mm/px", 5e-4, 0.004),
         (5e-4, 5e-4, 0.0),
-        ({"points": [[10, 10], [40, 50]], "length": "100 mm"}, 2e-3, 0.0),
-        ({"points": [[10, 10], [40, 50]], "length": "100 +/- 1 mm"}, 2e-3, 0.01),
+        ({"points": [[10, 10], [40, 50]], "length": "100 mm"}, 2e-3, np.sqrt(2) * 0.5 / 50),
+        ({"points": [[10, 10], [40, 50]], "length": "100 +/- 1 mm"}, 2e-3, np.hypot(0.01, np.sqrt(2) * 0.5 / 50)),
+        ({"points": [[10, 10], [40, 50]], "length": "100 +/- 1 mm", "click": "1e-9 px"}, 2e-3, 0.01),
     ],
 )
 def test_parse_scale(scale, pitch, relative):
@@ -112,7 +113,7 @@ def test_default_axis_is_image_right_and_up():
     np.testing.assert_allclose(d.sigma_x, 0.002 * 5e-4)
     np.testing.assert_allclose(d.sigma_y, 0.004 * 5e-4)
     np.testing.assert_allclose(d.angle, -0.01)  # clockwise on the screen
-    assert d.pixel_pitch == 5e-4
+    assert d.pixel_pitch == pytest.approx(5e-4)
     assert d.relative_scale_error == pytest.approx(0.004)
     assert d.notes == ("seen",)
 

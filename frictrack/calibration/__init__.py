@@ -1,0 +1,12 @@
+"""Pixels -> metres: scale, lens, plane and direction of the course, and a fixed reference point to subtract.
+
+Every way of giving the scale ends in one thing, a `PlaneMap` from the picture to the plane of the course; `calibrate`
+sends the track through it.
+"""
+
+from frictrack.calibration.mapping import plane_map
+from frictrack.calibration.plane import PlaneMap
+from frictrack.calibration.scale import Scale, parse_scale
+from frictrack.calibration.travel import calibrate
+
+__all__ = ["PlaneMap", "Scale", "calibrate", "parse_scale", "plane_map"]

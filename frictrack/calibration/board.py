@@ -1,0 +1,243 @@
+"""Pictures of a checkerboard or ChArUco board -> where its inner corners are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.calibration.scale import board_squares, check_board, files, positive
+from frictrack.errors import FrictrackError
+from frictrack.recording import open_recording
+from frictrack.records import Array
+
+Grey = NDArray[np.uint8]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+LARGEST = 200_000_000  # pixels of a picture
+SAMPLES = 40  # frames of a recording that are looked at
+MOST = 20  # views that are used
+MOVED = 0.02  # of the picture's width that the board must move to be another view
+LEAST = 6  # corners of a ChArUco board
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One picture of the board: its corners (n, 2) px and their places on the board (n, 2) m."""
+
+    name: str
+    number: int
+    points: Array
+    places: Array
+    size: tuple[int, int]  # width, height px
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board of known squares, sides in m; a ChArUco board has a `dictionary` and `marker`."""
+
+    squares: tuple[int, int]
+    square: float
+    relative: float = 0.0  # standard deviation of the side over the side
+    dictionary: str = ""
+    marker: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """What it is called."""
+        return "ChArUco board" if self.dictionary else "checkerboard"
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Corners along and across that four squares share."""
+        return self.squares[0] - 1, self.squares[1] - 1
+
+    def corners(self, grey: Grey) -> tuple[Array, Array] | None:
+        """Corners seen (n, 2) px and their places (n, 2) m; None where the board is not found."""
+        return self._charuco(grey) if self.dictionary else self._checker(grey, self.inner)
+
+    def _checker(self, grey: Grey, inner: tuple[int, int]) -> tuple[Array, Array] | None:
+        """All corners of a checkerboard (Duda & Frese 2018, BMVC: sector based)."""
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+        found, at = cv2.findChessboardCornersSB(grey, inner, flags=flags)
+        if not found:
+            return None
+        column, row = np.meshgrid(np.arange(inner[0]), np.arange(inner[1]))
+        places = np.stack([column.ravel(), row.ravel()], axis=1) * self.square
+        return np.asarray(at, dtype=np.float64).reshape(-1, 2), places
+
+    def _charuco(self, grey: Grey) -> tuple[Array, Array] | None:
+        """The corners of a ChArUco board that are seen; it may be partly hidden."""
+        for detector, places in self._detectors:
+            at, numbers, _, _ = detector.detectBoard(grey)
+            if numbers is not None and len(numbers) >= LEAST:
+                return np.asarray(at, dtype=np.float64).reshape(-1, 2), places[np.ravel(numbers)]
+        return None
+
+    @cached_property
+    def _detectors(self) -> list[tuple[Any, Array]]:
+        """Both layouts that OpenCV has had for an even number of rows."""
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        out = []
+        for legacy in (False, True):
+            board = cv2.aruco.CharucoBoard(self.squares, self.square, self.marker, dictionary)
+            board.setLegacyPattern(legacy)
+            places = np.asarray(board.getChessboardCorners(), dtype=np.float64)[:, :2]
+            out.append((cv2.aruco.CharucoDetector(board), places))
+        return out
+
+    def swapped(self, grey: Grey) -> str:
+        """What to write instead, where the inner corners were counted for squares; "" where that is not it."""
+        if self.dictionary or self._checker(grey, self.squares) is None:
+            return ""
+        along, across = (n + 1 for n in self.squares)
+        return f"; it has {self.squares[0]} x {self.squares[1]} inner corners: write squares = [{along}, {across}]"
+
+
+def board_of(scale: Mapping[str, Any]) -> Board:
+    """The board as a scale describes it."""
+    check_board(scale)
+    square, std = positive(scale["square"], "the side of a square")
+    if "dictionary" not in scale:
+        return Board(board_squares(scale), square, std / square)
+    name = str(scale["dictionary"])
+    known = sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_"))
+    if name not in known:
+        raise FrictrackError(
+            f'expected a dictionary such as DICT_4X4_50 but got "{name}"; known are {", ".join(known)}'
+        )
+    board = Board(board_squares(scale), square, std / square, name, positive(scale["marker"], "the marker")[0])
+    markers = board.squares[0] * board.squares[1] // 2
+    held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
+    if held < markers:
+        raise FrictrackError(
+            f"expected a dictionary of at least {markers} markers for this board but {name} has {held}"
+        )
+    return board
+
+
+def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> list[View]:
+    """The board in every picture that shows it, at most 20 that differ, the picture `plane` among them.
+
+    `shape` (h, w) is that of the film. Raises `FrictrackError` when the board is in no picture, not in the picture
+    `plane`, or the pictures are of another size than the film.
+    """
+    plane = scale.get("plane")
+    found: list[View] = []
+    sizes: set[tuple[int, int]] = set()
+    last: Grey | None = None
+    for number, name, grey in _pictures(files(scale), plane):
+        last = grey
+        sizes.add(grey.shape[::-1])
+        _check_size(name, sizes, shape)
+        corners = board.corners(grey)
+        if corners is not None:
+            seen = View(name, number, *corners, grey.shape[::-1])
+            if number == plane or all(_differs(seen, other) for other in found):
+                found.append(seen)
+        elif number == plane:
+            raise FrictrackError(_lost(board, name, grey))
+    if not found:
+        assert last is not None  # a scale names at least one picture
+        raise FrictrackError(_lost(board, ", ".join(str(p.name) for p in files(scale)), last))
+    return _first(found, plane)
+
+
+def _first(found: list[View], plane: int | None) -> list[View]:
+    """The view in the plane of the course first, and not too many more."""
+    chosen = next((v for v in found if v.number == plane), None)
+    if plane is not None and chosen is None:
+        raise FrictrackError(f"expected plane as the number of a picture of the board but got {plane}")
+    rest = [v for v in found if v is not chosen]
+    kept = rest if len(rest) < MOST else [rest[i] for i in np.linspace(0, len(rest) - 1, MOST).astype(int)]
+    return [chosen, *kept[: MOST - 1]] if chosen else kept
+
+
+def _check_size(name: str, sizes: set[tuple[int, int]], shape: tuple[int, int] | None) -> None:
+    width, height = next(iter(sizes))
+    if len(sizes) > 1:
+        came = " and ".join(f"{w}x{h}" for w, h in sorted(sizes))
+        raise FrictrackError(
+            f"expected all pictures of the board from one camera setting but {name} makes them {came} px"
+        )
+    if shape is not None and (height, width) != shape:
+        raise FrictrackError(
+            f"expected the board in pictures of {shape[1]}x{shape[0]} px, as the film has, but {name} has "
+            f"{width}x{height} px; photograph it with the camera set as for filming"
+        )
+
+
+def _lost(board: Board, name: str, grey: Grey) -> str:
+    along, across = board.squares
+    check = "all of it must be in the picture, sharp, flat and evenly lit, with a white rim"
+    if board.dictionary:
+        check = f"check squares (along, then across) and dictionary ({board.dictionary}), focus and light"
+    return (
+        f"expected a {board.kind} of {along} x {across} squares in {name} but found none; {check}{board.swapped(grey)}"
+    )
+
+
+def _differs(seen: View, other: View) -> bool:
+    """Whether the board was moved between two pictures; parts of it that only one shows do not count."""
+    if len(seen.points) != len(other.points):
+        return True
+    moved = float(np.median(np.linalg.norm(seen.points - other.points, axis=1)))
+    return moved > MOVED * seen.size[0]
+
+
+def _pictures(paths: list[Path], plane: int | None) -> Iterator[tuple[int, str, Grey]]:
+    """Number, name and grey picture of every file, or of frames spread over a recording."""
+    if len(paths) == 1 and (paths[0].is_dir() or paths[0].suffix.lower() not in PICTURES or _pages(paths[0]) > 1):
+        yield from _frames(paths[0], plane)
+        return
+    if plane is not None and plane >= len(paths):
+        raise FrictrackError(f"expected plane as the number of one of {len(paths)} pictures but got {plane}")
+    for number, path in enumerate(paths):
+        yield number, path.name, read_grey(path)
+
+
+def _pages(path: Path) -> int:
+    if path.suffix.lower() not in (".tif", ".tiff") or not path.exists():
+        return 1
+    try:
+        return int(cv2.imcount(str(path)))
+    except cv2.error:
+        return 1
+
+
+def _frames(path: Path, plane: int | None) -> Iterator[tuple[int, str, Grey]]:
+    recording = open_recording(path, fps=1.0)  # time does not matter here
+    wanted = np.unique(np.linspace(0, recording.n_frames - 1, SAMPLES).astype(int)).tolist()
+    if plane is not None:
+        if plane >= recording.n_frames:
+            raise FrictrackError(f"expected plane as one of {recording.n_frames} frames of {path.name} but got {plane}")
+        wanted = sorted({*wanted, plane})
+    for number in wanted:
+        yield number, f"{path.name}, frame {number}", _grey8(np.asarray(recording.frame(number)))
+
+
+def read_grey(path: Path) -> Grey:
+    """A picture file as 8-bit grey values."""
+    if not path.exists():
+        raise FrictrackError(f"expected a picture of the board {path} but there is no such file; check the path")
+    try:
+        picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    except (cv2.error, OSError):
+        picture = None
+    if picture is None or picture.size > LARGEST:
+        raise FrictrackError(f"{path.name}: expected a picture of the board but it cannot be read as one")
+    return _grey8(picture)
+
+
+def _grey8(picture: NDArray[Any]) -> Grey:
+    """Grey values in 8 bits, the brightest at 255 where there were more bits."""
+    if picture.dtype == np.uint8:
+        return np.ascontiguousarray(picture)
+    top = max(float(np.max(picture)), 1.0)
+    return np.asarray(np.rint(255.0 / top * picture), dtype=np.uint8)

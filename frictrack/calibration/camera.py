@@ -1,0 +1,208 @@
+"""Views of a board -> the plane that the first of them shows.
+
+Several views give the camera matrix, the lens distortion and the board's pose together (Zhang 2000, IEEE PAMI
+22:1330, through OpenCV); the covariance is that of all of them at once, from the residuals of the corners. One view
+gives a homography, and one radial coefficient where that view determines it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from frictrack.calibration.board import Board, View
+from frictrack.calibration.homography import BEND, Homography, Norm, view
+from frictrack.calibration.lens import Lens
+from frictrack.calibration.plane import PlaneMap, project
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+
+LEAST_VIEWS = 3
+DETERMINED = 5.0  # standard deviations from 0 of a radial coefficient that is kept
+SURE = 0.2  # relative standard deviation of the focal length above which the views do not tell it
+LENSES = (
+    ("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_TANGENT_DIST),
+    ("k1, k2, p1, p2", cv2.CALIB_FIX_K3),
+    ("k1, k2, p1, p2, k3", 0),
+)  # what is fitted of the lens, the simplest first
+FREE = {"k1": (0,), "k1, k2, p1, p2": (0, 1, 2, 3), "k1, k2, p1, p2, k3": (0, 1, 2, 3, 4)}
+INTRINSIC = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+COARSE = 1.0  # px of reprojection error that is worth a word
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """A camera fitted to views: its lens, the poses (v, 6), the fit's name and quality."""
+
+    lens: Lens
+    poses: Array
+    fitted: str
+    rms: float  # px, of the distance
+    bic: float
+
+
+def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneMap:
+    """The map to the plane of the first view, m; `lens` is one that was calibrated before."""
+    made = _posed(seen[0], lens, board) if lens else _bundle(seen, board) if len(seen) >= LEAST_VIEWS else None
+    if made is None:
+        made = _single(seen, board)
+    middle = seen[0].points.mean(axis=0)
+    made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0))
+    return made.scaled(1.0, board.relative)
+
+
+def _single(seen: list[View], board: Board) -> PlaneMap:
+    """One view: homography, and the radial coefficient if it stands out."""
+    first = seen[0]
+    one = np.ones(len(first.points))
+    width, height = first.size
+    frame = Norm(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
+    flat = view(first.points, first.places, one)
+    bowed = view(first.points, first.places, one, lens=frame)
+    k, std = float(bowed.map.values[-1]), float(np.sqrt(bowed.map.covariance[-1, -1] * _variance(bowed)))
+    told = abs(k) > DETERMINED * std and abs(k) < BEND
+    kept = bowed if told else flat
+    word = (
+        f"lens {1e2 * k:+.2f} ± {1e2 * std:.2f} % in the corners, from this one picture"
+        if told
+        else "no lens distortion that one picture could tell; several pictures, tilted, would give the lens too"
+    )
+    used = f"scale by a {board.kind}, {len(one)} corners in {first.name}, {kept.rms:.2g} px from the plane; {word}"
+    covariance = kept.map.covariance * _variance(kept)
+    return replace(kept.map, covariance=covariance, used=used, notes=_coarse(kept.rms))
+
+
+def _variance(fitted: Homography) -> float:
+    """Variance of a corner along one axis, px^2."""
+    if fitted.degrees < 1:
+        raise FrictrackError("expected more corners of the board in its picture; show more of it")
+    return fitted.chi2 / fitted.degrees
+
+
+def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
+    """Camera, lens and pose from several views; None where the views do not tell the camera."""
+    cameras = [c for c in (_calibrated(seen, name, flags) for name, flags in LENSES) if c is not None]
+    if not cameras:
+        return None
+    best = min(cameras, key=lambda c: c.bic)
+    covariance = _covariance(seen, best)
+    values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
+    if covariance is None or np.sqrt(covariance[0, 0]) > SURE * values[0]:
+        return None
+    depth = float(best.poses[0, 5])
+    used = (
+        f"scale by a {board.kind} in {len(seen)} pictures, {sum(len(v.points) for v in seen)} corners, reprojected "
+        f"to {best.rms:.2g} px; camera, lens ({best.fitted}) and plane ({seen[0].name}) fitted together; the plane is "
+        f"{1e3 * depth:.0f} mm away, so 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
+    )
+    return PlaneMap(values, covariance, _place, used=used, notes=_coarse(best.rms))
+
+
+def _calibrated(seen: list[View], name: str, flags: int) -> _Camera | None:
+    solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in seen]
+    flat = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in seen]
+    start = cv2.initCameraMatrix2D(solid, flat, seen[0].size) if hasattr(cv2, "initCameraMatrix2D") else np.eye(3)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    try:
+        rms, matrix, bend, turns, shifts = cv2.calibrateCamera(
+            solid, flat, seen[0].size, start, np.zeros(5), flags=flags, criteria=criteria
+        )
+    except cv2.error:
+        return None
+    poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(turns, shifts, strict=True)])
+    if not (np.isfinite(rms) and np.all(np.isfinite(matrix)) and np.all(poses[:, 5] > 0)):
+        return None
+    n = 2 * sum(len(v.points) for v in seen)
+    unknowns = 4 + len(FREE[name]) + poses.size
+    bic = n * float(np.log(max(rms, 1e-6) ** 2)) + unknowns * float(np.log(n))
+    return _Camera(Lens(matrix, np.ravel(bend)[:5]), poses, name, float(rms), bic)
+
+
+def _intrinsics(lens: Lens) -> Array:
+    m = lens.matrix
+    distortion = np.zeros(5)
+    distortion[: min(5, len(lens.distortion))] = lens.distortion[:5]
+    return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *distortion])
+
+
+def _covariance(seen: list[View], camera: _Camera) -> Array | None:
+    """Covariance (15, 15) of camera, lens and first pose, with all other poses free (their part eliminated)."""
+    free = np.array([0, 1, 2, 3, *(4 + k for k in FREE[camera.fitted])])
+    normal = np.zeros((len(free), len(free)))
+    square, count = 0.0, -len(free)
+    own = cross = None
+    for k, v in enumerate(seen):
+        pose, lens, misfit = _slopes(v, camera, k)
+        lens = lens[:, free]
+        square, count = square + float(misfit @ misfit), count + len(misfit) - 6
+        normal += lens.T @ lens
+        if k == 0:
+            own, cross = pose.T @ pose, lens.T @ pose
+        else:
+            normal -= lens.T @ pose @ np.linalg.pinv(pose.T @ pose, hermitian=True) @ pose.T @ lens
+    assert own is not None
+    assert cross is not None
+    whole = np.block([[normal, cross], [cross.T, own]])
+    size = np.sqrt(np.diag(whole))
+    if count < 1 or not np.all(size > 0):
+        return None
+    scaled = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
+    out = np.zeros((INTRINSIC + 6, INTRINSIC + 6))
+    at = np.concatenate([free, INTRINSIC + np.arange(6)])
+    out[np.ix_(at, at)] = scaled * square / count
+    return out
+
+
+def _slopes(v: View, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
+    """Change of the corners (2 n,) with the pose (2 n, 6) and with camera and lens (2 n, 9), and their misfit."""
+    solid = np.column_stack([v.places, np.zeros(len(v.places))])
+    pose = camera.poses[k]
+    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
+    return slopes[:, :6], slopes[:, 6 : 6 + INTRINSIC], (at.reshape(-1, 2) - v.points).ravel()
+
+
+def _place(values: Array, points: Array) -> Array:
+    """Picture points on the plane z = 0 of a board, m."""
+    lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:INTRINSIC])
+    return on_plane(lens.rays(points), values[INTRINSIC:])
+
+
+def on_plane(rays: Array, pose: Array) -> Array:
+    """Where normalised directions (n, 2) meet the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
+    turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
+    seen = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
+    inverse = np.linalg.inv(seen)
+    return project(inverse * np.sign(inverse[2] @ (pose[3:] / pose[5])), rays)
+
+
+def _posed(first: View, lens: Lens, board: Board) -> PlaneMap:
+    """The pose of the board under a lens that is known."""
+    solid = np.column_stack([first.places, np.zeros(len(first.places))])
+    rays = lens.rays(first.points)
+    if not np.all(np.isfinite(rays)):
+        raise FrictrackError(f"the lens file cannot undo the distortion at the board in {first.name}; check the file")
+    found, turn, shift = cv2.solvePnP(solid, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    if not found:
+        raise FrictrackError(f"the board in {first.name} does not fit the lens file; check the file")
+    turn, shift = cv2.solvePnPRefineLM(solid, first.points, lens.matrix, lens.distortion, turn, shift)
+    pose = np.concatenate([np.ravel(turn), np.ravel(shift)])
+    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
+    misfit = (at.reshape(-1, 2) - first.points).ravel()
+    normal = slopes[:, :6].T @ slopes[:, :6]
+    covariance = np.linalg.inv(normal) * float(misfit @ misfit) / (len(misfit) - 6)
+    rms = float(np.sqrt(2 * np.mean(misfit**2)))
+    used = (
+        f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
+        "with the lens taken as exact"
+    )
+    return PlaneMap(pose, covariance, lambda p, points: on_plane(lens.rays(points), p), used=used, notes=_coarse(rms))
+
+
+def _coarse(rms: float) -> tuple[str, ...]:
+    if rms <= COARSE:
+        return ()
+    return (
+        f"the board's corners fit to {rms:.1f} px only: check that it is flat and sharp, and that squares is right",
+    )

@@ -1,0 +1,159 @@
+"""Points of known place on a plane -> homography, with the covariance of its numbers.
+
+The errors are those of the picture points: their squares are minimised in the picture (Hartley & Zisserman 2004,
+Multiple View Geometry, 4.2), on coordinates moved and scaled to order one. One radial coefficient k of the lens,
+p = c + (q - c)(1 + k |q - c|^2 / R^2), can be fitted with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import svd
+from scipy.optimize import least_squares
+
+from frictrack.calibration.plane import PlaneMap, Straight, as_seen, project
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+
+FLAT = 0.02  # extent of the points across over that along, below which they are on one line
+NUMBERS = 8  # of a homography
+NEWTON = 20
+BEND = 0.3  # a larger k is no lens
+
+
+@dataclass(frozen=True, eq=False)
+class Norm:
+    """Coordinates of order one: (points - middle) / size."""
+
+    middle: Array
+    size: float
+
+    def __call__(self, points: Array) -> Array:
+        """To order one."""
+        return np.asarray((points - self.middle) / self.size, dtype=np.float64)
+
+    def back(self, points: Array) -> Array:
+        """To what they were."""
+        return np.asarray(points * self.size + self.middle, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Homography:
+    """A fitted view of a plane: its map, and how far the points lie from it."""
+
+    map: PlaneMap
+    rms: float  # px, of the distance
+    chi2: float  # sum of squares over the variances that were given
+    degrees: int
+
+
+def view(
+    points: Array, places: Array, sigma: Array, straight: Straight = as_seen, lens: Norm | None = None
+) -> Homography:
+    """Fit a plane to points (n, 2) px at known places (n, 2) m; `sigma` (n,) px of each point, along x and y.
+
+    With `lens` (the picture's middle, and the distance from it to a corner) one radial coefficient is fitted too.
+    Raises `FrictrackError` when the points do not determine a plane that lies before the camera.
+    """
+    _check_spread(points, "points")
+    _check_spread(places, "places on the plane")
+    there = _norm(places)
+    seen = straight(points)
+    if not np.all(np.isfinite(seen)):
+        raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
+    picture = _norm(seen)
+    start = _linear(there(places), picture(seen))
+    bend = None if lens is None else partial(bent, lens=lens)
+    values, covariance, misfit = _fit(start, (there, picture, bend), (points if bend else seen, places), sigma)
+    unbend: Callable[[float, Array], Array] = (lambda k, p: p) if lens is None else partial(unbent, lens=lens)
+
+    def place(given: Array, at: Array) -> Array:
+        flat = straight(at) if lens is None else unbend(float(given[NUMBERS]), at)
+        return there.back(project(_inverse(given), picture(flat)))
+
+    middle = points.mean(axis=0)
+    made = PlaneMap(values, covariance, place, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0))
+    rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
+    return Homography(made, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
+
+
+def _fit(
+    start: Array, how: tuple[Norm, Norm, Callable[..., Array] | None], data: tuple[Array, Array], sigma: Array
+) -> tuple[Array, Array, Array]:
+    """Values, covariance, and the residuals (2, n) in standard deviations."""
+    (there, picture, bend), (points, places) = how, data
+    flat = there(places)
+
+    def residual(values: Array) -> Array:
+        at = picture.back(project(_matrix(values), flat))
+        at = at if bend is None else bend(float(values[NUMBERS]), at)
+        return np.nan_to_num(((at - points) / sigma[:, None]).T.ravel(), nan=1e6)
+
+    free = np.concatenate([start, [0.0] * (bend is not None)])
+    found = least_squares(residual, free, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
+    slopes = np.asarray(found.jac, dtype=np.float64)
+    normal = slopes.T @ slopes
+    size = np.sqrt(np.diag(normal))
+    if not np.all(size > 0) or np.linalg.cond(normal / np.outer(size, size)) > 1e13:
+        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
+    covariance = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+    return found.x, covariance, found.fun.reshape(2, -1)
+
+
+def bent(k: float, points: Array, lens: Norm) -> Array:
+    """Where a lens of radial coefficient k shows straight points (n, 2) px."""
+    q = lens(points)
+    return lens.back(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
+
+
+def unbent(k: float, points: Array, lens: Norm) -> Array:
+    """The straight points of those seen (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
+    seen = lens(points)
+    radius = np.linalg.norm(seen, axis=1)
+    r = radius.copy()
+    for _ in range(NEWTON):
+        r -= (r * (1 + k * r**2) - radius) / np.maximum(1 + 3 * k * r**2, 0.1)
+    return lens.back(seen / (1 + k * r**2)[:, None])
+
+
+def _matrix(values: Array) -> Array:
+    return np.append(values[:NUMBERS], 1.0).reshape(3, 3)
+
+
+def _inverse(values: Array) -> Array:
+    """From the picture to the plane, its sign such that w > 0 where the middle of the points is seen."""
+    inverse = np.linalg.inv(_matrix(values))
+    return np.asarray(inverse * np.sign(inverse[2] @ [values[2], values[5], 1.0]), dtype=np.float64)
+
+
+def _linear(places: Array, points: Array) -> Array:
+    """The eight numbers of the direct linear transform, h33 = 1 (it maps the middle, so it is not 0)."""
+    one = np.ones(len(places))
+    x, y = points.T
+    at = np.column_stack([places, one])
+    none = np.zeros_like(at)
+    rows = np.vstack([np.hstack([at, none, -x[:, None] * at]), np.hstack([none, at, -y[:, None] * at])])
+    _, strength, right = svd(rows, full_matrices=True)
+    if strength[NUMBERS - 1] < 1e-6 * strength[0] or abs(right[-1, -1]) < 1e-6:
+        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
+    h = right[-1] / right[-1, -1]
+    if np.any(np.column_stack([places, one]) @ h[6:] <= 0):
+        raise FrictrackError(
+            "no camera can see the places where the points are; check that points and plane come in the same order"
+        )
+    return np.asarray(h[:NUMBERS], dtype=np.float64)
+
+
+def _norm(points: Array) -> Norm:
+    middle = points.mean(axis=0)
+    return Norm(middle, float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))))
+
+
+def _check_spread(points: Array, what: str) -> None:
+    strength = svd(points - points.mean(axis=0), compute_uv=False)
+    if not strength[1] > FLAT * strength[0]:
+        raise FrictrackError(f"expected {what} that span a plane but all of them lie on one line; add one beside it")

@@ -1,0 +1,148 @@
+"""A lens that was calibrated before: its camera matrix and distortion from a file that OpenCV or others wrote."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+
+MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "camera_Matrix", "intrinsic_matrix", "mtx", "K", "M1")
+DISTORTION = (
+    "distortion_coefficients", "dist_coeffs", "distCoeffs", "dist_coeff", "Distortion_Coefficients", "dist", "D", "D1",
+)  # fmt: skip
+WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
+LENGTHS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
+LARGEST = 1_000_000  # bytes of a lens file
+CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+RETURNS = 0.01  # px: a point straightened and distorted again must come back this near
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """Camera `matrix` (3, 3) px, `distortion` (k,) in OpenCV's order, and the `size` (width, height) px it is for."""
+
+    matrix: Array
+    distortion: Array
+    size: tuple[int, int] | None = None
+
+    def rays(self, points: Array) -> Array:
+        """Normalised directions (n, 2) of picture points (n, 2) px; NaN where the distortion cannot be undone."""
+        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 1, 2)
+        if not len(flat):
+            return np.zeros((0, 2))
+        rays: Array = np.asarray(
+            cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=CRITERIA), dtype=np.float64
+        ).reshape(-1, 2)
+        off = np.linalg.norm(self.seen(rays) - flat[:, 0], axis=1)
+        return np.where((off < RETURNS)[:, None], rays, np.nan)
+
+    def seen(self, rays: Array) -> Array:
+        """Picture points (n, 2) px of normalised directions (n, 2)."""
+        solid = np.column_stack([rays, np.ones(len(rays))])
+        points, _ = cv2.projectPoints(solid, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return np.asarray(points, dtype=np.float64).reshape(-1, 2)
+
+    def straight(self, points: Array) -> Array:
+        """Where the lens without its distortion would show the points (n, 2) px."""
+        focal, centre = np.diag(self.matrix)[:2], self.matrix[:2, 2]
+        return self.rays(points) * focal + centre
+
+
+def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
+    """Camera matrix and distortion from OpenCV's YAML, XML or JSON, or a plain JSON of lists.
+
+    `shape` (h, w) is that of the film. Raises `FrictrackError` for a file that is missing, is none of these, lacks
+    one of the two, holds another lens model, or is made for pictures of another size.
+    """
+    fields = _fields(path)
+    matrix = _named(fields, MATRIX, path, "a camera matrix")
+    distortion = _named(fields, DISTORTION, path, "distortion coefficients").ravel()
+    if matrix.size != 9 or not _is_camera(matrix.reshape(3, 3)):
+        raise FrictrackError(f"{path.name}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px")
+    _check_model(path, fields, distortion)
+    size = _size(fields)
+    if size and shape and size != shape[::-1]:
+        raise FrictrackError(
+            f"{path.name}: expected the lens of a {shape[1]}x{shape[0]} px film but got one calibrated on "
+            f"{size[0]}x{size[1]} px pictures; calibrate with the camera set as for filming"
+        )
+    return Lens(matrix.reshape(3, 3), distortion, size)
+
+
+def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
+    model = str(fields.get("distortion_model", fields.get("model", "")))
+    if model in ("equidistant", "fisheye", "kannala_brandt"):
+        raise FrictrackError(f'{path.name}: expected the usual lens model (k1, k2, p1, p2, k3) but got "{model}"')
+    if distortion.size not in LENGTHS or not np.all(np.isfinite(distortion)):
+        counts = ", ".join(str(n) for n in LENGTHS)
+        raise FrictrackError(f"{path.name}: expected {counts} distortion coefficients but got {distortion.size}")
+
+
+def _is_camera(matrix: Array) -> bool:
+    return bool(
+        np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.all(matrix[2] == [0, 0, 1])
+    )
+
+
+def _named(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
+    value = next((fields[name] for name in names if name in fields), None)
+    if value is None:
+        came = ", ".join(list(fields)[:8]) or "nothing"
+        raise FrictrackError(f"{path.name}: expected {what} ({names[0]}) but the file holds {came}")
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise FrictrackError(f"{path.name}: expected {what} as numbers but got {str(value)[:60]}") from e
+
+
+def _size(fields: dict[str, Any]) -> tuple[int, int] | None:
+    width, height = (next((fields[n] for n in names if n in fields), None) for names in (WIDTH, HEIGHT))
+    if width is None or height is None:
+        pair = fields.get("image_size", fields.get("img_size"))
+        width, height = pair if isinstance(pair, list) and len(pair) == 2 else (None, None)
+    return (int(width), int(height)) if width and height else None
+
+
+def _fields(path: Path) -> dict[str, Any]:
+    """The names at the top of the file with numbers, texts and matrices (as lists) behind them."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise FrictrackError(f"{path.name}: expected a lens file but it has {path.stat().st_size / 1e6:.0f} MB")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as e:
+        raise FrictrackError(f"{path.name}: expected a lens file of text (OpenCV's yml, xml or json)") from e
+    except OSError as e:
+        raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
+    try:
+        fields = _json(text) if text.lstrip().startswith("{") else _storage(text)
+    except (cv2.error, ValueError, SystemError, RecursionError) as e:
+        raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
+    return fields
+
+
+def _json(text: str) -> dict[str, Any]:
+    return {k: v["data"] if isinstance(v, dict) and "data" in v else v for k, v in json.loads(text).items()}
+
+
+def _storage(text: str) -> dict[str, Any]:
+    """OpenCV's own format; a YAML without its first line (ROS writes such) gets that line."""
+    headed = text if text.lstrip().startswith(("%YAML", "<?xml")) else f"%YAML:1.0\n---\n{text}"
+    file = cv2.FileStorage(headed, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    root = file.root()
+    return {name: _node(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no dict
+
+
+def _node(node: Any) -> Any:
+    if node.isMap():
+        matrix = None if node.getNode("data").empty() else _node(node.getNode("data"))
+        return matrix
+    if node.isSeq():
+        return [_node(node.at(i)) for i in range(node.size())]
+    return node.string() if node.isString() else node.real()

@@ -1,0 +1,133 @@
+"""A scale as it is written -> the map to the plane of the course: which way of calibrating it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.calibration import scale as written
+from frictrack.calibration.course import Axis, directions
+from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
+from frictrack.calibration.scale import Scale
+from frictrack.errors import FrictrackError
+from frictrack.records import Array, Track
+
+if TYPE_CHECKING:
+    from frictrack.calibration.lens import Lens
+    from frictrack.recording import Recording
+
+DISAGREE = 2.0  # standard deviations between two scales that is worth a word ...
+CLOSE = 2e-3  # ... and the share of the scale below which it is not
+
+
+def plane_map(
+    scale: Scale | None,
+    *,
+    lens: str | Path | None = None,
+    track: Track | None = None,
+    film: Recording | None = None,
+    axis: Axis = None,
+) -> PlaneMap:
+    """The map from the picture to the plane of the course, from whatever the scale is given by.
+
+    `scale` is a number (``"0.500 +/- 0.002 mm/px"``), a ruler (``{"points": [[x, y], [x, y]], "length": "100 mm"}``),
+    the target's own size along the course (``{"target": "40 mm"}``, which needs `track`), a board
+    (``{"board": "board.png", "squares": [9, 6], "square": "10 mm"}``, with ``dictionary`` and ``marker`` a ChArUco
+    board; several pictures or a recording give lens and perspective too; it lies in the plane of the course in picture
+    ``plane``, the first), or four and more points of known place (``{"points": [[x, y], ...], "plane": [[X, Y], ...]}``
+    in metres, or of the ``unit`` beside them). Of several in a list the first is used and the others are checked
+    against it. `lens` is a calibration file with camera matrix and distortion; `film` is where outline and picture size
+    are read; `axis` as `calibrate` takes it.
+
+    Raises `FrictrackError` in one sentence for what is no scale, files that cannot be read, boards that are not found,
+    points that determine no plane.
+    """
+    kind = written.kind_of(scale)
+    if kind == "several":
+        return _checked([plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in scale], track)
+    shape = film.shape if film is not None else None
+    known = _lens(lens, shape)
+    straight = known.straight if known else as_seen
+    makers = {
+        "number": lambda: written.given(scale, straight),
+        "ruler": lambda: written.ruler(_table(scale), straight),
+        "points": lambda: _points(_table(scale), straight),
+        "target": lambda: _target(_table(scale), (track, film), directions(axis)[0], straight),
+        "board": lambda: _board(_table(scale), known, shape),
+    }
+    made = makers[kind]()
+    if lens is None:
+        return made
+    used = made.used or "scale as given"
+    return replace(made, used=f"{used}, seen through the lens of {Path(lens).name}")
+
+
+def _table(scale: Any) -> dict[str, Any]:
+    return dict(scale)
+
+
+def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
+    if path is None:
+        return None
+    from frictrack.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
+
+    return read_lens(Path(path), shape)
+
+
+def _points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
+    from frictrack.calibration.points import from_points  # noqa: PLC0415
+
+    return from_points(scale, straight)
+
+
+def _board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
+    from frictrack.calibration.board import board_of, views  # noqa: PLC0415
+    from frictrack.calibration.camera import plane_of  # noqa: PLC0415
+
+    board = board_of(scale)
+    return plane_of(views(scale, board, shape), board, lens)
+
+
+def _target(
+    scale: dict[str, Any], seen: tuple[Track | None, Recording | None], along: Array, straight: Straight
+) -> PlaneMap:
+    """The map whose numbers are the target's size in m and the two ends of its outline along the course."""
+    from frictrack.calibration.outline import target_width  # noqa: PLC0415
+
+    track, film = seen
+    size, std = written.positive(scale["target"], "the target's size along the course")
+    if track is None:
+        raise FrictrackError("expected a track for a scale by the target's size but got none")
+    width = target_width(track, along, film)
+
+    def pitch(values: Array) -> float:
+        reach = along * values[1] / 2
+        middle = width.ends.mean(axis=0)
+        ends = straight(np.stack([middle - reach, middle + reach]))
+        return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+
+    made = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
+    return replace(made, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
+
+
+def _checked(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
+    """The first of several maps, with a note on each that disagrees with it in the middle of the path."""
+    first = maps[0]
+    at = np.array(first.centre)
+    if track is not None and np.any(track.found):
+        at = np.array([np.nanmedian(track.x_px), np.nanmedian(track.y_px)])
+    ends = at + np.array([[-5.0, 0.0], [5.0, 0.0]])
+    length, std = first.length(ends)
+    notes = []
+    for other in maps[1:]:
+        theirs, also = other.length(ends)
+        ratio, sigma = theirs / length - 1, float(np.hypot(std, also))
+        if abs(ratio) > max(DISAGREE * sigma, CLOSE):
+            notes.append(
+                f"two scales disagree: {1e5 * theirs:.5g} µm/px ({other.used or 'as given'}) is {100 * ratio:+.2g} % "
+                f"off the {1e5 * length:.5g} µm/px that is used, and their standard deviation is {100 * sigma:.2g} %"
+            )
+    return replace(first, notes=(*first.notes, *notes))

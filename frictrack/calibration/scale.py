@@ -1,0 +1,209 @@
+"""The scale as it is written: a number, a ruler, four points, the target's size, a board. Text -> numbers here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+from frictrack.units import quantity
+
+Scale = str | float | Mapping[str, Any] | Sequence[Any]
+KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
+    "ruler": (frozenset({"points", "length"}), frozenset({"click"})),
+    "points": (frozenset({"points", "plane"}), frozenset({"click", "unit"})),
+    "target": (frozenset({"target"}), frozenset()),
+    "board": (frozenset({"board", "squares", "square"}), frozenset({"dictionary", "marker", "plane"})),
+}  # keys that must and may be there
+WANTED = (
+    '"0.5 mm/px", {points = [[x, y], [x, y]], length = "100 mm"}, {target = "40 mm"}, '
+    '{board = "board.png", squares = [9, 6], square = "10 mm"} or {points = [four of them], plane = [[X, Y], ...]}'
+)
+CLICK = "0.5 px"  # standard deviation of a click, along x and along y
+SHORT = 0.2  # of the path: a shorter ruler gets a note
+
+
+def parse_scale(scale: Scale | None) -> tuple[float, float]:
+    """Metres per pixel and its relative standard deviation, as far as they can be told without pictures.
+
+    Accepts ``"0.5 mm/px"``, ``"0.500 +/- 0.002 mm/px"``, a number in m/px, or a ruler
+    ``{"points": [[x, y], [x, y]], "length": "100 +/- 0.1 mm", "click": "0.5 px"}`` whose two clicks count too.
+    What needs a picture or a place (target, board, points with plane) is checked as it is written and gives NaN.
+    Raises `FrictrackError` in one sentence.
+    """
+    kind, written = kind_of(scale), cast(Any, scale)
+    if kind == "number":
+        value, std = number(scale)
+        return value, std / value
+    if kind == "ruler":
+        made = ruler(written)
+        return made.pitch(np.zeros(2), np.array([1.0, 0.0])), made.length(np.array([[0.0, 0.0], [1.0, 0.0]]))[1]
+    if kind == "several":
+        return [parse_scale(one) for one in written][0]  # noqa: RUF015 - all are checked
+    CHECKS[kind](written)
+    return float("nan"), float("nan")
+
+
+def kind_of(scale: Any) -> str:
+    """Which way of giving the scale this is: number, ruler, points, target, board, or several of them."""
+    if scale is None:
+        raise FrictrackError(
+            'expected a scale but got none; give scale = "0.5 mm/px", or two points of known distance as '
+            '{points = [[x, y], [x, y]], length = "100 mm"}'
+        )
+    if isinstance(scale, list | tuple) and scale:
+        return "several"
+    if not isinstance(scale, Mapping):
+        return "number"
+    given = frozenset(scale)
+    for kind, (needed, allowed) in KINDS.items():
+        if needed <= given <= needed | allowed:
+            return kind
+    raise FrictrackError(_unlike(given))
+
+
+def _unlike(given: frozenset[str]) -> str:
+    """What is wrong with the keys of a scale: the kind that comes nearest, and what it lacks or has too much."""
+    words = {"board": {"board", "squares", "square"}, "target": {"target"}, "points": {"plane"}}
+    likely = next((kind for kind, marks in words.items() if given & marks), "ruler")
+    needed, allowed = KINDS[likely]
+    lacking, foreign = sorted(needed - given), sorted(given - needed - allowed)
+    if not given & (needed | allowed):
+        return f"expected a scale as {WANTED} but got the keys {', '.join(sorted(given)) or 'none'}"
+    if foreign:
+        known = ", ".join(sorted(needed | allowed))
+        return f"expected a scale by {likely} with the keys {known} but got {', '.join(foreign)} too"
+    missing = " and ".join(map(repr, lacking))
+    return f"expected a scale by {likely} with {' and '.join(sorted(needed))} but {missing} is missing"
+
+
+def number(scale: Any) -> tuple[float, float]:
+    """Metres per pixel and its standard deviation."""
+    value, std = quantity(scale, "m/px", "the scale")
+    if not value > 0:
+        raise FrictrackError(f"expected a scale above 0 m/px but got {value:g} m/px")
+    return value, std
+
+
+def given(scale: Any, straight: Straight = as_seen) -> PlaneMap:
+    """The map of a scale that is a number."""
+    value, std = number(scale)
+    return uniform([value], [[std**2]], lambda values: float(values[0]), straight)
+
+
+def ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
+    """The map of two points of known distance: its numbers are the length and the four clicks."""
+    points = picture_points(scale["points"], 2)
+    length, std = positive(scale["length"], "the length between the two points")
+    click = click_std(scale)
+    distance = float(np.hypot(*(points[1] - points[0])))
+    if not distance > 0:
+        raise FrictrackError(f"expected two different points for the scale but got {scale['points']!r}")
+
+    def pitch(values: Array) -> float:
+        ends = straight(values[1:].reshape(2, 2))
+        return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+
+    made = uniform([length, *points.ravel()], np.diag([std**2] + 4 * [click**2]), pitch, straight)
+    used = f"scale by a ruler of {1e3 * length:g} mm over {distance:.0f} px, clicked to {click:g} px"
+    middle = points.mean(axis=0)
+    return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
+
+
+def picture_points(raw: Any, least: int) -> Array:
+    """Points (n, 2) px of the picture; exactly two of them, or at least `least`."""
+    wanted = "two points [[x, y], [x, y]]" if least == 2 else f"at least {least} points [[x, y], ...]"
+    try:
+        points = np.asarray(raw, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}") from error
+    if points.ndim != 2 or points.shape[1] != 2 or not np.all(np.isfinite(points)):
+        raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}")
+    if len(points) < least or (least == 2 and len(points) > 2):
+        raise FrictrackError(f"expected {wanted} but got {len(points)}")
+    return points
+
+
+def positive(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
+    """A length above 0 and its standard deviation."""
+    value, std = quantity(raw, unit, what)
+    if not value > 0:
+        raise FrictrackError(f"expected {what} above 0 {unit} but got {raw!r}")
+    return value, std
+
+
+def click_std(scale: Mapping[str, Any]) -> float:
+    """Standard deviation of a click, px."""
+    return positive(scale.get("click", CLICK), "click, the standard deviation of a click,", "px")[0]
+
+
+def plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Places (n, 2) m of the points on the plane and their standard deviations (n, 2) m.
+
+    Numbers are metres, or of the `unit` that stands beside them; texts carry their own.
+    """
+    raw, unit = scale["plane"], scale.get("unit", "m")
+    factor = quantity(f"1 {unit}", "m", "the unit of plane")[0]
+    if not isinstance(raw, list | tuple) or any(not isinstance(p, list | tuple) or len(p) != 2 for p in raw):
+        raise FrictrackError(f"expected plane as places [[X, Y], ...] but got {raw!r}")
+
+    def place(v: Any) -> tuple[float, float]:
+        value, std = quantity(v, "m", "a place on the plane")
+        return (value, std) if isinstance(v, str) else (value * factor, std)
+
+    both = np.array([[place(v) for v in pair] for pair in raw], dtype=np.float64).reshape(-1, 2, 2)
+    return both[..., 0], both[..., 1]
+
+
+def check_points(scale: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    """Picture points (n, 2) px, their places (n, 2) m and the places' standard deviations."""
+    points = picture_points(scale["points"], 4)
+    places, std = plane_points(scale)
+    click_std(scale)
+    if len(points) != len(places):
+        raise FrictrackError(f"expected as many places as points but got {len(places)} for {len(points)} points")
+    return points, places, std
+
+
+def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
+    """Number of squares along and across the board."""
+    raw = scale["squares"]
+    whole = isinstance(raw, list | tuple) and len(raw) == 2 and all(type(n) is int for n in raw)
+    if not whole or min(raw) < 3 or max(raw) > 100:
+        raise FrictrackError(f"expected squares as their number along and across, such as [9, 6], but got {raw!r}")
+    return raw[0], raw[1]
+
+
+def check_board(scale: Mapping[str, Any]) -> None:
+    """A board as it is written; its pictures are read later."""
+    board_squares(scale)
+    square, _ = positive(scale["square"], "the side of a square")
+    if ("dictionary" in scale) != ("marker" in scale):
+        raise FrictrackError("expected both dictionary and marker for a ChArUco board, neither for a checkerboard")
+    if "marker" in scale and positive(scale["marker"], "the side of a marker")[0] >= square:
+        raise FrictrackError(f"expected a marker smaller than its square but got {scale['marker']!r}")
+    if type(scale.get("plane", 0)) is not int or scale.get("plane", 0) < 0:
+        raise FrictrackError(f"expected plane as the number of a picture (the first is 0) but got {scale['plane']!r}")
+    files(scale)
+
+
+def files(scale: Mapping[str, Any]) -> list[Path]:
+    """The files that a board's pictures lie in."""
+    raw = scale["board"]
+    given = list(raw) if isinstance(raw, list | tuple) else [raw]
+    if not given or not all(isinstance(one, str | Path) and str(one) for one in given):
+        raise FrictrackError(f"expected board as a picture, several, a folder or a recording but got {raw!r}")
+    return [Path(one) for one in given]
+
+
+CHECKS: Mapping[str, Callable[[Any], Any]] = {
+    "points": check_points,
+    "target": lambda scale: positive(scale["target"], "the target's size along the course"),
+    "board": check_board,
+}
