@@ -49,6 +49,7 @@ def main() -> None:
     if peers and (absent := run.missing(peers)):
         print(f"not installed and left out: {', '.join(absent)}; see --peers-python")
     figures: dict[str, object] = {"machine": run.machine()}
+    print(*(f"{name} {version}" for name, version in run.machine().items()), sep=", ")
     if args.speed is not True:
         results = run.accuracy(names, args.seeds, args.frames, peers, lambda text: print(text, flush=True))
         print(run.overview(results))

@@ -50,7 +50,7 @@ def locking(error: Array, x: Array) -> tuple[float, float]:
     The amplitude is that of all four terms together: for one sine its own amplitude.
     """
     seen = np.isfinite(error)
-    if seen.sum() < 20:
+    if seen.sum() < 20 or np.ptp(x[seen]) < 2:  # too little to tell
         return np.nan, np.nan
     phase = 2 * np.pi * x[seen]
     design = np.stack([np.ones(seen.sum()), *(f(k * phase) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)

@@ -219,7 +219,11 @@ def run(name: str, frames: Frames, rectangle: Rectangle) -> tuple[Array, float]:
     peer = PEERS[name][1]
     peer(frames[:WARM_UP], rectangle)
     start = time.process_time()
-    found = peer(frames, rectangle)
+    try:
+        found = peer(frames, rectangle)
+    except Exception as fault:  # noqa: BLE001 - a peer that breaks off has lost every frame
+        print(f"{name}: {fault}")
+        found = np.full((len(frames), 2), np.nan)
     return found, time.process_time() - start
 
 

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 import frictrack as ft
+from frictrack.errors import FrictrackError
 
 from .conditions import FPS, LONGEST, Condition, condition
 from .measures import Judged, judge, pool
 from .peers import ONLY_ON, PEERS
 
-OURS = "frictrack"
+OURS, OURS_Y = "frictrack", "frictrack, along y"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 Results = dict[str, dict[str, dict[str, Any]]]  # condition -> tracker -> figures
 COLUMNS = {
@@ -39,14 +40,22 @@ COLUMNS = {
 }
 
 
-def ours(film: Condition) -> Judged:
-    """frictrack from the file to the track; reading counts."""
+def ours(film: Condition) -> dict[str, Judged]:
+    """frictrack from the file to the track, along x and along y; reading counts."""
     follow, read = ft.track, ft.open_recording  # imported now, not while the clock runs
     start = time.process_time()
-    track = follow(read(film.film, fps=FPS), film.rectangle)
+    try:
+        track = follow(read(film.film, fps=FPS), film.rectangle)
+    except FrictrackError as fault:
+        print(f"{film.film.name}: {fault}")
+        nothing = judge(np.full(len(film.x), np.nan), film.x, film.bound, time.process_time() - start)
+        return {OURS: nothing, OURS_Y: nothing}
     seconds = time.process_time() - start
-    middle = film.rectangle[0] + (film.rectangle[2] - 1) / 2
-    return judge(track.x_px - middle, film.x, film.bound, seconds, track.sigma_px)
+    x, y, w, h = film.rectangle
+    return {
+        OURS: judge(track.x_px - x - (w - 1) / 2, film.x, film.bound, seconds, track.sigma_px),
+        OURS_Y: judge(track.y_px - y - (h - 1) / 2, film.y, film.bound_y, seconds, track.sigma_y_px),
+    }
 
 
 def others(name: str, film: Condition, python: str) -> dict[str, Judged]:
@@ -72,7 +81,7 @@ def accuracy(names: Sequence[str], seeds: int, frames: int, python: str | None, 
         # A short film is made up for by more seeds.
         for seed in range(-(-seeds * frames // min(frames, LONGEST.get(name, frames)))):
             film = condition(name, seed, frames)
-            here = {OURS: ours(film)} | (others(name, film, python) if python else {})
+            here = ours(film) | (others(name, film, python) if python else {})
             for tracker, one in here.items():
                 judged.setdefault(tracker, []).append(one)
         results[name] = {tracker: pool(films) for tracker, films in judged.items()}
