@@ -5,7 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from frictrack.tracking.findings import key_frames
+from frictrack.records import Track
+from frictrack.tracking.findings import forward_backward, key_frames, peak_locking, scores, self_test
+
+N, SIGMA = 600, 0.002
+K = np.arange(N, dtype=float)
+
+
+def slide(k):
+    return 100 + 700 * (1 - np.exp(-k / 320))
+
+
+def a_track(x, *, seed=0, locking=0.0, score=0.99, sigma=SIGMA):
+    """A track of known places x with white noise and peak locking A sin(2 pi x)."""
+    rng, n = np.random.default_rng(seed), len(x)
+    one = np.full(n, sigma)
+    x = x + locking * np.sin(2 * np.pi * x) + sigma * rng.standard_normal(n)
+    y = 30 + sigma * rng.standard_normal(n)
+    return Track(K[:n] / 4000, x, y, 0 * one, one, one, np.broadcast_to(score, n), np.full(n, ""))
 
 
 def key_frame_data(jump, period=15, n=600):
@@ -35,3 +52,89 @@ def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
     i = np.arange(600)
     change = 2 + 0.3 * rng.random(600) + flicker * np.abs(np.sin(np.pi * i / 15))
     assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
+
+
+# ---- peak locking
+
+
+def vibrating(k):
+    return slide(k) + 0.3 * np.sin(k / 9)
+
+
+@pytest.mark.parametrize("motion", [slide, vibrating])
+def test_peak_locking_is_measured(motion):
+    found = peak_locking(a_track(motion(K), locking=0.004))
+    assert found.amplitude == pytest.approx(0.004, abs=3 * found.error)
+    assert found.error < 0.0003
+    x = np.linspace(0, 1, 50)
+    np.testing.assert_allclose(found.at(x), 0.004 * np.sin(2 * np.pi * x), atol=4 * found.error)
+
+
+def test_its_standard_deviation_and_false_alarms():
+    """Without any, p is uniform and the curve's error is as stated."""
+    found = [peak_locking(a_track(slide(K), seed=seed)) for seed in range(60)]
+    p = np.array([f.p for f in found])
+    assert 0.3 < np.mean(p < 0.5) < 0.7
+    assert np.all(p > 1e-4)
+    at = np.linspace(0, 1, 40)
+    rms = np.sqrt(np.mean([f.at(at) ** 2 for f in found]))
+    assert rms == pytest.approx(np.mean([f.error for f in found]), rel=0.2)
+
+
+def test_the_tone_that_it_feigns():
+    """At 0.25 px per frame and 4000 frames/s a pixel is passed 1000 times a second."""
+    found = peak_locking(a_track(60 + 0.2503 * K, locking=0.005))
+    assert found.frequency == pytest.approx(1001, rel=0.02)
+    assert found.acceleration == pytest.approx(0.005 * (2 * np.pi * 1001) ** 2, rel=0.1)
+    aliased = peak_locking(a_track(60 + 1.0503 * K, locking=0.005))
+    assert aliased.frequency == pytest.approx(201, rel=0.05)
+
+
+def test_where_peak_locking_cannot_be_told():
+    assert peak_locking(a_track(60 + 1.0 * K)) is None  # always at the same place between the pixels
+    assert peak_locking(a_track(60 + 0.3 * K[:20])) is None
+    slow = peak_locking(a_track(60 + 0.02 * K, locking=0.001))
+    assert slow is None or slow.error > 0.003
+
+
+def test_a_note_only_where_it_matters():
+    (note,) = self_test(a_track(slide(K), locking=0.004)).notes
+    assert "by 0.004" in note
+    assert "(peak locking): at the usual speed a tone of" in note
+    assert self_test(a_track(slide(K), locking=0.0)).notes == ()
+    assert self_test(a_track(slide(K), locking=0.0002)).notes == ()
+
+
+# ---- scores, forward and backward
+
+
+def test_stretches_of_low_score():
+    score = 0.99 + 0.001 * np.sin(K)
+    score[100:103], score[400] = 0.6, 0.75
+    found = scores(a_track(slide(K), score=score))
+    assert found.low == ((100, 102), (400, 400))
+    assert found.lowest == 0.6
+    assert found.lowest_frame == 100
+    assert found.median == pytest.approx(0.99, abs=0.001)
+    assert self_test(a_track(slide(K), score=score)).notes == (
+        "match score low (usually 0.99, down to 0.60) in frames 100-102, 400",
+    )
+    assert scores(a_track(slide(K))).low == ()
+    assert scores(a_track(slide(K), score=np.nan)) is None
+
+
+def test_forward_and_backward():
+    forward, backward = a_track(slide(K), seed=1), a_track(slide(K), seed=2)
+    result = forward_backward(forward, backward)
+    assert result.rms == pytest.approx(2 * SIGMA, rel=0.1)  # two coordinates, two tracks
+    assert result.in_sigma == pytest.approx(np.sqrt(2), rel=0.1)
+    assert result.words.endswith("they depend on where the search came from")
+    same = forward_backward(forward, forward)
+    assert same.in_sigma == 0
+    assert same.words == "tracked backward, positions differ by 0 px rms (0 standard deviations)"
+
+
+def test_a_doubled_frame_is_noted():
+    x = slide(K)
+    x[300:] = slide(K[:-300] + 299)
+    assert self_test(a_track(x)).notes == ("1 frame is doubled, told by the motion: frame 300",)

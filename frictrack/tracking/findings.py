@@ -1,12 +1,22 @@
-"""What the film and the track say about the measurement, in words."""
+"""What the film and the track say about the measurement: self-tests from the run itself, in numbers and in words."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
+from scipy.stats import chi2
 
-from frictrack.records import Array
+from frictrack.records import Array, Mask, Track
+from frictrack.tracking.timing import Slip, slips, timing_note
 
+SMOOTH = 15  # frames of the local cubic about which residuals are taken
+HARMONICS = 2
+SURE = 1e-3  # probability of a peak-locking curve of this size from noise alone
+MATTERS = 0.2  # of the standard deviation of a frame, above which its amplitude is told
+LOW = 0.1  # by which a score must lie below the usual one to be low
 PERIODS = range(5, 301)
 LEAST_REPEATS = 6
 SIGNIFICANT = 6.0  # standard errors above every other phase; the search covers some 10^4 phases
@@ -67,3 +77,166 @@ def _standing_out(values: Array, period: int) -> float:
 def _fold_mean(values: Array, period: int) -> Array:
     """Mean of the values at each phase (period,), phases counted from the first value."""
     return np.array([np.nanmean(values[phase::period]) for phase in range(period)])
+
+
+@dataclass(frozen=True, eq=False)
+class PeakLocking:
+    """Error tied to the place between pixels: amplitude and its standard deviation, px, and what it would feign.
+
+    At the run's typical speed it is a tone of `frequency` Hz (as the camera sees it) with an `acceleration` of
+    amplitude A (2 pi f)^2, px/s^2. `curve` holds the cosine and sine of one and two cycles per pixel, px.
+    """
+
+    amplitude: float
+    error: float
+    p: float
+    frequency: float
+    acceleration: float
+    curve: tuple[float, ...]
+
+    def at(self, x: Array) -> Array:
+        """The error (n,) px at places x (n,) px."""
+        return np.asarray(_waves(x) @ np.array(self.curve))
+
+
+def peak_locking(track: Track) -> PeakLocking | None:
+    """Fold what x leaves about a smooth curve on the place between pixels; None where nothing can be told.
+
+    The curve and the waves go through the same smoother, so that what it takes from the one it takes from the
+    other: a slow target loses precision, not size.
+    """
+    parts = _stretches(track.found)
+    if not parts:
+        return None
+    x, t = track.x_px, track.t
+    left = np.concatenate([_rest(x[part]) for part in parts])
+    waves = np.concatenate([_rest(_waves(x[part])) for part in parts])
+    sigma = np.concatenate([track.sigma_px[part] for part in parts])
+    keep = np.isfinite(sigma) & (np.abs(left) < 6 * 1.4826 * np.median(np.abs(left)) + 1e-12)
+    design, value = waves[keep] / sigma[keep, None], left[keep] / sigma[keep]
+    power, axes = np.linalg.eigh(design.T @ design)
+    if len(value) < 40 or power[0] < 1e-6 * len(value) / np.median(sigma) ** 2:
+        return None
+    inverse = (axes / power) @ axes.T
+    curve = inverse @ (design.T @ value)
+    freedom = len(value) * (1 - 4 / SMOOTH) - 2 * HARMONICS
+    noise = float(np.sum((value - design @ curve) ** 2)) / freedom
+    covariance = inverse * noise
+    strength = float(curve @ np.linalg.solve(covariance, curve))
+    phase = np.linspace(0, 1, 200)
+    shape = _waves(phase) @ curve
+    error = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", _waves(phase), covariance, _waves(phase)))))
+    speed = float(np.median(np.abs(np.concatenate([np.gradient(x[part], t[part]) for part in parts]))))
+    rate = 1 / float(np.median(np.diff(t)))
+    frequency = abs(speed - rate * round(speed / rate))
+    amplitude = float(np.ptp(shape)) / 2
+    feigned = amplitude * (2 * np.pi * frequency) ** 2
+    return PeakLocking(
+        amplitude, error, float(chi2.sf(strength, 2 * HARMONICS)), frequency, feigned, tuple(curve.tolist())
+    )
+
+
+def _waves(x: Array) -> Array:
+    """Cosine and sine of one and two cycles per pixel (n, 4)."""
+    turns = 2 * np.pi * np.asarray(x)[:, None] * np.arange(1, HARMONICS + 1)
+    return np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+
+
+def _stretches(found: Mask) -> list[slice]:
+    """Unbroken stretches of found frames, long enough to be smoothed."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
+    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= 2 * SMOOTH]
+
+
+def _rest(values: Array) -> Array:
+    """What a local cubic leaves of the values along their first axis."""
+    return np.asarray(values - savgol_filter(values, SMOOTH, 3, axis=0), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The history of the match score: usual and lowest value, and stretches (first, last frame) that are low."""
+
+    median: float
+    lowest: float
+    lowest_frame: int
+    low: tuple[tuple[int, int], ...]
+
+
+def scores(track: Track) -> Scores | None:
+    """How well the frames matched; None for a track without scores."""
+    known = np.isfinite(track.score) & track.found
+    if not known.any():
+        return None
+    score = np.where(known, track.score, np.nan)
+    usual = float(np.nanmedian(score))
+    spread = 1.4826 * float(np.nanmedian(np.abs(score - usual)))
+    low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW, 6 * spread))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], low, [False]]).astype(int))).reshape(-1, 2)
+    at = int(np.nanargmin(score))
+    return Scores(usual, float(score[at]), at, tuple((int(a), int(b) - 1) for a, b in edges))
+
+
+@dataclass(frozen=True)
+class ForwardBackward:
+    """A run tracked in both directions: rms difference, px and in standard deviations, and frames found in one only."""
+
+    rms: float
+    in_sigma: float
+    only_one: int
+
+    @property
+    def words(self) -> str:
+        """The result in a sentence."""
+        said = f"tracked backward, positions differ by {self.rms:.2g} px rms ({self.in_sigma:.2g} standard deviations)"
+        lost = f"; {self.only_one} frames are found in one direction only" if self.only_one else ""
+        doubt = ": they depend on where the search came from" if self.in_sigma > 0.5 else ""
+        return said + lost + doubt
+
+
+def forward_backward(forward: Track, backward: Track) -> ForwardBackward:
+    """Compare a track with that of the film played backward (its rows in the order of the film)."""
+    both = forward.found & backward.found
+    only_one = int(np.count_nonzero(forward.found ^ backward.found))
+    if not both.any():
+        return ForwardBackward(float("nan"), float("nan"), only_one)
+    off = np.stack([forward.x_px - backward.x_px, forward.y_px - backward.y_px], axis=1)[both]
+    sigma = np.stack([forward.sigma_px, forward.sigma_y_px], axis=1)[both]
+    return ForwardBackward(
+        float(np.sqrt(np.mean(np.sum(off**2, axis=1)))), float(np.sqrt(np.mean((off / sigma) ** 2))), only_one
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SelfTest:
+    """What a run says of its own measurement."""
+
+    peak_locking: PeakLocking | None
+    scores: Scores | None
+    slips: tuple[Slip, ...]
+    notes: tuple[str, ...]  # only what matters
+
+
+def self_test(track: Track) -> SelfTest:
+    """Peak locking, match scores and faults of the time base, from the track alone."""
+    locking, history, faults = peak_locking(track), scores(track), slips(track)
+    notes = (*_locking_note(locking, track), *_score_note(history), *timing_note(faults))
+    return SelfTest(locking, history, faults, notes)
+
+
+def _locking_note(locking: PeakLocking | None, track: Track) -> tuple[str, ...]:
+    if locking is None or locking.p > SURE or locking.amplitude < MATTERS * float(np.nanmedian(track.sigma_px)):
+        return ()
+    return (
+        f"positions are drawn toward a place between the pixels by {locking.amplitude:.4f} +/- {locking.error:.4f} px "
+        f"(peak locking): at the usual speed a tone of {locking.frequency:.0f} Hz and "
+        f"{locking.acceleration:.3g} px/s^2",
+    )
+
+
+def _score_note(history: Scores | None) -> tuple[str, ...]:
+    if history is None or not history.low:
+        return ()
+    listed = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in history.low[:6])
+    more = f" and {len(history.low) - 6} more stretches" if len(history.low) > 6 else ""
+    return (f"match score low (usually {history.median:.2f}, down to {history.lowest:.2f}) in frames {listed}{more}",)
