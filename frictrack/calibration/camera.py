@@ -8,6 +8,7 @@ gives a homography, and one radial coefficient where that view determines it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,27 +21,19 @@ from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 LEAST_VIEWS = 3
-DETERMINED = 5.0  # standard deviations from 0 of a radial coefficient that is kept
+DETERMINED = 0.01  # standard deviation of the distortion in the corners up to which one view tells it
 SURE = 0.2  # relative standard deviation of the focal length above which the views do not tell it
-LENSES = (
-    ("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_TANGENT_DIST),
-    ("k1, k2, p1, p2", cv2.CALIB_FIX_K3),
-    ("k1, k2, p1, p2, k3", 0),
-)  # what is fitted of the lens, the simplest first
-FREE = {"k1": (0,), "k1, k2, p1, p2": (0, 1, 2, 3), "k1, k2, p1, p2, k3": (0, 1, 2, 3, 4)}
 INTRINSIC = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 COARSE = 1.0  # px of reprojection error that is worth a word
 
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
-    """A camera fitted to views: its lens, the poses (v, 6), the fit's name and quality."""
+    """A camera fitted to views: its lens, the poses (v, 6), and how far the corners lie from it."""
 
     lens: Lens
     poses: Array
-    fitted: str
     rms: float  # px, of the distance
-    bic: float
 
 
 def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneMap:
@@ -54,7 +47,7 @@ def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneM
 
 
 def _single(seen: list[View], board: Board) -> PlaneMap:
-    """One view: homography, and the radial coefficient if it stands out."""
+    """One view: homography, and the radial coefficient where the view tells it well."""
     first = seen[0]
     one = np.ones(len(first.points))
     width, height = first.size
@@ -62,12 +55,12 @@ def _single(seen: list[View], board: Board) -> PlaneMap:
     flat = view(first.points, first.places, one)
     bowed = view(first.points, first.places, one, lens=frame)
     k, std = float(bowed.map.values[-1]), float(np.sqrt(bowed.map.covariance[-1, -1] * _variance(bowed)))
-    told = abs(k) > DETERMINED * std and abs(k) < BEND
+    told = std < DETERMINED and abs(k) < BEND
     kept = bowed if told else flat
     word = (
-        f"lens {1e2 * k:+.2f} ± {1e2 * std:.2f} % in the corners, from this one picture"
+        f"radial distortion {1e2 * k:+.2f} ± {1e2 * std:.2g} % in the corners, from this one picture"
         if told
-        else "no lens distortion that one picture could tell; several pictures, tilted, would give the lens too"
+        else "without lens distortion, which this one picture does not tell; several, tilted, would"
     )
     used = f"scale by a {board.kind}, {len(one)} corners in {first.name}, {kept.rms:.2g} px from the plane; {word}"
     covariance = kept.map.covariance * _variance(kept)
@@ -83,10 +76,9 @@ def _variance(fitted: Homography) -> float:
 
 def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
     """Camera, lens and pose from several views; None where the views do not tell the camera."""
-    cameras = [c for c in (_calibrated(seen, name, flags) for name, flags in LENSES) if c is not None]
-    if not cameras:
+    best = _calibrated(seen)
+    if best is None:
         return None
-    best = min(cameras, key=lambda c: c.bic)
     covariance = _covariance(seen, best)
     values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
     if covariance is None or np.sqrt(covariance[0, 0]) > SURE * values[0]:
@@ -94,48 +86,42 @@ def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
     depth = float(best.poses[0, 5])
     used = (
         f"scale by a {board.kind} in {len(seen)} pictures, {sum(len(v.points) for v in seen)} corners, reprojected "
-        f"to {best.rms:.2g} px; camera, lens ({best.fitted}) and plane ({seen[0].name}) fitted together; the plane is "
-        f"{1e3 * depth:.0f} mm away, so 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
+        f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({seen[0].name}) fitted together; it is "
+        f"{1e3 * depth:.0f} mm away: 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
     )
     return PlaneMap(values, covariance, _place, used=used, notes=_coarse(best.rms))
 
 
-def _calibrated(seen: list[View], name: str, flags: int) -> _Camera | None:
+def _calibrated(seen: list[View]) -> _Camera | None:
+    """Camera, lens and poses; None where OpenCV finds none in front of which all boards lie."""
     solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in seen]
     flat = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in seen]
-    start = cv2.initCameraMatrix2D(solid, flat, seen[0].size) if hasattr(cv2, "initCameraMatrix2D") else np.eye(3)
+    start = cv2.initCameraMatrix2D(solid, flat, seen[0].size)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     try:
         rms, matrix, bend, turns, shifts = cv2.calibrateCamera(
-            solid, flat, seen[0].size, start, np.zeros(5), flags=flags, criteria=criteria
+            solid, flat, seen[0].size, start, np.zeros(5), criteria=criteria
         )
     except cv2.error:
         return None
     poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(turns, shifts, strict=True)])
     if not (np.isfinite(rms) and np.all(np.isfinite(matrix)) and np.all(poses[:, 5] > 0)):
         return None
-    n = 2 * sum(len(v.points) for v in seen)
-    unknowns = 4 + len(FREE[name]) + poses.size
-    bic = n * float(np.log(max(rms, 1e-6) ** 2)) + unknowns * float(np.log(n))
-    return _Camera(Lens(matrix, np.ravel(bend)[:5]), poses, name, float(rms), bic)
+    return _Camera(Lens(_floats(matrix), _floats(bend).ravel()[:5]), poses, float(rms))
 
 
 def _intrinsics(lens: Lens) -> Array:
     m = lens.matrix
-    distortion = np.zeros(5)
-    distortion[: min(5, len(lens.distortion))] = lens.distortion[:5]
-    return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *distortion])
+    return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion])
 
 
 def _covariance(seen: list[View], camera: _Camera) -> Array | None:
     """Covariance (15, 15) of camera, lens and first pose, with all other poses free (their part eliminated)."""
-    free = np.array([0, 1, 2, 3, *(4 + k for k in FREE[camera.fitted])])
-    normal = np.zeros((len(free), len(free)))
-    square, count = 0.0, -len(free)
+    normal = np.zeros((INTRINSIC, INTRINSIC))
+    square, count = 0.0, -INTRINSIC
     own = cross = None
     for k, v in enumerate(seen):
         pose, lens, misfit = _slopes(v, camera, k)
-        lens = lens[:, free]
         square, count = square + float(misfit @ misfit), count + len(misfit) - 6
         normal += lens.T @ lens
         if k == 0:
@@ -148,11 +134,8 @@ def _covariance(seen: list[View], camera: _Camera) -> Array | None:
     size = np.sqrt(np.diag(whole))
     if count < 1 or not np.all(size > 0):
         return None
-    scaled = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    out = np.zeros((INTRINSIC + 6, INTRINSIC + 6))
-    at = np.concatenate([free, INTRINSIC + np.arange(6)])
-    out[np.ix_(at, at)] = scaled * square / count
-    return out
+    inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
+    return np.asarray(inverse * square / count)
 
 
 def _slopes(v: View, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
@@ -160,7 +143,12 @@ def _slopes(v: View, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
     solid = np.column_stack([v.places, np.zeros(len(v.places))])
     pose = camera.poses[k]
     at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
-    return slopes[:, :6], slopes[:, 6 : 6 + INTRINSIC], (at.reshape(-1, 2) - v.points).ravel()
+    slopes, at = _floats(slopes), _floats(at).reshape(-1, 2)
+    return slopes[:, :6], slopes[:, 6 : 6 + INTRINSIC], (at - v.points).ravel()
+
+
+def _floats(raw: Any) -> Array:
+    return np.asarray(raw, dtype=np.float64)
 
 
 def _place(values: Array, points: Array) -> Array:

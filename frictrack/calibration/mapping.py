@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def plane_map(
     """
     kind = written.kind_of(scale)
     if kind == "several":
-        return _checked([plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in scale], track)
+        return _checked([plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track)
     shape = film.shape if film is not None else None
     known = _lens(lens, shape)
     straight = known.straight if known else as_seen

@@ -1,9 +1,9 @@
 """The target's own size as the scale: its outline, edge to edge along the course, on its averaged picture.
 
-The picture is the median of cut-outs over the run, so that the background goes grey while the target stays. On
-every line along the course the two places are found at which the grey value is half-way between background and
-target. Squared chords of a rectangle are constant from line to line, those of a disc or ellipse a parabola whose
-top is the diameter: the width is read there.
+The picture is the median of cut-outs over the run, so that the background goes grey while the target stays. Along
+the course the two places are found at which the grey value is half-way between background and target. Squared chords
+of a rectangle are constant from line to line, those of a disc or ellipse a parabola whose top is the diameter: the
+width is read there.
 """
 
 from __future__ import annotations
@@ -12,21 +12,23 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, median_filter
+from scipy.signal import savgol_filter
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
-from frictrack.records import Array, Mask, Track
+from frictrack.records import Array, Track
 
 FRAMES = 48
 RIM = 12  # px beyond the rectangle, or a fifth of it where that is more
 OVERSAMPLED = 4  # readings per px along the course
-EDGE = 0.1  # px: how far light and focus may move an edge
+EDGE = 0.15  # px: how far light and focus may move an edge
 CLEAR = 4.0  # noise of the background above which a line belongs to the target
 BAND = 0.8  # of the rectangle's height that is read
-LEAST = 8  # lines on which both edges must be found
-TOGETHER = 8.0  # lines that are wrong together (texture, blur), px
-ROUND = 4.0  # standard deviations from which chords are taken for those of a disc
+LEAST = 12  # lines on which the edge must be found
+ROUND = 0.1  # curvature of the squared chords from which they are those of a disc
+GROUPS = 6  # of lines, whose scatter says how well the edge is known
+DEEP, NEAR = 7, 3  # px from the edge within which its two levels are read
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,24 +54,15 @@ def target_width(track: Track, direction: Array, film: Recording | None = None) 
         raise FrictrackError("expected a track with its target's rectangle for a scale by the target's size")
     picture = _averaged(track, film) if film is not None else np.asarray(track.picture)
     along = np.asarray(direction, dtype=np.float64) / np.hypot(*direction)
-    lines, step = _lines(picture, along, track.target[2:])
-    left, right = _edges(lines), lines.shape[1] - 1 - _edges(lines[:, ::-1])
-    chords = (right - left) * step
-    good = np.isfinite(chords) & (chords > 0)
-    good[good] &= np.abs(chords[good] - np.median(chords[good])) < 0.25 * np.median(chords[good])
-    if np.count_nonzero(good) < max(LEAST, len(lines) // 3):
-        raise FrictrackError(
-            "the target's outline does not stand out from the background on both sides, so its size gives no scale; "
-            'give target = [x, y, w, h] round all of it, or a ruler as scale = {points = [[x, y], [x, y]], length = "100 mm"}'
-        )
-    width, std, shape = _widest(np.flatnonzero(good).astype(float), chords[good])
-    middle = float(np.median((left + right)[good])) / 2
-    centre = np.array(track.target[:2]) + (np.array(track.target[2:]) - 1) / 2
-    centre = centre + along * (middle - (lines.shape[1] - 1) / 2) * step
+    lines = _lines(picture, along, track.target[2:])
+    left, right = _edge(lines), _edge(lines[:, ::-1])
+    chords = (lines.shape[1] - 1 - right.at - left.at) / OVERSAMPLED
+    width, shape = _widest(chords)
+    std = float(np.sqrt(left.std**2 + right.std**2 + 2 * EDGE**2))
+    middle = float(np.median(left.at - right.at)) / 2 / OVERSAMPLED
+    centre = np.array(track.target[:2]) + (np.array(track.target[2:]) - 1) / 2 + along * middle
     ends = np.stack([centre - along * width / 2, centre + along * width / 2])
-    total = float(np.hypot(std, np.sqrt(2) * EDGE))
-    used = f"{width:.2f} ± {total:.2f} px from edge to edge on {np.count_nonzero(good)} lines ({shape})"
-    return Width(ends, total, used)
+    return Width(ends, std, f"{width:.2f} ± {std:.2f} px from edge to edge ({shape})")
 
 
 def _averaged(track: Track, film: Recording) -> Array:
@@ -103,8 +96,8 @@ def _spread(at: Array) -> np.ndarray:
     return np.searchsorted(path, np.linspace(0, path[-1], FRAMES)).clip(0, len(at) - 1)
 
 
-def _lines(picture: Array, along: Array, size: tuple[float, ...]) -> tuple[Array, float]:
-    """Readings (lines, n) along the course, through the middle of the picture, and their step in px."""
+def _lines(picture: Array, along: Array, size: tuple[float, ...]) -> Array:
+    """Readings (lines, n) along the course, through the middle of the picture, `OVERSAMPLED` per px."""
     across = np.array([-along[1], along[0]])
     middle = (np.array(picture.shape[::-1]) - 1) / 2
     high = BAND * float(np.abs(across) @ np.array(size)) / 2
@@ -114,58 +107,76 @@ def _lines(picture: Array, along: Array, size: tuple[float, ...]) -> tuple[Array
     s = np.arange(-n, n + 1) / OVERSAMPLED
     at = middle + offsets[:, None, None] * across + s[None, :, None] * along
     lines = map_coordinates(picture, [at[..., 1], at[..., 0]], order=3, mode="nearest")
-    return np.asarray(lines, dtype=np.float64), 1 / OVERSAMPLED
+    return np.asarray(lines, dtype=np.float64)
 
 
-def _edges(lines: Array) -> Array:
-    """Where each line (coming from the left) leaves the background: reading number (lines,), NaN where it is not clear.
+@dataclass(frozen=True, eq=False)
+class _Edge:
+    """Where lines coming from the left leave the background: reading number `at` (lines,), and its deviation, px."""
 
-    The half level between the background outside and the plateau that the first change leads to.
+    at: Array
+    std: float
+
+
+def _edge(lines: Array) -> _Edge:
+    """The outline on the left of the lines (n, m): found on each, then refined on groups of lines laid over each other.
+
+    Texture moves the edge of a single line; over many lines it averages out, and half-way between the levels outside
+    and inside is the edge.
     """
+    rough = _rough(lines)
+    good = np.flatnonzero(np.isfinite(rough))
+    if len(good) < max(LEAST, 0.6 * len(lines)):
+        raise _unclear()
+    filled = np.interp(np.arange(len(lines)), good, rough[good])
+    window = max(len(lines) // 3 // 2 * 2 + 1, 5)
+    smooth = savgol_filter(median_filter(filled, size=min(window, 7), mode="nearest"), window, 2, mode="interp")
+    offset = np.arange(-DEEP * OVERSAMPLED, DEEP * OVERSAMPLED + 1)
+    readings = np.arange(lines.shape[1])
+    laid = np.array([np.interp(at + offset, readings, line) for at, line in zip(smooth, lines, strict=True)])
+    shifts = np.array([_half_way(group.mean(axis=0)) for group in np.array_split(laid, GROUPS)])
+    if not np.all(np.isfinite(shifts)):
+        raise _unclear()
+    return _Edge(smooth + shifts.mean(), float(shifts.std(ddof=1) / np.sqrt(GROUPS) / OVERSAMPLED))
+
+
+def _unclear() -> FrictrackError:
+    return FrictrackError(
+        "the target's outline does not stand out from the background on both sides, so its size gives no scale; "
+        "give target = [x, y, w, h] round all of it, or a ruler: "
+        'scale = {points = [[x, y], [x, y]], length = "100 mm"}'
+    )
+
+
+def _half_way(profile: Array) -> float:
+    """Shift, in readings, of the place half-way between outside and inside from the middle of a profile."""
+    flat = NEAR * OVERSAMPLED
+    middle = len(profile) // 2
+    outside, inside = float(np.mean(profile[: middle - flat])), float(np.mean(profile[middle + flat :]))
+    over = (profile - (outside + inside) / 2) * np.sign(inside - outside)
+    turns = np.flatnonzero((over[:-1] < 0) & (over[1:] >= 0))
+    if not len(turns):
+        return float("nan")
+    i = int(turns[np.argmin(np.abs(turns - middle))])
+    return float(i - over[i] / (over[i + 1] - over[i]) - middle)
+
+
+def _rough(lines: Array) -> Array:
+    """Reading number (lines,) at which each line first differs from its background; NaN where that is not clear."""
     rim = max(3 * OVERSAMPLED // 2, 4)
     outside = np.median(lines[:, :rim], axis=1)
-    noise = max(float(np.median(np.abs(lines[:, :rim] - outside[:, None]))) * 1.5, 1.0)
-    off = np.abs(lines - outside[:, None])
-    strong = np.quantile(off[:, : lines.shape[1] // 2], 0.75, axis=1)
-    level = np.maximum(0.5 * strong, CLEAR * noise)
-    return np.array([_crossing(line, base, least) for line, base, least in zip(lines, outside, level, strict=True)])
+    noise = max(1.5 * float(np.median(np.abs(lines[:, :rim] - outside[:, None]))), 1.0)
+    off = np.abs(lines - outside[:, None])[:, : lines.shape[1] * 3 // 4]
+    level = np.maximum(0.5 * np.quantile(off[:, : lines.shape[1] // 2], 0.75, axis=1), CLEAR * noise)
+    first = np.argmax(off > level[:, None], axis=1).astype(np.float64)
+    return np.where(np.any(off > level[:, None], axis=1) & (first >= OVERSAMPLED), first, np.nan)
 
 
-def _crossing(line: Array, outside: float, least: float) -> float:
-    """Half-way between the background and the first extreme that differs from it by `least`."""
-    off = np.abs(line[: len(line) * 3 // 4] - outside)
-    beyond: Mask = off > least
-    if not np.any(beyond):
-        return float("nan")
-    first = int(np.argmax(beyond))
-    if first < OVERSAMPLED:
-        return float("nan")  # no background is left outside
-    top = first
-    while top + 1 < len(off) and off[top + 1] >= off[top]:
-        top += 1
-    half = off[top] / 2
-    below = np.flatnonzero(off[:top] < half)
-    if not len(below):
-        return float("nan")
-    i = int(below[-1])
-    return float(i + (half - off[i]) / (off[i + 1] - off[i]))
-
-
-def _widest(row: Array, chords: Array) -> tuple[float, float, str]:
-    """Width, its standard deviation and what shape it was read from."""
-    u = (row - row.mean()) / max(float(np.ptp(row)) / 2, 1.0)
-    spread = 1.4826 * float(np.median(np.abs(chords - np.median(chords))))
-    design = np.stack([np.ones_like(u), u, u**2], axis=1)
-    weight = np.ones_like(u)
-    for _ in range(5):
-        root = np.sqrt(weight)[:, None]
-        (a, b, c), *_ = np.linalg.lstsq(design * root, chords**2 * root[:, 0], rcond=None)
-        left = chords**2 - design @ np.array([a, b, c])
-        scale = 1.4826 * float(np.median(np.abs(left))) + 1e-9
-        weight = 1 / (1 + (left / (2 * scale)) ** 2)
-    together = np.sqrt(min(TOGETHER, len(u)) / len(u))
-    std_c = 3.4 * scale * together  # of the u^2 coefficient: 1 / sqrt(var(u^2)) of even spacing
-    if c < -ROUND * std_c and abs(b / (2 * c)) < 1 and -c > 0.02 * a:
-        width = float(np.sqrt(a - b**2 / (4 * c)))
-        return width, 1.5 * scale * together / (2 * width), "round: its diameter"
-    return float(np.median(chords)), 1.25 * spread * together, "straight: their median"
+def _widest(chords: Array) -> tuple[float, str]:
+    """The width, px, and the shape that it was read from."""
+    u = np.linspace(-1.0, 1.0, len(chords))
+    c, b, a = np.polyfit(u, chords**2, 2)
+    left = chords**2 - np.polyval([c, b, a], u)
+    if -c > ROUND * a and np.std(left) < 0.2 * abs(c) and abs(b) < -2 * c:
+        return float(np.sqrt(a - b**2 / (4 * c))), "round: its diameter"
+    return float(np.median(chords)), "straight: the middle chord"

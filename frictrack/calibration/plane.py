@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from frictrack.records import Array
 
@@ -57,14 +58,14 @@ class PlaneMap:
         """Distance in m between two picture points (2, 2) px, and its relative standard deviation."""
         length = _distance(self.place(self.values, ends))
         slope = np.zeros(len(self.values))
-        for k, variance in enumerate(np.diag(self.covariance)):
-            std = float(np.sqrt(variance))
+        for k in range(len(slope)):
+            std = float(np.sqrt(self.covariance[k, k]))
             step = np.zeros(len(self.values))
             step[k] = STEP * std
             if std > 0:
                 far, near = (_distance(self.place(self.values + s, ends)) for s in (step, -step))
                 slope[k] = (far - near) / (2 * STEP * std)
-        return length, float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)) / length)
+        return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
 
     def scaled(self, factor: float, relative: float) -> PlaneMap:
         """The map times a factor that is itself known to a relative standard deviation."""
@@ -81,7 +82,7 @@ class PlaneMap:
         )
 
 
-def uniform(values: Array, covariance: Array, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
+def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
     """The same pitch everywhere on the straightened picture; `pitch(values)` in m/px."""
     return PlaneMap(
         np.asarray(values, dtype=np.float64),
