@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack import store
-from frictrack.calibration import calibrate, parse_scale
+from frictrack.calibration import calibrate, parse_scale, plane_map
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level
@@ -95,6 +95,10 @@ class RunWork:
 
     def written(self, value: Any) -> Any:
         """A key's value as JSON has it, a path as the study file has it."""
+        if isinstance(value, dict):
+            return {key: self.written(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [self.written(part) for part in value]
         if not isinstance(value, Path):
             return plain(value)
         inside = value.is_relative_to(self.study.folder)
@@ -103,9 +107,9 @@ class RunWork:
     def _from(self, name: str) -> list[str]:
         """Keys of the inputs and hashes of the files that a stage reads."""
         stage = self.stages[name]
-        paths = [getattr(self.run, key) for key in stage.settings]
+        paths = [path for key in stage.settings for path in _paths(getattr(self.run, key))]
         beside = [self.anchor.key("track")] if name == "displacement" and self.anchor else []
-        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in paths if isinstance(p, Path)]
+        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in paths]
 
     @cached_property
     def anchor(self) -> RunWork | None:
@@ -118,7 +122,12 @@ class RunWork:
     def _content(self, path: Path) -> str:
         if path == self.run.video:
             return self.recording.hash
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+        found = []
+        for one in files:
+            with one.open("rb") as file:
+                found.append(hashlib.file_digest(file, "sha256").hexdigest())
+        return found[0] if found == found[:1] else digest(found)
 
     def _load(self, name: str) -> Any:
         kind = self.stages[name].kind
@@ -150,6 +159,13 @@ class RunWork:
 def digest(value: Any) -> str:
     """SHA-256 of anything that JSON can write."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _paths(value: Any) -> list[Path]:
+    """The files that a key names, also inside a table or a list."""
+    if isinstance(value, dict | list):
+        return [path for part in (value.values() if isinstance(value, dict) else value) for path in _paths(part)]
+    return [value] if isinstance(value, Path) else []
 
 
 def _film(work: RunWork) -> Film:
@@ -195,9 +211,10 @@ def _calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displa
     from frictrack.tracking import aligned  # noqa: PLC0415
 
     run, anchor = work.run, work.anchor
+    plane = plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
     return calibrate(
         aligned(track, anchor.get("track")) if anchor else track,
-        run.scale,
+        plane,
         axis=run.axis,
         origin_px=run.origin_px,
         x_offset=run.x_offset,
@@ -299,7 +316,13 @@ FILM = _chain(
     Stage("recording", (), ("video", "fps"), _film, Film),
     Stage("track", ("recording",), ("target", "template"), _track, Track),
     Stage("tracks", ("recording",), ("reference", "targets"), _tracks, dict),
-    Stage("displacement", ("track", "tracks"), ("scale", "axis", "origin_px", "x_offset"), _calibrated, Displacement),
+    Stage(
+        "displacement",
+        ("track", "tracks"),
+        ("scale", "lens", "axis", "origin_px", "x_offset"),
+        _calibrated,
+        Displacement,
+    ),
 )
 TABLE = _chain(
     Stage("displacement", (), ("table", "columns", "scale", "x_offset"), _tabled, Displacement),

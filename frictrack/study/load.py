@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from frictrack.errors import FrictrackError
-from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, nearest
+from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, nearest, needs_film
 
 TABLES: dict[str, type[Keys]] = {
     "study": StudyTable,
@@ -145,9 +145,11 @@ class _Reader:
             came = "neither" if run.video is None else "both"
             self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
             return run
-        inherited = {"mass": head.mass, "fps": camera.fps, "scale": camera.scale}
+        inherited = {"mass": head.mass, "fps": camera.fps, "scale": camera.scale, "lens": camera.lens}
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
+        if run.table and needs_film(run.scale):  # the camera's board says nothing of a table
+            run = run.model_copy(update={"scale": None})
         self.faults += [f"{where}: {fault}" for fault in _run_faults(run)]
         return run
 

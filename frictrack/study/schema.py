@@ -100,18 +100,45 @@ def _model(raw: Any) -> Any:
     raise ValueError(f"expected the name of a model or a list of effects but got {raw!r}")
 
 
-def _scale(raw: Any) -> Any:
+def _scale(raw: Any, info: ValidationInfo) -> Any:
+    """As it is written, files looked up; what the numbers must be is checked where they are used."""
     if isinstance(raw, str | int | float) and not isinstance(raw, bool):
         return raw
-    if isinstance(raw, dict) and set(raw) == {"points", "length"}:
+    if isinstance(raw, list) and raw:
+        return [_scale(one, info) for one in raw]
+    if not isinstance(raw, dict) or not raw:
+        wanted = '"0.5 mm/px" or {points = [[x, y], [x, y]], length = "100 mm"}'
+        raise ValueError(f"expected {wanted} but got {raw!r}")
+    for key in raw:
+        if key not in SCALE:
+            raise ValueError(f'expected one of {", ".join(SCALE)} but got "{key}"; {nearest(key, SCALE)}')
+    if "board" not in raw:
         return raw
-    wanted = '"0.5 mm/px" or {points = [[x, y], [x, y]], length = "100 mm"}'
-    raise ValueError(f"expected {wanted} but got {raw!r}")
+    board = raw["board"]
+    found = [_path(one, info) for one in board] if isinstance(board, list) else _path(board, info)
+    return {**raw, "board": found}
 
 
+def _axis(raw: Any) -> Any:
+    numbers = isinstance(raw, list) and len(raw) == 2 and all(isinstance(v, int | float) for v in raw)
+    if raw == "track" or (numbers and any(raw)):
+        return raw
+    raise ValueError(f'expected the course axis as [dx, dy] px or "track" but got {raw!r}')
+
+
+def needs_film(scale: Any) -> bool:
+    """Whether a scale can be told from a film only: a table has no pixels, at most a pitch."""
+    first = scale[0] if isinstance(scale, list) else scale
+    return isinstance(first, dict) and "length" not in first
+
+
+SCALE = (
+    "points", "length", "click", "plane", "unit", "target", "board", "squares", "square", "dictionary", "marker",
+)  # fmt: skip
 Rectangle = Annotated[tuple[float, float, float, float], BeforeValidator(_rectangle)]
 Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
+Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
 Frequency = Annotated[float, _number("Hz", above=0.0)]
 Place = Annotated[float, _number("m")]
@@ -142,6 +169,7 @@ class CameraTable(Keys):
 
     fps: Frequency | None = None
     scale: Scale | None = None
+    lens: File | None = None
 
 
 class RunTable(Keys):
@@ -153,13 +181,14 @@ class RunTable(Keys):
     mass: Mass | None = None
     fps: Frequency | None = None
     scale: Scale | None = None
+    lens: File | None = None  # camera matrix and distortion, calibrated before
     target: Rectangle | None = None
     reference: Rectangle | None = None
     targets: dict[str, Rectangle] = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
     template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands
-    axis: Pair | None = None
+    axis: Axis | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0
     free: Times | None = None
