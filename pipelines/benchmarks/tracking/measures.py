@@ -77,7 +77,7 @@ def pool(films: Sequence[Judged]) -> dict[str, Any]:
     errors = np.concatenate([f.error for f in films])
     bound = _rms([f.bound for f in films])
     rms = _rms(errors)
-    above, floor = (np.mean([f.locking[k] for f in films]) for k in (0, 1))
+    above, floor = (_rms(np.sqrt([f.locking[k] for f in films])) ** 2 for k in (0, 1))
     rough, white = (_rms([f.acceleration[k] for f in films]) for k in (0, 1))
     return {
         "frames": len(errors),
@@ -86,7 +86,7 @@ def pool(films: Sequence[Judged]) -> dict[str, Any]:
         "rms_over_bound": rms / bound,
         "locking_mpx": 1e3 * float(np.sqrt(max(above - floor, 0.0))),
         "locking_noise_mpx": 1e3 * float(np.sqrt(floor)),
-        "worst_px": max(f.worst for f in films),
+        "worst_px": float(np.nanmax([f.worst for f in films], initial=0.0)),
         "lost": sum(f.lost for f in films),
         "silent": sum(f.silent for f in films),
         "frames_per_s": len(errors) / sum(f.seconds for f in films),
