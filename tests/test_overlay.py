@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from film import Film, block_film
+import pytest
+from blocks import SHAPE, SLIDE, N, a_film
 
+from frictrack.errors import FrictrackError
+from frictrack.records import Track
 from frictrack.tracking import contact_sheet, target_line, track
-
-SIZE, SHAPE = (36, 48), (64, 240)  # of the block and the picture, px
-N = 80
-SLIDE = 40 + 150 * (1 - np.exp(-np.arange(N) / 40))
+from frictrack.tracking.overlay import COLOURS, corners, overlay_video
 
 
-def a_film(x, change=None, **given):
-    """The block film, drawn once; `change(i, frame)` may spoil frames."""
-    source = block_film(np.asarray(x), size=SIZE, shape=SHAPE, **given)
-    frames = [source.frame(i) for i in range(len(source))]
-    if change:
-        frames = [change(i, frame.copy()) for i, frame in enumerate(frames)]
-    return Film(lambda i: frames[i], len(frames), frames[0].shape)
+def a_track(x, name="target", angle=0.0, lost=()):
+    """A track of a block, as the tracker would return it."""
+    n = len(x)
+    one, y = np.full(n, 0.003), np.full(n, 31.5)
+    places = np.array(x, dtype=float)
+    places[list(lost)] = np.nan
+    reason = np.array(["gone" if i in lost else "" for i in range(n)])
+    where = (float(round(x[0] - 24)), 13.0, 48.0, 36.0)
+    return Track(np.arange(n) / 4000, places, y, angle * one / 0.003, one, one, one, reason, name, where)
+
+
+def near(picture, colour, tolerance=40):
+    """Pixels (rows, columns) of about this colour (B, G, R)."""
+    return np.nonzero(np.all(np.abs(picture.astype(int) - colour) < tolerance, axis=2))
 
 
 def test_contact_sheet(tmp_path):
@@ -32,3 +39,67 @@ def test_contact_sheet(tmp_path):
     orange = np.all(np.abs(picture.astype(int) - (0x1C, 0x9F, 0xFF)) < 30, axis=2)
     assert orange.sum() > 500  # the rectangles
     assert target_line(result).startswith("target = [")
+
+
+def test_contact_sheet_with_a_reference(tmp_path):
+    recording, base = a_film(SLIDE), a_track(np.full(N, 200.0), "reference")
+    plain = cv2.imread(str(contact_sheet(recording, a_track(SLIDE), tmp_path / "a.png")))
+    both = cv2.imread(str(contact_sheet(recording, a_track(SLIDE), tmp_path / "b.png", [base])))
+    green = (0x5A, 0xDC, 0x78)
+    assert len(near(plain, green)[0]) < 20
+    assert len(near(both, green)[0]) > 500
+
+
+def frames_of(path):
+    film = cv2.VideoCapture(str(path))
+    found = []
+    while True:
+        ok, frame = film.read()
+        if not ok:
+            return found
+        found.append(frame)
+
+
+@pytest.mark.parametrize("name", ["out.avi", "out.mp4"])
+def test_the_rectangle_is_where_the_target_is(tmp_path, name):
+    path = overlay_video(a_film(SLIDE), a_track(SLIDE), tmp_path / name)
+    frames = frames_of(path)
+    assert len(frames) == N
+    zoom = 3  # 240 px are enlarged to at least 640
+    assert frames[0].shape[1] == zoom * SHAPE[1]
+    for i in (0, 30, 79):
+        # Compressed colours are washed out; orange is where red exceeds blue.
+        red = frames[i][: zoom * SHAPE[0], :, 2].astype(int) - frames[i][: zoom * SHAPE[0], :, 0]
+        _, columns = np.nonzero(red > 90)
+        assert columns.max() / zoom == pytest.approx(SLIDE[i] + 24, abs=1.5)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_long_film_stays_small_and_others_have_colours(tmp_path):
+    others = [a_track(np.full(N, 200.0), "reference")]
+    frames = frames_of(overlay_video(a_film(SLIDE), a_track(SLIDE), tmp_path / "out.avi", others=others, frames=20))
+    assert len(frames) == 20
+    assert frames[0].shape[0] == 3 * SHAPE[0] + 2 * 22
+    blue = frames[5][..., 0].astype(int) - frames[5][..., 2]
+    assert np.count_nonzero(blue > 90) > 200
+    assert COLOURS[0] != COLOURS[1]
+
+
+def test_a_lost_frame_has_no_rectangle(tmp_path):
+    frames = frames_of(overlay_video(a_film(SLIDE), a_track(SLIDE, lost=[40]), tmp_path / "out.avi"))
+    orange = [np.count_nonzero(f[:192, :, 2].astype(int) - f[:192, :, 0] > 90) for f in frames]
+    assert orange[40] < 0.7 * orange[39]
+    assert orange[41] > 0.9 * orange[39]
+
+
+def test_the_rectangle_turns_with_the_target():
+    """A positive angle turns x toward y, which is down: clockwise as seen."""
+    turned = corners(a_track(SLIDE, angle=0.1), 0)
+    upper_left, upper_right = turned[0], turned[1]
+    assert upper_right[1] - upper_left[1] == pytest.approx(48 * np.sin(0.1))
+    np.testing.assert_allclose(turned.mean(axis=0), (SLIDE[0], 31.5))
+
+
+def test_an_overlay_in_an_unknown_format(tmp_path):
+    with pytest.raises(FrictrackError, match=r'out.gif: expected an overlay ending in .avi or .mp4 but got ".gif"'):
+        overlay_video(a_film(SLIDE[:3]), a_track(SLIDE[:3]), tmp_path / "out.gif")

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
+from frictrack.tracking.overlay import corners
 
 FRAMES = 5  # and one panel for the target itself
 MARK, PATH = "#ff9f1c", "#2ec4ff"
+OTHERS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
 
 def target_line(track: Track) -> str:
@@ -25,10 +28,10 @@ def target_line(track: Track) -> str:
     return line if track.template == 0 else f"{line}\ntemplate = {track.template}"
 
 
-def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
+def contact_sheet(recording: Recording, track: Track, path: str | Path, others: Sequence[Track] = ()) -> Path:
     """Write a PNG of a handful of frames with the tracked rectangle and path, and of the target itself.
 
-    Returns the path written.
+    `others` (a reference, further targets) are drawn with their names. Returns the path written.
     """
     found = np.flatnonzero(track.found)
     shown = np.unique(found[np.linspace(0, len(found) - 1, FRAMES).astype(int)])
@@ -39,6 +42,8 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path) -> Path:
     panels = np.ravel(figure.subplots(6 // columns, columns))
     for panel, i in zip(panels, shown, strict=False):
         _frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
+        for colour, other in zip(OTHERS, others, strict=False):
+            _other(panel, other, int(i), colour)
     for panel in panels[len(shown) : -1]:
         panel.set_axis_off()
     _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
@@ -73,12 +78,19 @@ def _kind(reason: str) -> str:
 
 
 def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
-    w, h = _rectangle(track)[2:]
     _show(panel, picture, bit_depth)
     panel.plot(track.x_px, track.y_px, color=PATH, lw=1.5)
-    corner = (track.x_px[i] - w / 2, track.y_px[i] - h / 2)
-    panel.add_patch(Rectangle(corner, w, h, fill=False, ec=MARK, lw=2.5))
+    panel.add_patch(Polygon(corners(track, i), fill=False, ec=MARK, lw=2.5))
     panel.set_title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", fontsize=14)
+
+
+def _other(panel: Axes, track: Track, i: int, colour: str) -> None:
+    """Rectangle and name of a further track, where it was found."""
+    if track.target is None or i >= len(track) or not track.found[i]:
+        return
+    panel.add_patch(Polygon(corners(track, i), fill=False, ec=colour, lw=2))
+    x, y = corners(track, i)[0]
+    panel.text(x, y - 2, track.name, color=colour, fontsize=11, va="bottom")
 
 
 def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:

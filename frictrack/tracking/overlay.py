@@ -1,0 +1,142 @@
+"""The overlay video: the film with what was tracked in it, to be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+from frictrack.recording import Frame, Recording
+from frictrack.records import Array, Track
+
+FRAMES = 400  # written at most, so that the file stays small
+RATE = 30.0  # 1/s, at which they are shown
+CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
+WIDTH = 640  # px, least; smaller pictures are enlarged
+BAR = 22  # px of text below the picture, for each track
+# Blue, green, red: orange for the target, then blue, green and pink.
+COLOURS = ((28, 159, 255), (255, 196, 46), (90, 220, 120), (200, 120, 255))
+SHIFT = 4  # binary digits of a pixel in which OpenCV draws
+
+Canvas = NDArray[np.uint8]
+
+
+def overlay_video(
+    recording: Recording, track: Track, path: str | Path, *, others: Sequence[Track] = (), frames: int = FRAMES
+) -> Path:
+    """Write an AVI or MP4 of the film with the tracked rectangle, its trail, and the numbers of every frame.
+
+    `others` (a reference, further targets) are drawn in other colours. At most about `frames` are written, spread
+    over the film. Returns the path written; a film appears whole or not at all.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in CODECS:
+        raise FrictrackError(f'{path.name}: expected an overlay ending in .avi or .mp4 but got "{path.suffix}"')
+    tracks = (track, *others)
+    stride = max(1, -(-recording.n_frames // max(frames, 1)))
+    zoom = max(1, -(-WIDTH // recording.shape[1]))
+    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+    writer: cv2.VideoWriter | None = None
+    low, high = 0.0, 1.0
+    try:
+        for k, frame in enumerate(recording.frames(step=stride)):
+            if writer is None:
+                low, high = _limits(frame)
+                size = (_even(recording.shape[1] * zoom), _even(recording.shape[0] * zoom + BAR * len(tracks)))
+                writer = _writer(partial, size)
+            picture = _drawn(_canvas(frame, (low, high), zoom), tracks, k * stride, zoom)
+            writer.write(_fitted(picture, size))
+    finally:
+        if writer is not None:
+            writer.release()
+    if writer is None:
+        raise FrictrackError(f"{recording.path.name}: expected frames to draw on but none can be read")
+    partial.replace(path)
+    return path
+
+
+def _even(length: int) -> int:
+    return length + length % 2
+
+
+def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
+    code = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
+    writer = cv2.VideoWriter(str(path), code, RATE, size)
+    if not writer.isOpened():
+        raise FrictrackError(f"{path.name}: the overlay cannot be written here; check the folder, or try .avi")
+    return writer
+
+
+def _limits(frame: Frame) -> tuple[float, float]:
+    """Grey values shown black and white, the same for the whole film: flicker shall be seen."""
+    low, high = np.percentile(frame, [0.2, 99.8])
+    return float(low), float(max(high, low + 1))
+
+
+def _canvas(frame: Frame, limits: tuple[float, float], zoom: int) -> Canvas:
+    low, high = limits
+    grey = np.clip((frame.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    if zoom > 1:
+        grey = np.repeat(np.repeat(grey, zoom, axis=0), zoom, axis=1)
+    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+
+
+def _fitted(picture: Canvas, size: tuple[int, int]) -> Canvas:
+    """Codecs want even sides."""
+    right, below = size[0] - picture.shape[1], size[1] - picture.shape[0]
+    return np.asarray(np.pad(picture, ((0, below), (0, right), (0, 0))))
+
+
+def _drawn(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> Canvas:
+    """The picture with all tracks of frame i and a line of text for each."""
+    bar = np.zeros((BAR * len(tracks), picture.shape[1], 3), np.uint8)
+    for k, track in enumerate(tracks):
+        colour = COLOURS[k % len(COLOURS)]
+        _trail(picture, track, i, zoom, colour)
+        if i < len(track) and track.found[i] and track.target is not None:
+            points = _points(corners(track, i), zoom)
+            cv2.polylines(picture, [points], True, colour, 2, cv2.LINE_AA, SHIFT)
+        cv2.putText(bar, _words(track, i), (6, BAR * k + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+    return np.vstack([picture, bar])
+
+
+def corners(track: Track, i: int) -> Array:
+    """Corners (4, 2) px of the target's rectangle in frame i, turned by its angle."""
+    assert track.target is not None
+    w, h = track.target[2:]
+    angle = float(np.nan_to_num(track.angle[i]))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    box = 0.5 * np.array([[-w, -h], [w, -h], [w, h], [-w, h]])
+    return np.asarray(box @ turn.T + (track.x_px[i], track.y_px[i]), dtype=np.float64)
+
+
+def _trail(picture: Canvas, track: Track, i: int, zoom: int, colour: tuple[int, int, int]) -> None:
+    """Where the target was, up to frame i, broken where it was lost."""
+    at = np.stack([track.x_px, track.y_px], axis=1)[: i + 1]
+    found = np.flatnonzero(track.found[: i + 1])
+    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
+        if len(part) > 1:
+            cv2.polylines(picture, [_points(at[part], zoom)], False, colour, 1, cv2.LINE_AA, SHIFT)
+
+
+def _points(at: Array, zoom: int) -> NDArray[Any]:
+    """Places (n, 2) px as OpenCV draws them on the enlarged picture; pixel centres are integers."""
+    return np.rint(((at + 0.5) * zoom - 0.5) * 2**SHIFT).astype(np.int32)
+
+
+def _words(track: Track, i: int) -> str:
+    if i >= len(track):
+        return track.name
+    head = f"{track.name}  frame {i}  {1e3 * track.t[i]:.2f} ms  "
+    if not track.found[i]:
+        return f"{head}lost: {track.reason[i]}"
+    turned = f"  {np.degrees(track.angle[i]):+.2f} deg" if np.isfinite(track.angle[i]) else ""
+    return (
+        f"{head}x {track.x_px[i]:.3f}  y {track.y_px[i]:.3f} px  sigma {track.sigma_px[i]:.4f}  "
+        f"score {track.score[i]:.3f}{turned}"
+    )
