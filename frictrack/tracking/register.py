@@ -6,15 +6,31 @@ the two targets tell by how much.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.ndimage import shift
 
 from frictrack.records import Array, Track
+from frictrack.tracking.match import correlate
+from frictrack.tracking.scene import Picture
 
-BORDER = 8  # px left out round the picture that is looked for: the furthest that two rectangles may differ
+REACH = 0.25  # of the target's sides: the furthest that two rectangles may differ
 SAME_BODY = 0.8  # correlation below which the two bodies are taken for different ones
+SMALL = 0.02  # px, a difference not worth a correction
+LEAST = 12  # px, shortest side of what is compared
+STEPS = 8
+
+
+@dataclass(frozen=True)
+class Offset:
+    """From the centre of one target's picture to the point that is the centre of the other's, px, with its error."""
+
+    dx: float
+    dy: float
+    sigma_x: float
+    sigma_y: float
 
 
 def aligned(track: Track, reference: Track) -> Track:
@@ -22,37 +38,61 @@ def aligned(track: Track, reference: Track) -> Track:
 
     Unchanged, with a note, where the two pictures do not show the same body.
     """
-    found = _offset(track.picture, reference.picture)
+    found = offset(track.picture, reference.picture)
     if found is None:
-        note = f"its target does not look like the first run's: places along the course agree to {BORDER} px only"
+        note = (
+            "its target does not look like the first run's: places along the course agree only as well as the two "
+            "rectangles were chosen"
+        )
         return replace(track, notes=(*track.notes, note))
-    dx, dy = found
-    if np.hypot(dx, dy) < 0.02:
+    if np.hypot(found.dx, found.dy) < max(SMALL, 2 * np.hypot(found.sigma_x, found.sigma_y)):
         return track
-    note = f"tracked point moved by ({dx:+.2f}, {dy:+.2f}) px to that of the first run"
-    return replace(track, x_px=track.x_px + dx, y_px=track.y_px + dy, notes=(*track.notes, note))
+    note = (
+        f"tracked point moved by ({found.dx:+.3f} +/- {found.sigma_x:.3f}, {found.dy:+.3f} +/- {found.sigma_y:.3f}) px "
+        "to that of the first run"
+    )
+    return replace(track, x_px=track.x_px + found.dx, y_px=track.y_px + found.dy, notes=(*track.notes, note))
 
 
-def _offset(picture: Array | None, reference: Array | None) -> tuple[float, float] | None:
-    """From the centre of one target's picture to the point that is the centre of the other's, px."""
-    if picture is None or reference is None or min(picture.shape) < 3 * BORDER:
+def offset(picture: Array | None, reference: Array | None) -> Offset | None:
+    """How two pictures of the same body lie to each other; None where they do not show the same.
+
+    The middle of the one is looked for in the other by correlation, then by Gauss-Newton on grey values with free
+    gain and level; what they differ by afterwards gives the standard deviation.
+    """
+    if picture is None or reference is None:
         return None
-    core = picture[BORDER:-BORDER, BORDER:-BORDER].astype(np.float32)
-    if reference.shape[0] < core.shape[0] + 2 or reference.shape[1] < core.shape[1] + 2:
+    edge = np.maximum((REACH * np.array(picture.shape)).astype(int), 1)
+    core = picture[edge[0] : -edge[0], edge[1] : -edge[1]].astype(np.float32)
+    whole = reference.astype(np.float32)
+    if min(core.shape) < LEAST or np.any(np.array(whole.shape) < np.array(core.shape) + 2):
         return None
-    match = np.asarray(cv2.matchTemplate(reference.astype(np.float32), core, cv2.TM_CCOEFF_NORMED), dtype=np.float64)
-    row, col = np.unravel_index(int(np.argmax(match)), match.shape)
-    if match[row, col] < SAME_BODY:
+    _, score, _, corner = cv2.minMaxLoc(correlate(whole, core))
+    if score < SAME_BODY:
         return None
-    at_x, at_y = col + _peak(match[row, :], int(col)), row + _peak(match[:, col], int(row))
-    centre = [(s - 1) / 2 for s in picture.shape]
-    wanted = [(s - 1) / 2 for s in reference.shape]
-    return wanted[1] - (at_x - BORDER) - centre[1], wanted[0] - (at_y - BORDER) - centre[0]
+    at, sigma = _refined(core, whole, np.array(corner, dtype=np.float64))
+    # The core's centre is the picture's centre, whatever was cut off.
+    middle = at + 0.5 * (np.array(core.shape[::-1]) - 1)
+    moved = 0.5 * (np.array(whole.shape[::-1]) - 1) - middle
+    return Offset(float(moved[0]), float(moved[1]), float(sigma[0]), float(sigma[1]))
 
 
-def _peak(line: Array, i: int) -> float:
-    """Top of the parabola through the best match and its neighbours, from the best match."""
-    if not 0 < i < len(line) - 1:
-        return 0.0
-    left, top, right = (float(v) for v in line[i - 1 : i + 2])
-    return 0.5 * (left - right) / (left - 2 * top + right)
+def _refined(core: Picture, whole: Picture, at: Array) -> tuple[Array, Array]:
+    """Corner (x, y) of the core in the whole, px, and its standard deviation."""
+    shape = (core.shape[0], core.shape[1])
+    gy, gx = np.gradient(core)
+    design = np.stack([gx, gy, core - core.mean(), np.ones(shape)], axis=2).reshape(-1, 4).astype(np.float64)
+    inverse = np.linalg.pinv(design.T @ design)
+    start, rest = at.copy(), np.zeros(design.shape[0])
+    for _ in range(STEPS):
+        # The whole moved so that what lies at `at` comes to the origin; OpenCV moves by 1/32 px only.
+        seen = shift(whole, -at[::-1], order=5, mode="nearest")[: shape[0], : shape[1]].ravel()
+        best = inverse @ (design.T @ seen)
+        rest = seen - design @ best
+        # The whole read at `at` shows the core moved by -step, in its own light.
+        step = best[:2] / max(float(best[2]), 1e-3)
+        at = np.clip(at - step, start - 1.5, start + 1.5)
+        if np.max(np.abs(step)) < 1e-3:
+            break
+    noise = float(rest @ rest) / max(len(rest) - 4, 1)
+    return at, np.sqrt(noise * np.diag(inverse)[:2]) / max(float(best[2]), 1e-3)
