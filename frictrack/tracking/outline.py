@@ -79,7 +79,7 @@ def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
     spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
     member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
     # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
-    even = evened(stack, picture, member)
+    even = _evened(stack, picture, member)
     spread = cv2.GaussianBlur(np.median((even - picture) ** 2, axis=0), (0, 0), 1.0)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
     own = float(np.percentile(spread[member], 25))
@@ -89,7 +89,7 @@ def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
     return _main(tidy(np.asarray(alike & (spread < 0.5 * differs)), close=5))
 
 
-def evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
+def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
     """The frames in the light of the median picture, as told by the body's pixels."""
     pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
     level = pixels.mean(axis=1)

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.match import Rectangle
-from frictrack.tracking.outline import evened
-from frictrack.tracking.scene import Picture, Scene, read, sample
+from frictrack.tracking.scene import Picture, Scene, difference, read, sample
 
 FRAMES = 9
-SIZES = ((64, 128), (48, 96), (32, 96), (16, 128), (32, 48), (24, 24), (16, 64), (12, 48))  # h, w px
+SIZES = (  # h, w px; where the body sweeps past, only narrow strips are left
+    *((64, 128), (48, 96), (32, 96), (32, 48), (24, 24)),
+    *((24, 192), (16, 256), (12, 256), (16, 128), (16, 64), (12, 48)),
+)
 WORST = 0.05  # px, standard deviation above which a reference is of no use
 NEAR = 2.0  # times the best standard deviation that a patch below the path, on the course, may have
 JITTER = 0.2  # px by which the shake may be wrong
@@ -46,7 +48,7 @@ def _still(scene: Scene) -> tuple[Picture, float, Mask]:
     else:
         frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
-    away = np.abs(evened(np.stack(frames), still, np.ones(shape, np.bool_)) - still)
+    away = np.abs(np.stack([difference(frame, still) for frame in frames]))
     noise = max(1.4826 * float(np.median(away)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
     moved = cv2.blur(away.max(axis=0) - JITTER * slope, (3, 3)) > STRAY * noise

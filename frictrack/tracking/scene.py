@@ -82,7 +82,7 @@ def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) 
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = np.median(np.stack(small), axis=0).astype(np.float32)
-    differences = [_difference(picture, background) for picture in small]
+    differences = [difference(picture, background) for picture in small]
     noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
     foreground = [_foreground(d, noise) for d in differences]
     return Scene(index, frames, factor, shake, small, background, foreground, [_rim(d, noise) for d in differences])
@@ -187,7 +187,7 @@ def _shifted(picture: Picture, by: Array) -> Picture:
     return np.asarray(cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _difference(picture: Picture, background: Picture) -> Picture:
+def difference(picture: Picture, background: Picture) -> Picture:
     """Picture minus background, after the light has been evened out."""
     few, still = picture[::3, ::3], background[::3, ::3]
     bright = still > 0.5 * np.median(still)
