@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,7 +24,9 @@ _CHUNK = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a
 class Header:
     """What a format knows of a recording before any frame is used.
 
-    `ticks` counts frame intervals since the first frame (None: 0, 1, 2, ...), so that gaps stay gaps.
+    `ticks` counts frame intervals since the first frame (None: 0, 1, 2, ...), so that gaps stay gaps. `stamps`:
+    the camera's own time of each frame, s, NaN where there is none. `exposure`: s. `trigger`: number of the frame
+    at the trigger, 0 is the first of the film (may lie outside it).
     """
 
     n_frames: int
@@ -33,16 +35,22 @@ class Header:
     fps: float | None = None
     ticks: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
+    stamps: NDArray[np.float64] | None = None
+    exposure: float | None = None
+    trigger: int | None = None
 
 
 class Recording(ABC):
     """A high-speed recording: frames on demand with their true times, never all in memory.
 
     Attributes: `path`, `fps` (1/s), `n_frames`, `shape` (h, w), `bit_depth`, `t` (n_frames,) in s from the
-    first frame, `notes` (findings about the file, in words).
+    first frame, `notes` (findings about the file, in words), `exposure` (s) or None, `stamps` (n_frames,) in s or None
+    (the camera's own), `trigger` (number of the frame at the trigger) or None, `direct`: True where any part of
+    any frame can be read at once (see `opened` for the others).
     """
 
     suffixes: ClassVar[tuple[str, ...]]
+    direct: bool = False
 
     def __init__(self, path: str | Path, fps: float | None = None) -> None:
         self.path = Path(path)
@@ -53,6 +61,7 @@ class Recording(ABC):
         ticks = np.arange(self.n_frames) if header.ticks is None else header.ticks
         self.t = ticks / self.fps
         self.notes = header.notes
+        self.stamps, self.exposure, self.trigger = header.stamps, header.exposure, header.trigger
 
     @abstractmethod
     def _open(self) -> Header:
@@ -79,7 +88,47 @@ class Recording(ABC):
             raise FrictrackError(f"{self.path.name}: expected a frame from 0 to {self.n_frames - 1} but got {i}")
         for frame in self._read([i % self.n_frames]):
             return frame
-        raise FrictrackError(
+        raise FrictrackError(self._breaks_off(i))
+
+    def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
+        """Boxes (n, h, w) of `size` (h, w) px, uint8 or uint16, out of the frames `indices` (n,).
+
+        `corners` (n, 2) are the whole x and y of the upper left pixels; every box lies inside the picture. Quick
+        only where `direct`; elsewhere the indices rise and whole frames are decoded. Raises `FrictrackError` where
+        a frame or a box is not in the film.
+        """
+        indices, corners = self._boxes(indices, corners, size)
+        out = np.empty((len(indices), *size), np.uint8 if self.bit_depth <= 8 else np.uint16)
+        done = 0
+        for target, frame, (x, y) in zip(out, self._read(indices.tolist()), corners.tolist(), strict=False):
+            target[...] = frame[y : y + size[0], x : x + size[1]]
+            done += 1
+        if done < len(indices):
+            raise FrictrackError(self._breaks_off(int(indices[done])))
+        return out
+
+    def _boxes(
+        self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Indices (n,) and corners (n, 2) as whole numbers, checked against the film."""
+        indices, corners = np.asarray(indices, np.int64), np.asarray(corners, np.int64).reshape(-1, 2)
+        if len(indices) != len(corners):
+            raise FrictrackError(f"expected one corner per frame but got {len(corners)} for {len(indices)} frames")
+        if len(indices) and (indices.min() < 0 or indices.max() >= self.n_frames):
+            worst = indices.min() if indices.min() < 0 else indices.max()
+            raise FrictrackError(f"{self.path.name}: expected a frame from 0 to {self.n_frames - 1} but got {worst}")
+        room = np.array([self.shape[1] - size[1], self.shape[0] - size[0]])
+        outside = np.any((corners < 0) | (corners > room), axis=1)
+        if np.any(outside):
+            x, y = corners[outside][0]
+            raise FrictrackError(
+                f"{self.path.name}: expected boxes inside the picture of {self.shape[1]}x{self.shape[0]} px but got "
+                f"{size[1]}x{size[0]} px at {x}, {y}"
+            )
+        return indices, corners
+
+    def _breaks_off(self, i: int) -> str:
+        return (
             f"{self.path.name}: frame {i} cannot be read, the file breaks off before it; "
             "copy the recording from the camera again"
         )

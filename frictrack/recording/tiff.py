@@ -8,9 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.recording.base import Frame, Header, Recording, grey
+from frictrack.recording.base import Frame, Header, grey
+from frictrack.recording.raw import Direct, Layout, picture_bytes
 
 # What tifffile would log about broken files, `Recording` says in words.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -18,8 +20,11 @@ logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 _MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
 
 
-class Tiff(Recording):
-    """A recording in one TIFF file (8, 12 or 16 bit); ImageJ's contiguous stacks included."""
+class Tiff(Direct):
+    """A recording in one TIFF or BigTIFF file (8, 12 or 16 bit); ImageJ's contiguous stacks included.
+
+    Direct where every page is grey, uncompressed and in one piece.
+    """
 
     suffixes: ClassVar[tuple[str, ...]] = (".tif", ".tiff")
 
@@ -42,9 +47,9 @@ class Tiff(Recording):
                 "save the film as unsigned 8 or 16 bit"
             )
         shape = page.shape[:2]
-        frame_bytes = int(np.prod(page.shape)) * page.dtype.itemsize
+        frame_bytes = int(np.prod(page.shape)) * page.bitspersample // 8
         self._contiguous = len(tif.pages) == 1 and tif.imagej_metadata is not None
-        self._at, self._kind = page.dataoffsets[0], page.dtype.newbyteorder(tif.byteorder)
+        self._at = page.dataoffsets[0]
         promised = self._promised(tif)
         in_file = self._pages_in_file(tif, frame_bytes)
         notes: tuple[str, ...] = ()
@@ -55,7 +60,22 @@ class Tiff(Recording):
                 f"{self.path.name}: truncated film: none of its {promised} frames is complete; "
                 "copy it from the camera again"
             )
+        offsets = self._offsets(tif, in_file, frame_bytes)
+        self.direct = offsets is not None
+        if offsets is not None:
+            self._layout = Layout(offsets, page.bitspersample, tif.byteorder)
         return Header(in_file, shape, _bit_depth(page), _rate(tif), notes=notes)
+
+    def _offsets(self, tif: tifffile.TiffFile, count: int, frame_bytes: int) -> NDArray[np.int64] | range | None:
+        """Where each bare picture starts; None where pages are compressed, coloured or in strips."""
+        if not _bare(tif.pages[0]):
+            return None
+        if self._contiguous:
+            return range(self._at, self._at + count * frame_bytes, frame_bytes)
+        pages = [tif.pages[i] for i in range(count)]
+        if not all(_bare(page) and page.shape == pages[0].shape and page.dtype == pages[0].dtype for page in pages):
+            return None
+        return np.array([page.dataoffsets[0] for page in pages], np.int64)
 
     def _promised(self, tif: tifffile.TiffFile) -> int:
         if self._contiguous:
@@ -73,14 +93,23 @@ class Tiff(Recording):
         return count
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
-        if self._contiguous:
-            stack = np.memmap(self.path, self._kind, "r", self._at, (self.n_frames, *self.shape))
-            for index in indices:
-                yield stack[index].astype(self._kind.newbyteorder("="))
+        if self.direct:
+            yield from super()._read(indices)
             return
         with tifffile.TiffFile(self.path) as tif:
             for index in indices:
                 yield grey(tif.pages[index].asarray())
+
+
+def _bare(page: Any) -> bool:
+    """One uncompressed grey picture in one piece, its rows without padding."""
+    starts, counts = np.array(page.dataoffsets), np.array(page.databytecounts)
+    gapless = bool(np.all(starts[:-1] + counts[:-1] == starts[1:]))
+    plain = page.compression == tifffile.COMPRESSION.NONE and page.fillorder == tifffile.FILLORDER.MSB2LSB
+    if len(page.shape) != 2 or page.is_tiled or not plain or not gapless:
+        return False
+    in_rows = page.bitspersample in (8, 16) or page.shape[1] % 4 == 0
+    return in_rows and int(counts.sum()) >= picture_bytes(page.shape, page.bitspersample)
 
 
 def _end(page: Any) -> int:

@@ -1,0 +1,172 @@
+"""A compressed recording decoded once, ahead of its reader, into a place that can be read at random."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Condition, Thread
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.base import Frame, Recording
+from frictrack.recording.raw import Cutter, Layout, Window, picture_bytes
+
+IN_MEMORY = 256 << 20  # bytes of decoded film kept in memory; a longer film goes to a temporary file
+
+
+@contextmanager
+def opened(recording: Recording) -> Iterator[Recording]:
+    """Give `recording` itself if it is direct, else a spool that a thread decodes it into, once.
+
+    The spool's `cut`, `frame`, `frames` and `pick` wait until the frames are there, and raise what the decoder
+    raised; frames after the place where the file breaks off cannot be read. Leaving the context ends the thread
+    and gives memory and disk back. Raises `FrictrackError` where the disk has no room for the decoded film.
+    """
+    if recording.direct:
+        yield recording
+        return
+    spool = Spool(recording)
+    try:
+        yield spool
+    finally:
+        spool.close()
+
+
+class Spool(Recording):
+    """The decoded frames of another recording, with random access; made by `opened`."""
+
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    direct = True
+
+    def __init__(self, source: Recording) -> None:
+        self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
+        self._source = source
+        self._store = _store(source)
+        self._ready, self._done, self._stop = 0, False, False
+        self._fault: BaseException | None = None
+        self._news = Condition()
+        self._decoder = Thread(target=self._decode, name="frictrack decoder", daemon=True)
+        self._decoder.start()
+
+    @property
+    def hash(self) -> str:
+        """That of the recording which is decoded."""
+        return self._source.hash
+
+    def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
+        """See `Recording.cut`; waits for the frames."""
+        indices, corners = self._boxes(indices, corners, size)
+        if len(indices) and not self._wait(int(indices.max())):
+            raise FrictrackError(self._breaks_off(int(indices.max())))
+        return self._store.cut(indices, corners, size)
+
+    def close(self) -> None:
+        """End the decoder and give the memory back."""
+        self._stop = True
+        self._decoder.join()
+        self._store.close()
+
+    def _open(self) -> Any:
+        raise NotImplementedError("a spool is made of an open recording")
+
+    def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
+        corner = np.zeros((1, 2), np.int64)
+        for index in indices:
+            if not self._wait(index):
+                return
+            yield self._store.cut(np.array([index]), corner, self.shape)[0]
+
+    def _wait(self, index: int) -> bool:
+        """Wait for this frame; False where the film breaks off before it."""
+        if index < self._ready:
+            return True
+        with self._news:
+            self._news.wait_for(lambda: index < self._ready or self._done)
+        if index >= self._ready and self._fault is not None:
+            raise self._fault
+        return index < self._ready
+
+    def _decode(self) -> None:
+        try:
+            for i, frame in enumerate(self._source.frames()):
+                if self._stop:
+                    break
+                self._store.write(i, frame)
+                self._tell(i + 1)
+        except BaseException as fault:  # noqa: BLE001 - it is raised again where the frame is asked for
+            self._fault = fault
+        finally:
+            with self._news:
+                self._done = True
+                self._news.notify_all()
+
+    def _tell(self, ready: int) -> None:
+        with self._news:
+            self._ready = ready
+            self._news.notify_all()
+
+
+class _Memory:
+    """Decoded frames in memory."""
+
+    def __init__(self, n: int, shape: tuple[int, int], kind: Any) -> None:
+        self._frames: Frame = np.empty((n, *shape), kind)
+
+    def write(self, i: int, frame: Frame) -> None:
+        self._frames[i] = frame
+
+    def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
+        out: Frame = np.empty((len(indices), *size), self._frames.dtype)
+        h, w = size
+        for target, i, (x, y) in zip(out, indices.tolist(), corners.tolist(), strict=True):
+            target[...] = self._frames[i, y : y + h, x : x + w]
+        return out
+
+    def close(self) -> None:
+        self._frames = self._frames[:0].copy()
+
+
+class _Disk:
+    """Decoded frames in a temporary file."""
+
+    def __init__(self, n: int, shape: tuple[int, int], bits: int) -> None:
+        self._frame = picture_bytes(shape, bits)
+        # Cannot be unlinked while open on every system, so it has a name and goes in `close`.
+        self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", delete=False)  # noqa: SIM115
+        self._file.truncate(n * self._frame)
+        path = Path(self._file.name)
+        layout = Layout(range(0, n * self._frame, self._frame), bits, "=")
+        self._cutter = Cutter(shape, layout, Window(path))
+
+    def write(self, i: int, frame: Frame) -> None:
+        self._file.seek(i * self._frame)
+        self._file.write(np.ascontiguousarray(frame).data)
+        self._file.flush()
+
+    def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
+        return self._cutter.cut(indices, corners, size)
+
+    def close(self) -> None:
+        del self._cutter
+        self._file.close()
+        Path(self._file.name).unlink(missing_ok=True)
+
+
+def _store(source: Recording) -> _Memory | _Disk:
+    bits = 8 if source.bit_depth <= 8 else 16
+    total = source.n_frames * picture_bytes(source.shape, bits)
+    if total <= IN_MEMORY:
+        return _Memory(source.n_frames, source.shape, np.uint8 if bits == 8 else np.uint16)
+    free = shutil.disk_usage(tempfile.gettempdir()).free
+    if total > free:
+        raise FrictrackError(
+            f"{source.path.name}: expected {total / 1e9:.1f} GB of room for the decoded film in "
+            f"{tempfile.gettempdir()} but {free / 1e9:.1f} GB are free; make room or set TMPDIR to another disk"
+        )
+    return _Disk(source.n_frames, source.shape, bits)
