@@ -91,8 +91,9 @@ def moving_sections(run: Run) -> list[slice]:
 def friction(run: Run) -> Friction:
     """Friction force F = D - m a of a run with its standard deviation, and its free section.
 
-    sigma_F is the root of the sum of squares of m sigma_a, of sigma_mass |a + g sin(incline)| (common to all
-    frames, not independent from one to the next), and of the white noise of the measured drive. Where
+    sigma_F is the root of the sum of squares of m sigma_a, of sigma_mass |a + g sin(incline)| and of m |a| times the
+    relative error of the scale (both common to all frames, not independent from one to the next), and of the white
+    noise of the measured drive. Where
     friction itself was measured, F is that series, its gaps bridged linearly, and sigma_F its white noise.
     """
     mask, reason = free_section(run)
@@ -103,7 +104,8 @@ def friction(run: Run) -> Friction:
     pull = run.motion.a + GRAVITY * np.sin(run.incline)
     drive = np.zeros(len(pull)) if run.drive is None else np.asarray(run.drive, dtype=float)
     sigma_drive = 0.0 if run.drive is None else _white(drive)
-    variance = (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * pull) ** 2 + sigma_drive**2
+    sigma_scale = run.displacement.relative_scale_error * run.mass * run.motion.a
+    variance = (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * pull) ** 2 + sigma_scale**2 + sigma_drive**2
     return Friction(run.motion.t, drive - run.mass * pull, np.sqrt(variance), mask, reason)
 
 

@@ -91,7 +91,8 @@ def render(results: Results) -> str:
         tables=tables,
         formula=formula,
         quantity=quantity,
-        scale_line=words.SCALE_LINE,
+        scale_line=words.scale_line(results),
+        scale_error=words.scale_error(results),
     )
 
 

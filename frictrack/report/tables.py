@@ -18,6 +18,7 @@ from frictrack.report.words import before_after
 from frictrack.results import ModelResults, Results, RunResults
 
 PER_RUN = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
+SCALED = ("N", "N s", "m", "m/s")  # units of what is as wrong as the scale is; in N s/m and N/m it cancels
 LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
 Cell = str | Markup
 
@@ -47,14 +48,22 @@ def code(text: str) -> Markup:
     return Markup("<code>{}</code>").format(text)
 
 
-def parameters(model: ModelResults) -> Table:
-    """Shared parameters: value ± standard deviation, and what is to be said of them."""
+def parameters(model: ModelResults, scale_error: float = 0.0) -> Table:
+    """Shared parameters: value ± standard deviation, what the scale's relative error adds, and what is to be said."""
     rows = [
-        (code(name), quantity(p["value"], p["std"], p["unit"]), _remark(p))
+        (code(name), quantity(p["value"], p["std"], p["unit"]), _of_scale(p, scale_error), _remark(p))
         for name, p in model.summary["parameters"].items()
         if not PER_RUN.match(name)
     ]
-    return table(("parameter", "value", ""), rows, (1,))
+    return table(("parameter", "value", "± of the scale", ""), rows, (1, 2))
+
+
+def _of_scale(p: Mapping[str, Any], scale_error: float) -> str:
+    """What a common error of the scale does to a parameter that grows with it."""
+    value = p["value"]
+    if not (scale_error and value) or p["unit"] not in SCALED or p.get("reason") == "fixed":
+        return ""
+    return size(abs(value) * scale_error, p["unit"])
 
 
 def _remark(p: Mapping[str, Any]) -> str:
@@ -238,12 +247,14 @@ def tracks(runs: Sequence[RunResults]) -> Table:
         t, found = run.track, run.track.found
         at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
         middle = [float(np.median(a[found])) if np.any(found) else None for a in (t.sigma_px, t.score)]
+        pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
         rows.append(
             (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", number(middle[0], 2),
-             number(middle[1]), code(at))
+             number(middle[1]), code(at), number(1e6 * pitch if pitch else None, 4), number(error, 2) if error else "")
         )  # fmt: skip
-    heads = ("run", "film", "frames per s", "target found in", "sigma / px", "match score", "target")
-    return table(heads, rows, (2, 3, 4, 5))
+    heads = ("run", "film", "frames per s", "target found in", "sigma / px", "match score", "target",
+             "µm/px", "scale known to / %")  # fmt: skip
+    return table(heads, rows, (2, 3, 4, 5, 7, 8))
 
 
 def settings(results: Results) -> Table:
@@ -258,12 +269,29 @@ def settings(results: Results) -> Table:
                 run.source,
                 quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
                 f"{s['fps']:g} Hz" if "fps" in s else "",
-                str(s.get("scale", "")),
+                _scale(s.get("scale", "")),
                 f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
                 "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN),
             )
         )
     return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
+
+
+def _scale(written: Any) -> str:
+    """A scale as the study file gives it, in a few words."""
+    if isinstance(written, list):
+        return ", checked against ".join(_scale(one) for one in written)
+    if not isinstance(written, dict):
+        return str(written)
+    if "board" in written:
+        names = written["board"] if isinstance(written["board"], list) else [written["board"]]
+        along, across = written["squares"]
+        return f"board in {', '.join(map(str, names))}: {along} x {across} squares of {written['square']}"
+    if "target" in written:
+        return f"the target's size, {written['target']}"
+    if "plane" in written:
+        return f"{len(written['points'])} points of known place"
+    return f"ruler of {written['length']}"
 
 
 SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")

@@ -24,6 +24,7 @@ SCALE_LINE = (
     "Forces go with the mass and the scale, and with the square of the frame rate: a constant error in any of them "
     "fits perfectly and shows nowhere else."
 )
+NO_SCALE_ERROR = 'How well the scale is known was not given; written as "0.500 +/- 0.002 mm/px" it is carried on.'
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,29 @@ def verdict(results: Results) -> Verdict:
     if diagnosis:
         sentences += [*_STATES[kind](model, diagnosis), *_settle(diagnosis)]
     return Verdict(_headline(results, model, kind), tuple(sentences), kind)
+
+
+def scale_error(results: Results) -> float:
+    """Relative standard deviation that the scale adds to every force told from acceleration; 0 for measured forces.
+
+    One camera's scale is common to all its runs, so it does not average out: the largest counts.
+    """
+    inferred = [
+        r for r in results.runs if r.sensors is None or (r.sensors.drive is None and r.sensors.friction_N is None)
+    ]
+    return max((r.displacement.relative_scale_error for r in inferred), default=0.0)
+
+
+def scale_line(results: Results) -> str:
+    """What scale and mass do to forces, and how well the scale is known."""
+    error = scale_error(results)
+    if error > 0:
+        return (
+            f"{SCALE_LINE} The scale is known to {number(100 * error, 2)} %, and so is every force told from "
+            "acceleration: this is common to all runs of one camera and stands apart from the ± of the fit."
+        )
+    filmed = any(r.film is not None for r in results.runs)
+    return f"{SCALE_LINE} {NO_SCALE_ERROR}" if filmed else SCALE_LINE
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:

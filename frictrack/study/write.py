@@ -25,11 +25,21 @@ STUDY = {
 }
 CAMERA = {
     "fps": (4000, "frames per second while filming (not what the file plays at); friction goes with its square"),
-    "scale": ("0.5 mm/px", "how large one pixel is on the course"),
+    "scale": (
+        "0.500 +/- 0.002 mm/px",
+        """how large one pixel is on the course, with its uncertainty: forces go with it; or, instead of a number,
+a ruler        scale = {points = [[100, 80], [900, 82]], length = "100.0 +/- 0.1 mm"}
+the target     scale = {target = "40 mm"}   its own length along the course
+a board        scale = {board = "board.png", squares = [9, 6], square = "10 mm"}   also several pictures, or a film
+               of it; a ChArUco board adds dictionary = "DICT_4X4_50", marker = "7 mm"
+known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100, 50], [0, 50]], unit = "mm"}""",
+    ),
+    "lens": ("lens.yml", "camera matrix and distortion, when the lens was calibrated before (OpenCV's yml or json)"),
 }
 RUN = """Keys that a run may have of its own:
 mass = "0.70 kg"            another mass than [study] says
 target = [410, 232, 96, 64] where the slider is in the first frame, when it is not found by itself (x, y, w, h)
+axis = "track"              +x along the path itself, when the course is not level in the picture; or [dx, dy]
 incline = "22 deg"          the course rises toward +x; negative where it falls
 free = ["0.01 s", "0.2 s"]  the part of the run that is judged, when the one found is wrong
 role = "validation"         not fitted, only predicted"""
@@ -91,7 +101,8 @@ def _section(
     for key in keys:
         example, why = words.get(key, ("", ""))
         if commented and why:
-            table.add(tomlkit.comment(why))
+            for line in why.splitlines():
+                table.add(tomlkit.comment(line))
         if key in known:
             table[key] = known[key]
         elif commented:
