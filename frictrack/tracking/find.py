@@ -22,6 +22,7 @@ from frictrack.tracking.scene import Blob, Picture, Scene, sample
 LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6
 NEARER = 0.3  # score that a match on the other side of the picture must be better by
+SHADING = 0.15  # share of the contrast that a plane leaves of a slope of light
 ROWS = 6  # sampled frames from which candidates are taken
 PURSUED = 8
 CUT_OFF = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
@@ -124,7 +125,8 @@ def pursue(scene: Scene, row: int, box: Rectangle) -> Body:
     # Along a stripe nothing can be told: a find far along it is another stripe.
     strays = np.hypot(*((corner - (x, y)) @ (np.eye(2) - known)).T) > 0.5 * max(w, h)
     corner[strays], score[strays] = np.nan, np.nan
-    return Body(box, row, corner, score, _merit(scene, box, corner, score, known))
+    merit = 0.0 if _shading(patch) else _merit(scene, box, corner, score, known)
+    return Body(box, row, corner, score, merit)
 
 
 def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
@@ -153,6 +155,14 @@ def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[
         x0, y0 = min(x0, fx - size[1]), min(y0, fy - size[0])
         x1, y1 = max(x1, fx + fw + size[1]), max(y1, fy + fh + size[0])
     return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
+
+
+def _shading(patch: Picture) -> bool:
+    """Whether the patch is little more than a slope of light, which moves when the light changes."""
+    y, x = (c.ravel() - c.mean() for c in np.mgrid[: patch.shape[0], : patch.shape[1]].astype(np.float64))
+    values = patch.ravel() - patch.mean()
+    explained = (values @ x) ** 2 / (x @ x) + (values @ y) ** 2 / (y @ y)
+    return bool(values @ values - explained < SHADING * (values @ values))
 
 
 def _known_axes(patch: Picture) -> Array:
