@@ -10,8 +10,6 @@ from scipy.ndimage import map_coordinates
 
 from frictrack.errors import FrictrackError
 from frictrack.tracking import target_line, track
-from frictrack.tracking.refine import Template, refine
-from frictrack.tracking.resample import MARGIN, PAD, gradient, kernels, resample
 
 SIZE, SHAPE = (36, 48), (64, 240)  # of the block and the picture, px
 N = 80
@@ -130,44 +128,6 @@ def test_small_rotation_is_seen_and_leaves_the_position_alone():
     assert np.std(rest) < 0.004
 
 
-# ---- the parts
-
-
-def test_resampling_equals_a_fourier_shift():
-    texture = 128 + speckle((96, 96), np.random.default_rng(0), fwhm=4.0)
-    h = w = 96 - 2 * PAD
-    for shift in ([0.5, 0.0], [0.25, -0.4], [1.7, -1.2], [0.0, 0.0]):
-        picture, _ = resample(texture[None].astype(np.float32), np.array([shift]))
-        exact = moved(texture, -shift[0], -shift[1])[PAD : PAD + h, PAD : PAD + w]
-        assert np.std(picture[0] - exact) < 0.01  # of an rms of 38: what quintic splines leave at 4 px
-
-
-def test_kernels_sum_to_one_and_slopes_to_zero():
-    shift = np.linspace(-0.5, 0.5, 21)
-    np.testing.assert_allclose(kernels(shift).sum(axis=1), 1, atol=2e-3)
-    np.testing.assert_allclose(kernels(np.zeros(1), 1).sum(), 0, atol=1e-12)
-
-
-def test_gradient_of_a_plane():
-    y, x = np.mgrid[:40, :40].astype(float)
-    gx, gy = gradient(3 * x - 2 * y)
-    np.testing.assert_allclose(gx[12:-12, 12:-12], 3, rtol=3e-3)
-    np.testing.assert_allclose(gy[12:-12, 12:-12], -2, rtol=3e-3)
-
-
-def test_refine_recovers_shift_gain_and_offset():
-    texture = 128 + speckle((80, 100), np.random.default_rng(2))
-    inner = slice(PAD - MARGIN, -(PAD - MARGIN))
-    template = Template(texture[inner, inner], np.ones((80 - 2 * PAD, 100 - 2 * PAD)))
-    truth = np.array([[0.3, -0.7], [-1.4, 0.6], [0.0, 0.0]])
-    seen = np.stack([0.8 * moved(texture, *p) + 12 for p in truth]).astype(np.float32)
-    fine = refine(seen, np.zeros((3, 2)), template)
-    assert fine.settled.all()
-    np.testing.assert_allclose(fine.at, truth, atol=5e-4)
-    np.testing.assert_allclose(fine.gain, 0.8, rtol=1e-3)
-    np.testing.assert_allclose(fine.score, 1.0, atol=1e-4)
-
-
 # ---- what cannot be tracked
 
 
@@ -187,7 +147,7 @@ def all_black(i):
         (all_black, [10, 10, 20, 20], r"the target \[10, 10, 20, 20\] has no contrast in frame 0"),
         (nothing_moves, [230, 10, 20, 20], r"a target inside the 240x64 px picture but got \[230, 10, 20, 20\]"),
         (nothing_moves, [10, 10, 4, 20], "expected a target of at least 8x8 px but got 4x20 px"),
-        (nothing_moves, [10, 10, 20], r"expected a target \[x, y, w, h\] in px but got \[10, 10, 20\]"),
+        (nothing_moves, [10, 10, 20], r"expected a target \[x, y, w, h\] in px but got \[10"),
     ],
 )
 def test_what_cannot_be_tracked_is_said(draw, target, said):
@@ -288,7 +248,7 @@ def test_the_line_to_paste_repeats_the_track():
 def test_progress_counts_up():
     seen = []
     track(a_film(SLIDE), progress=lambda done, total, what: seen.append((done, total, what)))
-    assert {what for _, _, what in seen} == {"find the target", "search", "refine"}
+    assert {what for _, _, what in seen} == {"find the target", "follow", "measure"}
     assert all(0 <= done <= total for done, total, _ in seen)
 
 

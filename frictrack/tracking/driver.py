@@ -1,141 +1,183 @@
-"""The flow of tracking: find the target, search it coarsely, learn its template, refine every frame."""
+"""The flow of tracking: find the target, follow it, learn what it looks like, measure every frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Recording
+from frictrack.recording import Recording, opened
 from frictrack.records import Array, Track
-from frictrack.tracking.find import locate
 from frictrack.tracking.findings import key_frames
-from frictrack.tracking.follow import UNREAD, Coarse, follow
-from frictrack.tracking.learn import learn
-from frictrack.tracking.match import Rectangle, cut_out
-from frictrack.tracking.refine import Fine, Template, refine
+from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
+from frictrack.tracking.learn import first_look
+from frictrack.tracking.lesson import taught
+from frictrack.tracking.match import Rectangle
+from frictrack.tracking.measure import MISFITS, Lesson, measure
+from frictrack.tracking.target import Target, resolve
 
 Progress = Callable[[int, int, str], None]
 
-LEAST_SCORE = 0.7
 LEAST_CONTRAST = 3  # grey values
-CHUNK = 64  # cut-outs refined at once: their pictures fit a processor's cache
+CHUNK = 256  # frames measured at once
+SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
 
 def track(
     recording: Recording,
-    target: Sequence[float] | None = None,
+    target: Target = None,
     *,
     template: int = 0,
+    known: Lesson | None = None,
     name: str = "target",
     progress: Progress | None = None,
 ) -> Track:
     """Position of the moving body in every frame, in pixels, with a standard deviation and a score.
 
-    `target` is its rectangle [x, y, w, h] px in frame number `template`; without it the body that moves
-    farthest is found by itself. Position is that of the rectangle's centre. A frame in which the target is
-    not found holds NaN and the reason. Raises `FrictrackError` for a rectangle that does not fit the
+    `target` is its rectangle [x, y, w, h] or a click on it [x, y], px in frame number `template`, or a picture of it
+    (a path or a 2-D array); without it the body that moves is found by itself. `known` is what another film of the
+    same target has taught (`learn_target`): then this film is gone through only once. Position is that of the
+    rectangle's centre, the angle (rad) is positive from the picture's x axis toward its y axis. A frame in which
+    the target is not found holds NaN and the reason. Raises `FrictrackError` for a target that does not fit the
     picture, a film without contrast, or one in which nothing moves.
     """
-    if progress:
-        progress(0, recording.n_frames, "find the target")
-    if target is None:
-        rectangle, template = locate(recording)
-    else:
-        rectangle = _checked(target, recording)
-    picture = recording.frame(template)
-    x, y, w, h = rectangle
-    if np.ptp(picture[y : y + h, x : x + w]) < LEAST_CONTRAST:
-        raise FrictrackError(
-            f"{recording.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
-            "choose a rectangle that shows texture or an outline"
-        )
-    coarse = follow(recording, picture[y : y + h, x : x + w].copy(), (x, y) if template == 0 else None, progress)
-    model = learn(coarse, cut_out(picture, np.array([x, y]), (h, w)))
-    result = _assemble(recording, coarse, _refine_all(coarse, model, progress), rectangle, name)
-    result = replace(result, template=template, picture=model.image)
+    with opened(recording) as film:
+        if known is None:
+            rectangle, template, followed, lesson = _studied(film, target, template, progress)
+            rows = np.flatnonzero(followed.found)
+        else:
+            rectangle, template, lesson = *_placed(film, target, template, known), known
+            followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
+            rows = _doubtful(followed, known)
+        measured = _measured(film, followed, rows, lesson, progress)
+        change = None if recording.direct else _change(film)
+    result = _assembled(recording, measured, rectangle, name)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
-    return result
+    coded = () if change is None else key_frames(change, result.x_px, result.y_px)
+    return replace(result, template=template, picture=lesson.template.image, notes=(*result.notes, *coded))
 
 
-def _checked(target: Sequence[float], recording: Recording) -> Rectangle:
-    """The rectangle in whole pixels, inside the picture."""
-    height, width = recording.shape
-    if len(target) != 4 or not np.all(np.isfinite(target)):
-        raise FrictrackError(f"expected a target [x, y, w, h] in px but got {list(target)}")
-    x, y, w, h = (round(v) for v in target)
-    if w < 8 or h < 8:
-        raise FrictrackError(f"expected a target of at least 8x8 px but got {w}x{h} px")
-    if x < 0 or y < 0 or x + w > width or y + h > height:
-        raise FrictrackError(f"expected a target inside the {width}x{height} px picture but got [{x}, {y}, {w}, {h}]")
-    return x, y, w, h
+def learn_target(
+    recording: Recording, target: Target = None, *, template: int = 0, progress: Progress | None = None
+) -> Lesson:
+    """What the film teaches of its target: its picture, the noise of the pixels, what stands still before it.
+
+    Arguments and errors are those of `track`, which takes the result as `known` for further films of the target.
+    """
+    with opened(recording) as film:
+        return _studied(film, target, template, progress)[3]
 
 
-def _refine_all(coarse: Coarse, template: Template, progress: Progress | None) -> Fine:
-    parts = []
-    start, total = coarse.start, len(coarse.frame)
-    for at in range(0, total, CHUNK):
-        part = slice(at, at + CHUNK)
-        parts.append(refine(np.asarray(coarse.patches[part]), start[part], template))
+def _studied(
+    film: Recording, target: Target, template: int, progress: Progress | None
+) -> tuple[Rectangle, int, Followed, Lesson]:
+    """Rectangle and its frame, a first rough track, and what it has taught."""
+    if progress:
+        progress(0, film.n_frames, "find the target")
+    rectangle, template = resolve(film, target, template)
+    x, y, w, h = rectangle
+    cut = film.frame(template)[y : y + h, x : x + w]
+    if np.ptp(cut) < LEAST_CONTRAST:
+        raise FrictrackError(
+            f"{film.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
+            "choose a rectangle that shows texture or an outline"
+        )
+    first = first_look(cut)
+    followed = Follower(film, first).follow(np.array([x, y]), template, progress)
+    return rectangle, template, followed, taught(film, followed, first)
+
+
+def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tuple[Rectangle, int]:
+    """Where a known target is in the film; its size is that of what is known."""
+    h, w = known.template.weight.shape
+    rectangle, template = resolve(film, known.template.image if target is None else target, template)
+    if rectangle[2:] != (w, h):
+        raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
+    return rectangle, template
+
+
+def _doubtful(followed: Followed, known: Lesson) -> NDArray[np.int64]:
+    """Frames that a known target does not explain as well as it should."""
+    if known.view is not None:
+        return np.flatnonzero(followed.found)
+    return np.flatnonzero(followed.found & (followed.fine.misfit > MISFITS * known.usual))
+
+
+def _measured(
+    film: Recording, followed: Followed, rows: NDArray[np.int64], lesson: Lesson, progress: Progress | None
+) -> Followed:
+    """The track with the frames `rows` measured by what the film has taught, and the reason where that fails."""
+    size = lesson.template.weight.shape
+    room = np.array(film.shape[::-1]) - np.array(size[::-1])
+    followed.fine.sigma[:] *= lesson.inflation
+    for at in range(0, len(rows), CHUNK):
+        part = rows[at : at + CHUNK]
+        corner = np.rint(followed.at[part]).astype(np.int64).clip(0, room)
+        guess = followed.fine[part].moved(followed.corner[part] - corner)
+        followed.fine.put(part, measure(film.cut(part, corner, size), corner, guess, lesson))
+        followed.corner[part] = corner
         if progress:
-            progress(at, total, "refine")
-    return Fine(**{key: np.concatenate([getattr(p, key) for p in parts]) for key in vars(parts[0])})
+            progress(at, len(rows), "measure")
+    found = np.flatnonzero(followed.found)
+    followed.reason[found] = _reasons(followed, found, room)
+    return followed
 
 
-def _assemble(recording: Recording, coarse: Coarse, fine: Fine, rectangle: Rectangle, name: str) -> Track:
-    """One row per frame: the fine position where it can be trusted, else NaN and the reason."""
-    _, _, w, h = rectangle
-    corner = coarse.origin + fine.at
-    n = recording.n_frames
-    reason = np.array(coarse.reason, dtype=object)
-    reason[coarse.frame] = _reasons(corner, fine, (h, w), recording.shape)
-    score = coarse.score.copy()
-    score[coarse.frame] = fine.score
-    kept = reason[coarse.frame] == ""
-
-    def column(values: Array) -> Array:
-        out = np.full(n, np.nan)
-        out[coarse.frame[kept]] = values[kept]
-        return out
-
-    x, y = column(corner[:, 0] + (w - 1) / 2), column(corner[:, 1] + (h - 1) / 2)
-    return Track(
-        t=recording.t,
-        x_px=x,
-        y_px=y,
-        angle=column(fine.angle),
-        sigma_px=column(fine.sigma[:, 0]),
-        sigma_y_px=column(fine.sigma[:, 1]),
-        score=score,
-        reason=reason.astype(str),
-        name=name,
-        target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        notes=(*recording.notes, *_unread(coarse), *key_frames(coarse.change, x, y)),
-    )
-
-
-def _unread(coarse: Coarse) -> tuple[str, ...]:
-    count = coarse.reason.count(UNREAD)
-    total = len(coarse.reason)
-    return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
-
-
-def _reasons(corner: Array, fine: Fine, size: tuple[int, int], shape: tuple[int, int]) -> list[str]:
-    """Why each cut-out's position cannot be trusted; "" where it can."""
-    room = np.array(shape[::-1]) - np.array(size[::-1])
-    out = np.any((corner < -0.5) | (corner > room + 0.5), axis=1)
+def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str]:
+    """Why each frame's position cannot be trusted; "" where it can."""
+    fine, at = result.fine[rows], result.at[rows]
+    out = np.any((at < -0.5) | (at > room + 0.5), axis=1)
+    least = SHARE * float(np.nanmedian(fine.score))
     reasons = []
     for outside, settled, score in zip(out, fine.settled, fine.score, strict=True):
         if outside:
-            reasons.append("target leaves the frame")
-        elif not score >= LEAST_SCORE:
-            reasons.append(f"match score {score:.2f} below {LEAST_SCORE}")
+            reasons.append(LEAVES)
+        elif not score >= least:
+            reasons.append(f"match score {score:.2f} below {least:.2f}")
         else:
             reasons.append("" if settled else "sub-pixel search did not settle")
     return reasons
+
+
+def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, name: str) -> Track:
+    """One row per frame: the position where it can be trusted, else NaN and the reason."""
+    _, _, w, h = rectangle
+    fine, at = measured.fine, measured.at
+    kept = np.where(measured.found, 0.0, np.nan)
+    return Track(
+        t=recording.t,
+        x_px=at[:, 0] + (w - 1) / 2 + kept,
+        y_px=at[:, 1] + (h - 1) / 2 + kept,
+        angle=fine.angle + kept,
+        sigma_px=fine.sigma[:, 0] + kept,
+        sigma_y_px=fine.sigma[:, 1] + kept,
+        score=fine.score,
+        reason=measured.reason.astype(str),
+        name=name,
+        target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
+        notes=(*recording.notes, *_unread(measured)),
+    )
+
+
+def _unread(measured: Followed) -> tuple[str, ...]:
+    count = int(np.count_nonzero(measured.reason == UNREAD))
+    total = len(measured.reason)
+    return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
+
+
+def _change(film: Recording) -> Array:
+    """Rms difference (n,) of each picture from the one before beyond a change of light, on every fourth pixel."""
+    change, before = np.full(film.n_frames, np.nan), None
+    for i, frame in enumerate(film.frames()):
+        few = frame[::4, ::4].astype(np.float32)
+        if before is not None:
+            change[i] = np.std(few - before)
+        before = few
+    return change

@@ -1,179 +1,291 @@
-"""Coarse search: where the target is to a fraction of a pixel in every frame, by normalised correlation.
+"""Follow the target through the film: predict, read its rectangle, refine; search where that fails.
 
-The position is predicted from the last frames and looked for near there; when that fails, everywhere. What
-later stages need of the film is kept on the way, so that it is decoded only once: a cut-out per frame (in a
-temporary file, memory stays bounded) and the still background.
+Frames are taken in batches: from the path so far the target's place is predicted in all of them, only the
+rectangles there are read, and the products with the template say where it really is. A prediction that is off
+by more than the template's reach is mended by reading again; one that fails is followed by a search near there
+and then in the whole picture.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import IO
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
-from frictrack.records import Array
-from frictrack.tracking.match import Rectangle, correlate, cut_out, vertex
-from frictrack.tracking.resample import PAD, Patch
+from frictrack.records import Array, Mask
+from frictrack.tracking.match import Patch, Rectangle, correlate, vertex
+from frictrack.tracking.measure import without_what_does_not_fit
+from frictrack.tracking.refine import Fine, products, refine
+from frictrack.tracking.template import Template
+from frictrack.tracking.waves import RANGE
 
 Progress = Callable[[int, int, str], None]
 
 UNREAD = "frame cannot be read"
-NEAR = 0.8  # share of the usual score that a find near the prediction needs
+FLAT = "picture without contrast"
+LEAVES = "target leaves the frame"
+LEAST_SCORE = 0.35  # below this nothing is taken for the target, however noisy the film is
+SHARE = 0.7  # of the film's usual score that a find must reach
 SURE = 0.8  # a score below makes the rest of the picture worth a look, or a false find would be followed for ever
-BETTER = 0.1  # by this much must another place match better
-ANYWHERE = 0.5  # least score of a find anywhere
-BACKGROUND_FRAMES = 25
-BACKGROUND_BYTES = 64_000_000
+ANYWHERE = 0.5  # least score of a find far from where the target should be
+BETTER = 0.1  # by this much must another place match better than the one that is near
+SURPRISE = 1.5  # px off the prediction: no find in a batch, or a pattern that repeats would be followed one period off
+REACH = 24  # px searched round the prediction
+BATCH = (8, 128)  # frames predicted at once: least, most
+AGAIN = 4  # times that a batch is read at better corners
+HIDDEN = 16  # frames after which the path is no guide any more
+NOISIER = 4.0  # times the usual misfit at most, of what is left of a partly hidden target
+MEMORY = 24  # frames from which the next are predicted
 
 
 @dataclass(frozen=True, eq=False)
-class Coarse:
-    """What the search leaves: one row per frame, and the cut-outs of the frames in which it found something."""
+class Followed:
+    """Where the target is, frame by frame: rows of `fine` are NaN where it was not found."""
 
-    corner: Array  # (n, 2) px, upper left corner of the target, NaN where lost
-    score: Array  # (n,)
-    reason: list[str]
-    patches: Patch  # (m, h + 2 PAD, w + 2 PAD), on disk
-    frame: NDArray[np.int64]  # (m,) frame of each cut-out
-    origin: NDArray[np.int64]  # (m, 2) px, whole-pixel corner that each cut-out was taken at
-    background: Array  # (H, W)
-    change: Array  # (n,) rms by which the picture differs from the one before, grey values
+    corner: NDArray[np.int64]  # (n, 2) px, upper left corner of each cut-out
+    fine: Fine
+    reason: NDArray[np.object_]  # (n,), "" where found
 
     @property
-    def start(self) -> Array:
-        """Where the target is on each cut-out (m, 2) px."""
-        return self.corner[self.frame] - self.origin
+    def at(self) -> Array:
+        """Upper left corner of the target's rectangle (n, 2) px."""
+        return self.corner + self.fine.at
+
+    @property
+    def found(self) -> Mask:
+        """Frames in which the target was found."""
+        return np.asarray(self.reason == "")
+
+
+def nowhere(n: int) -> Followed:
+    """A track of `n` frames in which nothing was found yet."""
+    nan = np.full(n, np.nan)
+    pair = np.full((n, 2), np.nan)
+    score, gain, offset, misfit = (nan.copy() for _ in range(4))
+    fine = Fine(pair, nan, pair.copy(), score, gain, offset, misfit, np.zeros(n, np.bool_))
+    return Followed(np.zeros((n, 2), np.int64), fine, np.full(n, UNREAD, dtype=object))
 
 
 @dataclass
+class _Path:
+    """The path so far, and which polynomial foretold it best, for each axis."""
+
+    way: int = 1  # forward or backward through the film
+    frame: list[int] = field(default_factory=list)
+    at: list[Array] = field(default_factory=list)
+    degree: list[int] = field(default_factory=lambda: [1, 1])
+
+    def add(self, frame: NDArray[np.int64], at: Array) -> None:
+        """Remember finds; judge the predictors by them first."""
+        if len(frame) > 2 and len(self.frame) > 4:
+            for axis in (0, 1):
+                miss = [np.max(np.abs(self._foretold(frame, axis, d) - at[:, axis])) for d in (0, 1, 2)]
+                self.degree[axis] = int(np.argmin(miss))
+        self.frame = [*self.frame, *frame.tolist()][-MEMORY:]
+        self.at = [*self.at, *at][-MEMORY:]
+
+    def forget(self, frame: int, at: Array) -> None:
+        """Start again: the path broke off, the target is here now; the frame before may still tell the velocity."""
+        last = [(f, a) for f, a in zip(self.frame, self.at, strict=True) if f == frame - self.way]
+        self.frame, self.at = [f for f, _ in last] + [frame], [a for _, a in last] + [at]
+        self.degree = [1, 1]
+
+    def age(self, frame: int) -> int:
+        """Frames since the last find."""
+        return abs(frame - self.frame[-1])
+
+    def predicted(self, frame: NDArray[np.int64]) -> Array:
+        """Where the target should be in these frames (n, 2) px."""
+        return np.stack([self._foretold(frame, axis, self.degree[axis]) for axis in (0, 1)], axis=1)
+
+    def _foretold(self, frame: NDArray[np.int64], axis: int, degree: int) -> Array:
+        last = self.frame[-1]
+        known = np.array([a[axis] for a in self.at])
+        when = np.array(self.frame, dtype=np.float64) - last
+        degree = min(degree, len(known) - 1, 2 if len(known) > 4 else 1)
+        if degree == 0:
+            return np.full(len(frame), known[-1])
+        scale = max(abs(when[0]), 1.0)
+        fit = np.linalg.lstsq(np.vander(when / scale, degree + 1), known, rcond=None)[0]
+        return np.asarray(np.polyval(fit, (frame - last) / scale))
+
+
 class Follower:
-    """Looks for one patch in frame after frame."""
+    """Follows one target through a film of which any rectangle can be read."""
 
-    patch: Frame
-    usual: float = 1.0  # score of the last finds
-    last: list[Array] = field(default_factory=list)  # up to two positions in successive frames
-    lost: int = 0
+    def __init__(self, film: Recording, template: Template) -> None:
+        self.film, self.template = film, template
+        self.size = template.weight.shape
+        self.room = np.array(film.shape[::-1]) - np.array(self.size[::-1])
+        self.usual, self.noise = 1.0, np.inf  # score and misfit of the last finds
+        low = template.image
+        self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
+            np.uint8 if film.bit_depth == 8 else np.uint16
+        )
 
-    def find(self, frame: Frame) -> tuple[Array, float]:
-        """Corner (x, y) px of the best match in `frame`, and its score; near the prediction if that will do."""
-        part = self._near(frame)
-        near = None if part is None else _match(frame, self.patch, part)
-        if near is not None and near[1] >= max(SURE, NEAR * self.usual):
-            return near
+    @property
+    def least_score(self) -> float:
+        """What a find must reach."""
+        return max(LEAST_SCORE, SHARE * self.usual)
+
+    def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> Followed:
+        """All frames; `start` (2,) is the corner in frame `template`, from which the film is followed both ways."""
+        result = nowhere(self.film.n_frames)
+        self._along(np.arange(template, self.film.n_frames), start, result, progress)
+        if template:
+            self._along(np.arange(template, -1, -1), start, result, progress)
+        return result
+
+    def _along(
+        self, order: NDArray[np.int64], start: Array, result: Followed, progress: Progress | None = None
+    ) -> None:
+        """The frames in this order, the target being at `start` in the first of them."""
+        path, n = _Path(int(order[-1] >= order[0]) * 2 - 1), len(order)
+        path.forget(int(order[0]), np.asarray(start, dtype=np.float64))
+        self._batch(order[:1], path, result)
+        path.forget(int(order[0]), path.at[-1])  # one place tells no velocity
+        i, batch = 1, BATCH[0]
+        while i < n:
+            if progress:
+                progress(i, n, "follow")
+            if path.age(order[i]) <= BATCH[0]:
+                frames = order[i : i + batch]
+                done, calm = self._batch(frames, path, result)
+                i += done
+                batch = int(np.clip(batch * 2 if calm else batch // 2, *BATCH))
+                if done == len(frames):
+                    continue
+            if not self._covered(int(order[i]), path, result):
+                self._search(int(order[i]), path, result)
+            batch, i = BATCH[0], i + 1
+
+    def _batch(self, frames: NDArray[np.int64], path: _Path, result: Followed) -> tuple[int, bool]:
+        """How many of these frames, from the first on, hold the target; and whether the prediction was good."""
+        predicted = path.predicted(frames)
+        try:
+            corner, fine = self.read(frames, predicted)
+        except FrictrackError:
+            return 0, False
+        miss = np.max(np.abs(corner + fine.at - predicted), axis=1)
+        good = self.accepted(corner, fine) & (miss < SURPRISE)
+        count = len(frames) if good.all() else int(np.argmin(good))
+        self._keep(frames[:count], corner[:count], fine[slice(0, count)], result)
+        if count:
+            path.add(frames[:count], (corner + fine.at)[:count])
+            if fine.score[count - 1] < SURE:
+                self._doubt(int(frames[count - 1]), path, float(fine.score[count - 1]))
+        return count, bool(count == len(frames) and np.max(miss) < RANGE)
+
+    def _covered(self, i: int, path: _Path, result: Followed) -> bool:
+        """Whether the target is where it should be in frame `i`, though partly hidden; if so it is kept."""
+        if path.age(i) > HIDDEN:
+            return False
+        frames = np.array([i])
+        predicted = path.predicted(frames)
+        corner = np.rint(predicted).astype(np.int64).clip(0, self.room)
+        try:
+            cuts = self.film.cut(frames, corner, self.size)
+        except FrictrackError:
+            return False
+        start = np.clip(predicted - corner, -RANGE, RANGE)
+        whole = refine(products(cuts, self.template), start, self.template)
+        fine = without_what_does_not_fit(cuts, whole, self.template)
+        near = np.max(np.abs(corner + fine.at - predicted)) < SURPRISE
+        if not (near and self.accepted(corner, fine)[0] and fine.misfit[0] < NOISIER * self.noise):
+            return False
+        result.corner[i], result.reason[i] = corner[0], ""
+        result.fine.put(frames, fine)
+        path.add(frames, corner + fine.at)
+        return True
+
+    def read(self, frames: NDArray[np.int64], predicted: Array) -> tuple[NDArray[np.int64], Fine]:
+        """Corners (n, 2) and positions in these frames, from predictions (n, 2) px good to a pixel or two."""
+        corner = np.rint(predicted).astype(np.int64).clip(0, self.room)
+        fine = self._refined(frames, corner, np.clip(predicted - corner, -RANGE, RANGE))
+        for _ in range(AGAIN):
+            better = (corner + np.rint(np.nan_to_num(fine.at)).astype(np.int64)).clip(0, self.room)
+            off = np.any(np.abs(fine.at) > RANGE, axis=1) & np.any(better != corner, axis=1)
+            if not off.any():
+                break
+            start = np.clip((corner + fine.at - better)[off], -RANGE, RANGE)
+            corner[off] = better[off]
+            again = self._refined(frames[off], corner[off], start)
+            fine.put(off, again)
+        return corner, fine
+
+    def _refined(self, frames: NDArray[np.int64], corner: NDArray[np.int64], start: Array) -> Fine:
+        cuts = self.film.cut(frames, corner, self.size)
+        return refine(products(cuts, self.template), start, self.template)
+
+    def accepted(self, corner: NDArray[np.int64], fine: Fine) -> Mask:
+        """Finds that can be trusted: settled, well matched, and within the picture."""
+        inside = np.all((corner + fine.at > -0.5) & (corner + fine.at < self.room + 0.5), axis=1)
+        within = np.all(np.abs(fine.at) < RANGE + 0.05, axis=1)
+        return fine.settled & (fine.score >= self.least_score) & inside & within
+
+    def _keep(self, frames: NDArray[np.int64], corner: NDArray[np.int64], fine: Fine, result: Followed) -> None:
+        result.corner[frames] = corner
+        result.fine.put(frames, fine)
+        result.reason[frames] = ""
+        if len(frames):
+            self.usual = 0.9 * self.usual + 0.1 * float(np.median(fine.score))
+            misfit = float(np.median(fine.misfit))
+            self.noise = misfit if np.isinf(self.noise) else 0.9 * self.noise + 0.1 * misfit
+
+    def _search(self, i: int, path: _Path, result: Followed) -> None:
+        """Look for the target in frame `i`, near where it should be and then everywhere."""
+        try:
+            frame = self.film.frame(i)
+        except FrictrackError:
+            return
+        if frame.min() == frame.max():
+            result.reason[i] = FLAT
+            return
+        predicted = path.predicted(np.array([i]))[0]
+        place, score = self._look(frame, predicted if path.age(i) < BATCH[1] else None)
+        if score >= max(ANYWHERE * self.usual, LEAST_SCORE):
+            corner, fine = self.read(np.array([i]), place[None])
+            if self.accepted(corner, fine)[0]:
+                self._keep(np.array([i]), corner, fine, result)
+                path.forget(i, (corner + fine.at)[0])
+                return
+            score = min(score, float(fine.score[0]))
+        result.fine.score[i] = score
+        result.reason[i] = f"match score {score:.2f} below {self.least_score:.2f}"
+        if self._touches(predicted):
+            result.reason[i] = LEAVES
+
+    def _doubt(self, i: int, path: _Path, score: float) -> None:
+        """What matches so badly may be a false find: go on from another place if that is clearly better."""
+        place, best = _match(self.film.frame(i), self.patch, None)
+        if best > score + BETTER and np.max(np.abs(place - path.at[-1])) > SURPRISE:
+            path.forget(i, place)
+
+    def _touches(self, corner: Array) -> bool:
+        """Whether a rectangle at `corner` would stick out of the picture or touch its edge."""
+        return bool(np.any(corner <= 0.5) or np.any(corner >= self.room - 0.5))
+
+    def _look(self, frame: Frame, predicted: Array | None) -> tuple[Array, float]:
+        """The best match: near the prediction, unless another place is clearly better."""
+        near = None
+        if predicted is not None:
+            low = np.clip(np.rint(predicted) - REACH, 0, self.room).astype(int)
+            high = np.clip(np.rint(predicted) + REACH, low, self.room).astype(int) + self.size[::-1]
+            near = _match(frame, self.patch, (int(low[0]), int(low[1]), *(high - low).tolist()))
+            if near[1] >= 0.8 * self.usual:
+                return near
         anywhere = _match(frame, self.patch, None)
-        if near is not None and near[1] >= max(ANYWHERE, NEAR * self.usual, anywhere[1] - BETTER):
-            return near
-        return anywhere
-
-    def predicted(self) -> Array | None:
-        """Where the corner should be now, from the last two finds."""
-        if not self.last:
-            return None
-        return self.last[-1] + (self.lost + 1) * self._velocity()
-
-    def accept(self, corner: Array, score: float) -> None:
-        """Remember a find."""
-        self.last = [*self.last[-1:], corner] if not self.lost else [corner]
-        self.usual, self.lost = 0.8 * self.usual + 0.2 * score, 0
-
-    def _velocity(self) -> Array:
-        return self.last[-1] - self.last[-2] if len(self.last) == 2 else np.zeros(2)
-
-    def _near(self, frame: Frame) -> Rectangle | None:
-        """The part of the frame (x, y, w, h) to search first."""
-        centre = self.predicted()
-        if centre is None or self.lost:
-            return None
-        reach = 5 + np.ceil(0.5 * np.abs(self._velocity())) + (16 if len(self.last) < 2 else 0)
-        size = np.array(self.patch.shape[::-1])
-        low = np.clip(np.rint(centre) - reach, 0, np.array(frame.shape[::-1]) - size).astype(int)
-        high = np.clip(np.rint(centre) + reach + size, low + size, frame.shape[::-1]).astype(int)
-        return (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+        return near if near is not None and near[1] >= max(ANYWHERE, anywhere[1] - BETTER) else anywhere
 
 
-def follow(
-    recording: Recording, patch: Frame, start: tuple[int, int] | None = None, progress: Progress | None = None
-) -> Coarse:
-    """Search the `patch` (h, w) in every frame of `recording`; `start` is its corner in the first, if known."""
-    follower = Follower(patch)
-    follower.last = [] if start is None else [np.array(start, dtype=np.float64)]
-    n = recording.n_frames
-    corner, score, change = np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    reason = [UNREAD] * n
-    kept: list[Frame] = []
-    stride = -(-n // _background_frames(recording))
-    before: Frame | None = None
-    with tempfile.TemporaryFile() as spool:
-        for i, frame in enumerate(recording.frames()):
-            corner[i], score[i], reason[i] = _one(follower, frame)
-            if not reason[i]:
-                spool.write(cut_out(frame, np.rint(corner[i]).astype(int), patch.shape).tobytes())
-            if i % stride == 0:
-                kept.append(frame)
-            change[i], before = _change(before, frame), frame
-            if progress and i % 50 == 0:
-                progress(i, n, "search")
-        rows = np.flatnonzero([not r for r in reason])
-        patches = _mapped(spool, patch, len(rows))
-    background = np.median(np.stack(kept), axis=0)
-    return Coarse(corner, score, reason, patches, rows, np.rint(corner[rows]).astype(int), background, change)
-
-
-def _mapped(spool: IO[bytes], patch: Frame, count: int) -> Patch:
-    """The cut-outs in the temporary file, read as they are used."""
-    shape = (count, patch.shape[0] + 2 * PAD, patch.shape[1] + 2 * PAD)
-    if not count:
-        return np.empty(shape, patch.dtype)
-    spool.flush()
-    return np.memmap(spool, patch.dtype, "r", shape=shape)
-
-
-def _change(before: Frame | None, frame: Frame) -> float:
-    """Rms difference of two pictures beyond a change of light, on every fourth pixel."""
-    if before is None:
-        return np.nan
-    return float(np.std(frame[::4, ::4].astype(np.float32) - before[::4, ::4]))
-
-
-def _one(follower: Follower, frame: Frame) -> tuple[Array, float, str]:
-    """Corner, score and reason ("" when found) in one frame."""
-    nowhere = np.full(2, np.nan)
-    if frame.min() == frame.max():
-        follower.lost += 1
-        return nowhere, np.nan, "picture without contrast"
-    corner, score = follower.find(frame)
-    if score >= max(ANYWHERE, 0.6 * follower.usual):
-        follower.accept(corner, score)
-        return corner, score, ""
-    reason = f"match score {score:.2f} below {max(ANYWHERE, 0.6 * follower.usual):.2f}"
-    if _outside(follower.predicted(), follower.patch.shape, frame.shape):
-        reason = "target leaves the frame"
-    follower.lost += 1
-    return nowhere, score, reason
-
-
-def _outside(corner: Array | None, size: tuple[int, ...], shape: tuple[int, ...]) -> bool:
-    """Whether a rectangle at `corner` would stick out of the frame or touch its edge."""
-    if corner is None:
-        return False
-    room = np.array(shape[::-1]) - np.array(size[::-1])
-    return bool(np.any(corner <= 0.5) or np.any(corner >= room - 0.5))
-
-
-def _match(frame: Frame, patch: Frame, part: Rectangle | None) -> tuple[Array, float]:
+def _match(frame: Frame, patch: Patch, part: Rectangle | None) -> tuple[Array, float]:
     """Best zero-normalised correlation of `patch` in (a `part` of) `frame`: corner (x, y), score."""
     x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
     scores = correlate(frame[y : y + h, x : x + w], patch)
     _, best, _, (i, j) = cv2.minMaxLoc(scores)
     return np.array([x + i + vertex(scores[j], i), y + j + vertex(scores[:, i], j)]), float(best)
-
-
-def _background_frames(recording: Recording) -> int:
-    size = recording.shape[0] * recording.shape[1] * (2 if recording.bit_depth > 8 else 1)
-    return int(np.clip(BACKGROUND_BYTES // size, 7, BACKGROUND_FRAMES))

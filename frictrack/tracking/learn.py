@@ -1,99 +1,116 @@
-"""The template averaged over the run, and how far each of its pixels can be trusted.
+"""Learn the target's picture from the film itself, with the noise of every pixel.
 
-One noisy frame as a template costs accuracy (Clement et al. 2018, arXiv:1809.05583), so the cut-outs of up
-to 160 frames, spread over the travelled path, are registered and their median is the template. The spread
-about it shows which pixels belong to the target: where the rectangle holds background, the picture changes
-as the target moves on, or is just what the empty scene looks like there. Such pixels get little weight or
-none, because background that stays while the target moves would pull the track back, slowly and unseen.
+One noisy frame as a template costs accuracy (Clement et al. 2018, arXiv:1809.05583), so the picture is fitted to
+frames from the whole path. Given their shifts it is linear least squares, and the frames enter it by a few sums
+alone: with h_i the expansion of frame i's shift (see `waves`), sum h_i h_i' and sum h_i I_i stand for them all.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.follow import Coarse
-from frictrack.tracking.match import cut_out
-from frictrack.tracking.refine import Fine, Template, refine
-from frictrack.tracking.resample import MARGIN, Patch, resample
+from frictrack.tracking.match import Patch
+from frictrack.tracking.refine import Fine
+from frictrack.tracking.template import Template
+from frictrack.tracking.waves import Shifts, shifts
 
-FRAMES = 160
-BYTES = 64_000_000  # of registered pictures held at once
-ROUNDS = 2
-GOOD_SCORE = 0.7
+CONJUGATE_STEPS = 15
+CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
+RIDGE = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
-LEAK = 3  # px from the background within which interpolation mixes it in
+LEAK = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
 OUTLINE = 0.5  # share of the contrast that must lie inside; else the outline is used as well
-CHI2_MEDIAN = 0.455  # median of chi^2 with one degree of freedom
-ROUNDING = 0.1  # variance of rounding to whole grey values, which a film without noise still has
+SCATTERS = 1.5  # times the noise: such a pixel is not just noisy, it shows something that comes and goes
+ROUNDING = 1 / 12  # variance of rounding to whole grey values, which a film without noise still has
 
 
-def learn(coarse: Coarse, first: Array) -> Template:
-    """The template of the run, from its coarse track.
+def first_look(cut: Patch) -> Template:
+    """The template that one cut-out (h, w) makes."""
+    weight = np.ones(cut.shape) / max(float(np.var(cut)), 1.0)
+    level = float(np.mean(cut))
+    grid = shifts((cut.shape[0], cut.shape[1]))
+    still = grid.design(np.zeros((1, 2)))[0]
+    waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves))
+    return Template(waves, weight, level)
 
-    `first` (h + 2 PAD, w + 2 PAD) is the cut-out of the template frame, the start of the averaging.
+
+def learn(cuts: Patch, fine: Fine, template: Template, scene: Patch | None = None) -> Template:
+    """The template that fits the cut-outs (n, h, w) best where `fine` found the target in them.
+
+    `scene` (n, h, w) is the still background behind each cut-out, where it is known.
     """
-    here = np.zeros((1, 2))
-    image = resample(first[None], here, MARGIN)[0][0].astype(np.float64)
-    template = Template(image, np.ones([s - 2 * MARGIN for s in image.shape]))
-    rows = _spread(coarse, image.size)
-    patches, start = coarse.patches[rows], coarse.start[rows]
-    scene = _scene(coarse, rows, template.weight.shape)
-    for _ in range(ROUNDS):
-        fine = refine(patches, start, template)
-        good = fine.settled & (fine.score > GOOD_SCORE)
-        if np.count_nonzero(good) < 3:
+    grid = template.shifts
+    fine = replace(fine, gain=fine.gain / np.median(fine.gain))  # the picture is that of the usual light
+    pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - fine.offset.astype(np.float32)[:, None]
+    columns, turn = _columns(template, fine)
+    pixels -= turn
+    waves = _fitted(grid, columns, pixels, template.weight, template.waves)
+    level = float(np.median(fine.offset))
+    learnt = replace(template, waves=waves, level=level)
+    left = pixels - columns.astype(np.float32) @ learnt.pictures[: columns.shape[1]].astype(np.float32)
+    rated = left / fine.gain.astype(np.float32)[:, None]
+    # The picture has taken up as many frames' worth of noise as it has waves to a pixel.
+    lost = min(waves.size / template.weight.size, 0.5 * len(cuts))
+    spread = np.sum(rated**2, axis=0).reshape(template.weight.shape) / (len(cuts) - lost)
+    moves = None if scene is None else _moves(cuts, scene, spread, learnt.image)
+    return replace(learnt, weight=_weight(spread + ROUNDING, learnt.image, moves))
+
+
+def _columns(template: Template, fine: Fine) -> tuple[Array, Patch]:
+    """Gain times the expansion of every frame's shift (n, k), and what its turn changes (n, h w)."""
+    picture, _, _, turn = template.shifts.design(fine.turned_back())
+    k = picture.shape[1]
+    turned = (turn * (fine.gain * fine.angle)[:, None]).astype(np.float32)
+    return picture * fine.gain[:, None], turned @ template.pictures[k:-1].astype(np.float32)
+
+
+def _fitted(grid: Shifts, columns: Array, pixels: Patch, weight: Array, start: Array) -> Array:
+    """Coefficients of the picture by weighted least squares of pixels (n, h w) = columns (n, k) B.
+
+    Conjugate gradients on a small problem: as many pseudo-frames as there are shifts to tell apart stand for the
+    frames, columns' columns = L L'.
+    """
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    keep = values > 1e-7 * values[-1]
+    mix = vectors[:, keep] * np.sqrt(values[keep])
+    sums = (columns.T.astype(np.float32) @ pixels.astype(np.float32)).astype(np.float64)
+    pseudo = ((vectors[:, keep] / np.sqrt(values[keep])).T @ sums).astype(np.float32)
+    mix, rate = mix.astype(np.float32), weight.ravel().astype(np.float32)
+    ridge = np.float32(RIDGE * len(columns) * float(rate.mean()))
+
+    def forward(waves: Patch) -> Patch:
+        return mix.T @ grid.pictures(waves).reshape(len(mix), -1)
+
+    def back(pictures: Patch) -> Patch:
+        return grid.adjoint((mix @ (pictures * rate)).reshape(-1, *weight.shape))
+
+    waves: Patch = start.astype(np.float32)
+    left = back(pseudo - forward(waves)) - ridge * waves
+    way, size = left, float(np.sum(left**2))
+    aim = CLOSE * float(np.sum(back(pseudo) ** 2))
+    for _ in range(CONJUGATE_STEPS):
+        if size <= aim:
             break
-        stack = _registered(patches[good], fine, good)
-        image = np.asarray(np.median(stack, axis=0), dtype=np.float64)
-        template = Template(image, _weight(stack, image, _registered(scene[good], fine, good)))
-        start = fine.at
-    return template
+        bent = back(forward(way)) + ridge * way
+        length = np.float32(size / float(np.sum(way * bent)))
+        waves, left = waves + length * way, left - length * bent
+        before, size = size, float(np.sum(left**2))
+        way = left + np.float32(size / before) * way
+    return waves.astype(np.float64)
 
 
-def _spread(coarse: Coarse, size: int) -> NDArray[np.int64]:
-    """Cut-outs spread over the path travelled (a long rest must not decide what the target looks like)."""
-    step = np.hypot(*np.diff(coarse.corner[coarse.frame], axis=0).T)
-    step[step < 0.5] = 0.0
-    path = np.concatenate([[0.0], np.cumsum(step)])
-    index = np.linspace(0, 1, len(path))
-    along = index if path[-1] < 1 else 0.9 * path / path[-1] + 0.1 * index
-    count = int(np.clip(BYTES // (8 * size), 16, FRAMES))
-    rows = np.searchsorted(along, np.linspace(0, 1, min(count, len(path))))
-    return np.unique(rows.clip(0, len(path) - 1))
+def _moves(cuts: Patch, scene: Patch, spread: Array, image: Array) -> Mask | None:
+    """Pixels that move with the target: better explained by it than by the still scene; None where too few do."""
+    differs = np.mean((cuts.astype(np.float32) - scene) ** 2, axis=0)
+    moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)
+    return moves if moves.mean() > LEAST_SHARE else None
 
 
-def _scene(coarse: Coarse, rows: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
-    """The still background as it lies behind each of these cut-outs."""
-    background = coarse.background.astype(np.float32)
-    return np.stack([cut_out(background, origin, (size[0], size[1])) for origin in coarse.origin[rows]])
-
-
-def _registered(patches: Patch, fine: Fine, good: Mask) -> Array:
-    """Pictures on the template's grid and in its grey values."""
-    pictures, _ = resample(patches, fine.at[good], MARGIN)
-    offset = fine.offset[good] - _level(fine, good)
-    return (pictures - offset[:, None, None]) / fine.gain[good][:, None, None]
-
-
-def _level(fine: Fine, good: Mask) -> float:
-    """Offsets are relative to the template's mean: keep the average level of the run."""
-    return float(np.median(fine.offset[good]))
-
-
-def _weight(stack: Array, image: Array, scene: Array) -> Array:
-    """Weight of the template's pixels (h, w), 0 to 1; arguments with MARGIN pixels round them."""
-    inner = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
-    spread = np.median((stack - image) ** 2, axis=0) / CHI2_MEDIAN + ROUNDING
-    differs = np.median((stack - scene) ** 2, axis=0) / CHI2_MEDIAN
-    moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)[inner]
-    weight = np.minimum(1.0, 2.0 * np.median(spread[inner]) / spread[inner])
-    return weight * moves if moves.mean() > LEAST_SHARE else weight
-
-
-def _trimmed(moves: NDArray[np.uint8], picture: Array) -> Mask:
+def _trimmed(moves: Array, picture: Array) -> Mask:
     """What moves, less the edge across which background leaks in; with it where the edge is all there is."""
     moves = np.asarray(cv2.medianBlur(moves, 3))
     framed = cv2.copyMakeBorder(moves, LEAK, LEAK, LEAK, LEAK, cv2.BORDER_REPLICATE)
@@ -102,3 +119,27 @@ def _trimmed(moves: NDArray[np.uint8], picture: Array) -> Mask:
     outlined = np.asarray(cv2.dilate(moves, np.ones((3, 3), np.uint8))) > 0
     energy = np.sum(np.square(np.gradient(picture)), axis=0)
     return inside if energy[inside].sum() > OUTLINE * energy[outlined].sum() else outlined
+
+
+def _weight(spread: Array, image: Array, moves: Mask | None) -> Array:
+    """One over the variance of each pixel (h, w): the photon-transfer line, or its own where it scatters more.
+
+    Shot noise grows with the light: variance = read noise + light / (electrons per DN), Janesick 2007, Photon Transfer.
+    """
+    line = _photon_line(spread, image)
+    scatters = spread > SCATTERS * line
+    weight = 1 / np.where(scatters, spread, line)
+    return weight if moves is None else weight * moves
+
+
+def _photon_line(spread: Array, image: Array) -> Array:
+    """The line through variance against light, that of the pixels which follow one; nowhere below half its median."""
+    good = np.ones(spread.shape, np.bool_)
+    line = np.full(spread.shape, np.median(spread))
+    for _ in range(3):
+        good = spread < SCATTERS * line
+        if np.count_nonzero(good) < 20 or np.ptp(image[good]) <= 0:
+            break
+        slope, level = np.polynomial.Polynomial.fit(image[good], spread[good], 1).convert().coef[::-1]
+        line = np.maximum(level + max(slope, 0.0) * image, 0.5 * np.median(spread[good]))
+    return line

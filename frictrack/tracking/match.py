@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.tracking.resample import PAD, Patch
 
 Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
+Patch = NDArray[Any]  # grey values
 
 
 def correlate(frame: Patch, patch: Patch) -> Patch:
@@ -28,15 +31,3 @@ def vertex(scores: Array, i: int) -> float:
     a, b, c = (float(s) for s in scores[i - 1 : i + 2])
     bend = a - 2 * b + c
     return 0.5 * (a - c) / bend if bend < 0 else 0.0
-
-
-def cut_out(frame: Patch, corner: Patch, size: tuple[int, ...]) -> Patch:
-    """The target's rectangle and PAD pixels round it, mirrored where the frame ends."""
-    x, y = corner - PAD
-    h, w = size[0] + 2 * PAD, size[1] + 2 * PAD
-    height, width = frame.shape
-    inside = frame[max(y, 0) : min(y + h, height), max(x, 0) : min(x + w, width)]
-    if inside.shape == (h, w):
-        return inside
-    beyond = (max(-y, 0), max(y + h - height, 0), max(-x, 0), max(x + w - width, 0))
-    return np.asarray(cv2.copyMakeBorder(inside, *beyond, borderType=cv2.BORDER_REFLECT_101))

@@ -1,149 +1,170 @@
-"""Sub-pixel position: inverse-compositional Gauss-Newton against one fixed template.
+"""Sub-pixel position: Gauss-Newton on a few products of each frame with fixed pictures.
 
-Minimises the weighted, zero-normalised squared difference between picture and template (Baker & Matthews
-2004, IJCV 56:221; gain and offset free as in digital image correlation). Near the solution
+With the target's picture T known, a frame is
 
-    I(u + p) = b + a [T(u) + g(u).(p - p*) + theta g_theta(u)]
+    I(u) = b + a [T(u - p) + theta R(u - p)] + noise        R: change per rad of rotation
 
-is linear in a, b, p* and the rotation theta, with columns that belong to the template alone: one product of
-the picture with a fixed matrix is one Gauss-Newton step. The rotation turns about the template's centre of
-stiffness, where g_theta is orthogonal to both gradients, so that estimating it costs x and y nothing.
+and maximum likelihood for white noise is weighted least squares in a, b, p, theta. T and R at any shift are
+sums of the template's fixed pictures (see `waves`), so a frame enters by its products with those and by its own
+power alone: no frame is ever interpolated, which keeps its noise white and the estimate at the Cramer-Rao
+bound (Pham et al. 2005, EURASIP J. Appl. Signal Process. 2005:2199).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.resample import MARGIN, REACH, Patch, gradient, resample
+from frictrack.tracking.match import Patch
+from frictrack.tracking.template import Template
+from frictrack.tracking.waves import RANGE
 
-STEPS = 12
+STEPS = 6
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
 UNKNOWNS = 5
 LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
-    """What the target looks like: `image` (h + 2 MARGIN, w + 2 MARGIN) and the `weight` (h, w) of its pixels."""
+class Fine:
+    """Where the target is on its cut-outs: `at` (n, 2) px from their corners, and the rest (n,)."""
 
-    image: Array
-    weight: Array
+    at: Array
+    angle: Array  # rad, x toward y
+    sigma: Array  # (n, 2) px, from the template's noise times the root of `misfit`
+    score: Array
+    gain: Array
+    offset: Array  # DN
+    misfit: Array  # mean weighted squared residual; 1 where only noise is left
+    settled: Mask
 
-    @cached_property
-    def design(self) -> Array:
-        """Columns (h w, 5): gradient along x and y, rotation, picture, one; times the root of the weight."""
-        inner = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
-        gx, gy = (g[inner].ravel() for g in gradient(self.image))
-        weight = self.weight.ravel()
-        picture = self.image[inner].ravel()
-        picture = picture - np.average(picture, weights=weight)
-        slopes = np.column_stack([gx, gy])
-        turn = _turn(slopes, self.weight)
-        return np.column_stack([slopes, turn, picture, np.ones_like(gx)]) * self.root[:, None]
+    def __getitem__(self, rows: Mask | slice | np.ndarray) -> Fine:
+        return Fine(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    @cached_property
-    def root(self) -> Array:
-        """Square root of the weights (h w,)."""
-        return np.sqrt(self.weight.ravel())
+    def moved(self, by: Array) -> Fine:
+        """The same places, on cut-outs whose corners lie `by` (n, 2) px further up and left."""
+        return replace(self, at=self.at + by)
 
-    @cached_property
-    def covariance(self) -> Array:
-        """Inverse normal matrix (5, 5): covariance of the coefficients per unit noise variance."""
-        return np.asarray(np.linalg.pinv(self.design.T @ self.design, hermitian=True), dtype=np.float64)
+    def turned_back(self) -> Array:
+        """Where the target lay on its cut-out before it turned about the cut-out's middle (n, 2) px."""
+        return self.at - _swing(self.angle, self.at)
 
-    @cached_property
-    def n_pixels(self) -> int:
-        """Pixels that count."""
-        return int(np.count_nonzero(self.weight))
-
-
-def _turn(slopes: Array, weight: Array) -> Array:
-    """Change (h w,) of the picture per rad of rotation about the centre of stiffness.
-
-    About the corner that is g_x y - g_y x; moving the centre takes off the part along the slopes (h w, 2).
-    """
-    y, x = (c.ravel().astype(np.float64) for c in np.mgrid[: weight.shape[0], : weight.shape[1]])
-    turn = slopes[:, 0] * y - slopes[:, 1] * x
-    root = np.sqrt(weight.ravel())
-    shift = np.linalg.lstsq(slopes * root[:, None], turn * root, rcond=None)[0]
-    return np.asarray(turn - slopes @ shift, dtype=np.float64)
+    def put(self, rows: np.ndarray | slice, part: Fine) -> None:
+        """Write `part` into these rows."""
+        for f in fields(self):
+            getattr(self, f.name)[rows] = getattr(part, f.name)
 
 
 @dataclass(frozen=True, eq=False)
-class Fine:
-    """Where the target is on its cut-outs: `at` (n, 2) px and the rest (n,)."""
+class Products:
+    """What is left of the frames: products with the pictures (n, k), power (n,), and products among the pictures.
 
-    at: Array
-    angle: Array
-    sigma: Array  # (n, 2) px
-    score: Array
-    gain: Array
-    offset: Array
-    settled: Mask
+    `gram` is (k, k), or (n, k, k) where the frames do not share their weights; `n_pixels` likewise.
+    """
+
+    moments: Array
+    power: Array
+    gram: Array
+    n_pixels: Array | int
+
+    def of(self, rows: Mask) -> Products:
+        """Those of some frames."""
+        gram = self.gram if self.gram.ndim == 2 else self.gram[rows]
+        count = self.n_pixels if np.ndim(self.n_pixels) == 0 else np.asarray(self.n_pixels)[rows]
+        return Products(self.moments[rows], self.power[rows], gram, count)
 
 
-def refine(patches: Patch, start: Array, template: Template) -> Fine:
-    """Position of the template on each cut-out (n, h + 2 PAD, w + 2 PAD), from `start` (n, 2) px."""
-    n = len(patches)
-    at, settled = np.array(start, dtype=np.float64), np.zeros(n, np.bool_)
-    moments, power, loss = np.zeros((n, UNKNOWNS)), np.ones(n), np.ones(n)
-    active = np.arange(n)
+def products(cuts: Patch, template: Template, share: Patch | None = None) -> Products:
+    """Multiply frames' cut-outs (n, h, w) by the template's pictures.
+
+    `share` (n, h, w), 0 to 1, is how much of its weight each pixel keeps in each frame.
+    """
+    pixels = template.weighted(cuts)
+    if share is None:
+        power = np.einsum("ij,ij->i", pixels, pixels)
+        return Products(
+            (pixels @ template.filters).astype(float), power.astype(float), template.gram, template.n_pixels
+        )
+    kept = share.reshape(len(cuts), -1).astype(np.float32)
+    moments, power, gram = [], [], []
+    for frame, keep in zip(pixels, kept, strict=True):
+        filters = template.filters * keep[:, None]
+        moments.append(frame @ filters)
+        power.append((frame * keep) @ frame)
+        gram.append(template.filters.T @ filters)
+    moved, own, among = (np.asarray(v, dtype=np.float64) for v in (moments, power, gram))
+    return Products(moved, own, among, np.asarray(kept @ (template.weight.ravel() > 0), dtype=np.float64))
+
+
+def refine(given: Products, start: Array, template: Template) -> Fine:
+    """Position of the target in each frame, from `start` (n, 2) px; outside the expansion's reach not settled."""
+    at = np.array(start, dtype=np.float64)
+    n = len(at)
+    result = np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS, UNKNOWNS))
+    settled, active = np.zeros(n, np.bool_), np.ones(n, np.bool_)
     for _ in range(STEPS):
-        pictures, loss[active] = resample(patches[active], at[active])
-        pixels = pictures.reshape(len(active), -1) * template.root
-        moments[active] = pixels @ template.design
-        power[active] = np.einsum("ij,ij->i", pixels, pixels)
-        step = _step(moments[active] @ template.covariance)
-        at[active] -= step
+        rows = np.flatnonzero(active)
+        found = _solve(given.of(active), at[active], template)
+        for whole, part in zip(result, found, strict=True):
+            whole[rows] = part
+        step = np.clip(found[0][:, 2:4] / _divisor(found[0])[:, None], -1.0, 1.0)
+        at[rows] += step
         small = np.max(np.abs(step), axis=1) < SETTLED
-        settled[active[small]] = True
-        active = active[~small & _near(at[active])]
-        if not len(active):
+        settled[rows[small]] = True
+        active[rows] = ~small & np.all(np.abs(at[rows]) < RANGE + 0.5, axis=1)
+        if not active.any():
             break
-    return _summarise(at, settled, (moments, power, loss), template)
+    return _summarise(at, settled, given, result, template)
 
 
-def _step(coefficients: Array) -> Array:
-    """Gauss-Newton step (n, 2) px, at most one pixel long per axis."""
-    return np.clip(coefficients[:, :2] / _divisor(coefficients)[:, None], -1.0, 1.0)
+def _solve(given: Products, at: Array, template: Template) -> tuple[Array, Array, Array]:
+    """Coefficients (n, 5) of gain, offset, p_x, p_y, turn; their right-hand side; the normal matrix (n, 5, 5)."""
+    columns = template.columns(at)
+    normal = columns @ given.gram @ columns.transpose(0, 2, 1)
+    right = np.einsum("nik,nk->ni", columns, given.moments)
+    return np.linalg.solve(normal + _RIDGE, right[..., None])[..., 0], right, normal
+
+
+_RIDGE = 1e-9 * np.eye(UNKNOWNS)  # a picture without contrast has no position, and says so by its score
 
 
 def _divisor(coefficients: Array) -> Array:
     """The gain (n,), kept away from zero; a target with less than that is not there."""
-    return np.maximum(coefficients[:, 3], LEAST_GAIN)
+    return np.maximum(coefficients[:, 0], LEAST_GAIN)
 
 
-def _near(at: Array) -> Mask:
-    """Still on the cut-out."""
-    return np.all(np.abs(at) < REACH + 0.5, axis=1)
-
-
-def _summarise(at: Array, settled: Mask, sums: tuple[Array, Array, Array], template: Template) -> Fine:
-    """All that is said of a frame, from its products with the template (n, 5) and its own power (n,)."""
-    moments, power, loss = sums
-    coefficients = moments @ template.covariance
+def _summarise(
+    at: Array, settled: Mask, given: Products, result: tuple[Array, Array, Array], template: Template
+) -> Fine:
+    coefficients, right, normal = result
     gain = _divisor(coefficients)
-    misfit = np.maximum(power - np.sum(coefficients * moments, axis=1), 0.0)
-    # Interpolation took some of the noise out of the pixels, though not out of what the gradient sees.
-    noise = misfit / max(template.n_pixels - UNKNOWNS, 1) / loss
-    spread = np.sqrt(np.diag(template.covariance)[:2])
+    left = np.maximum(given.power - np.einsum("ni,ni->n", coefficients, right), 0.0)
+    misfit = left / np.maximum(given.n_pixels - UNKNOWNS, 1)
+    spread = np.sqrt(np.maximum(np.diagonal(np.linalg.inv(normal + _RIDGE), axis1=1, axis2=2)[:, 2:4], 0.0))
+    angle = coefficients[:, 4] / gain
     return Fine(
-        at=at,
-        angle=coefficients[:, 2] / gain,
-        sigma=np.sqrt(noise)[:, None] * spread / gain[:, None],
-        score=_correlation(moments, power, template),
-        gain=coefficients[:, 3],
-        offset=coefficients[:, 4],
-        settled=settled & (coefficients[:, 3] > LEAST_GAIN),
+        at=at + _swing(angle, at),
+        angle=angle,
+        sigma=np.sqrt(misfit)[:, None] * spread / gain[:, None],
+        score=_correlation(given, right, normal),
+        gain=coefficients[:, 0],
+        offset=coefficients[:, 1] + template.level,
+        misfit=misfit,
+        settled=settled & (coefficients[:, 0] > LEAST_GAIN),
     )
 
 
-def _correlation(moments: Array, power: Array, template: Template) -> Array:
-    """Weighted zero-normalised cross-correlation (n,) of the pictures with the template."""
-    picture = template.design[:, 3]
-    centred = power - moments[:, 4] ** 2 / np.sum(template.weight)
-    return moments[:, 3] / np.sqrt(np.maximum(centred * (picture @ picture), 1e-12))
+def _swing(angle: Array, at: Array) -> Array:
+    """The turn is about the middle of the cut-out: by how much the target's own middle, at `at`, swings round it."""
+    return angle[:, None] * np.stack([-at[:, 1], at[:, 0]], axis=1)
+
+
+def _correlation(given: Products, right: Array, normal: Array) -> Array:
+    """Weighted zero-normalised cross-correlation (n,) of the frames with the template at its place."""
+    weight = np.maximum(normal[:, 1, 1], 1e-12)
+    both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
+    frame = given.power - right[:, 1] ** 2 / weight
+    picture = normal[:, 0, 0] - normal[:, 0, 1] ** 2 / weight
+    return np.asarray(both / np.sqrt(np.maximum(frame * picture, 1e-12)), dtype=np.float64)

@@ -1,0 +1,94 @@
+"""The last look at every frame: with the learnt picture, without what stands in the way.
+
+A frame whose residual picture holds more than noise is measured again with the pixels that do not fit left out
+(Tukey's idea: what lies far off counts nothing), be it behind a rod, under a flash or half out of the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array
+from frictrack.tracking.match import Patch
+from frictrack.tracking.refine import Fine, products, refine
+from frictrack.tracking.template import Template
+from frictrack.tracking.view import View
+from frictrack.tracking.waves import RANGE
+
+MISFITS = 1.5  # times the usual mean squared residual: the frame shows more than the target
+AGAIN = 4  # rounds of leaving out what does not fit
+LEAST_LEFT = 0.25  # of the pixels that must still count
+FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What the film has taught: the template, what stands still before it, and the usual misfit."""
+
+    template: Template
+    view: View | None = None
+    usual: float = np.nan  # nan: that of the frames at hand
+    inflation: Array = field(default_factory=lambda: np.ones(2))  # of the standard deviations, see `trust`
+
+
+def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> Fine:
+    """Positions in cut-outs (n, h, w) taken at `corner` (n, 2), from the `guess` of an earlier round."""
+    share, template = None, lesson.template
+    if lesson.view is not None:
+        cuts, share = lesson.view.cleaned(cuts, corner, guess.gain, guess.offset)
+    fine = refine(products(cuts, template), guess.at, template)
+    covered = np.zeros(len(cuts), np.bool_) if share is None else np.any(share < 1, axis=(1, 2))
+    usual = float(np.median(fine.misfit)) if np.isnan(lesson.usual) else lesson.usual
+    odd = np.flatnonzero(covered | (fine.misfit > MISFITS * usual))
+    if len(odd):
+        given = np.ones((len(odd), *cuts.shape[1:]), np.float32) if share is None else share[odd]
+        better = without_what_does_not_fit(cuts[odd], fine[odd], template, given)
+        fine.put(odd, better)
+    return replace(fine, sigma=fine.sigma * lesson.inflation)
+
+
+def without_what_does_not_fit(cuts: Patch, fine: Fine, template: Template, given: Array | None = None) -> Fine:
+    """The same frames, pixel by pixel weighted by how well they fit; score and noise are those of what is left.
+
+    `given` (n, h, w) is the share of their weight that pixels have in the first place. Where hardly anything is
+    left, the frame is not settled.
+    """
+    counts = (template.weight > 0).astype(np.float32)
+    given = np.broadcast_to(counts, cuts.shape) if given is None else given * counts
+    share = given
+    for _ in range(AGAIN):
+        start = np.clip(np.nan_to_num(fine.at), -RANGE, RANGE)
+        fine = refine(products(cuts, template, share), start, template)
+        share = given * _fits(residual(cuts, fine, template), given)
+    left = share.mean(axis=(1, 2)) / max(float(counts.mean()), 1e-9)
+    return replace(fine, settled=fine.settled & (left > LEAST_LEFT))
+
+
+def residual(cuts: Patch, fine: Fine, template: Template) -> Array:
+    """What the target does not explain of the cut-outs (n, h, w), in standard deviations of the template's noise."""
+    return (template.weighted(cuts) - modelled(fine, template) * template.root).reshape(cuts.shape)
+
+
+def modelled(fine: Fine, template: Template) -> Array:
+    """What the cut-outs should show (n, h w), DN above the template's level."""
+    columns = template.columns(fine.turned_back())
+    ones = np.ones_like(fine.gain)
+    parts = np.stack([fine.gain, fine.offset - template.level, 0 * ones, 0 * ones, fine.gain * fine.angle], axis=1)
+    weights = np.einsum("ni,nik->nk", parts, columns).astype(np.float32)
+    return np.asarray(weights @ template.pictures.astype(np.float32))
+
+
+def _fits(left: Array, given: Array) -> Array:
+    """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours."""
+    fits = np.empty_like(left)
+    for k, picture in enumerate(left):
+        seen = picture[given[k] > 0.5]
+        scale = 1.4826 * float(np.median(np.abs(seen))) if seen.size else 1.0
+        rated = picture / max(scale, 1e-6)
+        around = 3 * np.abs(cv2.blur(rated, (3, 3)))  # the mean of nine: a standard deviation of one third
+        fits[k] = np.clip((FARTHEST - np.maximum(np.abs(rated), around)) / (FARTHEST - FAR), 0, 1)
+    return fits
