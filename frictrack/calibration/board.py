@@ -132,14 +132,15 @@ def board_of(scale: Mapping[str, Any]) -> Board:
     return board
 
 
-def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> list[View]:
-    """The board in every picture that shows it, at most 20 that differ, the picture `plane` among them.
+def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> tuple[list[View], list[str]]:
+    """The board in every picture that shows it, at most 20 that differ, the picture `plane` first; and where it is not.
 
     `shape` (h, w) is that of the film. Raises `FrictrackError` when the board is in no picture, not in the picture
     `plane`, or the pictures are of another size than the film.
     """
     plane = scale.get("plane")
     found: list[View] = []
+    missed: list[str] = []
     sizes: set[tuple[int, int]] = set()
     last: Grey | None = None
     for number, name, grey in _pictures(files(scale), plane):
@@ -153,10 +154,12 @@ def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None 
                 found.append(seen)
         elif number == plane:
             raise FrictrackError(_lost(board, name, grey))
+        else:
+            missed.append(name)
     if not found:
         assert last is not None  # a scale names at least one picture
         raise FrictrackError(_lost(board, ", ".join(str(p.name) for p in files(scale)), last))
-    return _first(found, plane)
+    return _first(found, plane), missed
 
 
 def _first(found: list[View], plane: int | None) -> list[View]:
@@ -197,7 +200,7 @@ def _differs(seen: View, other: View) -> bool:
     """Whether the board was moved between two pictures; parts of it that only one shows do not count."""
     if len(seen.points) != len(other.points):
         return True
-    moved = float(np.median(np.linalg.norm(seen.points - other.points, axis=1)))
+    moved = float(np.max(np.linalg.norm(seen.points - other.points, axis=1)))
     return moved > MOVED * seen.size[0]
 
 

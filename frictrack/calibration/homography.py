@@ -138,10 +138,10 @@ def _linear(places: Array, points: Array) -> Array:
     none = np.zeros_like(at)
     rows = np.vstack([np.hstack([at, none, -x[:, None] * at]), np.hstack([none, at, -y[:, None] * at])])
     _, strength, right = svd(rows, full_matrices=True)
-    if strength[NUMBERS - 1] < 1e-6 * strength[0] or abs(right[-1, -1]) < 1e-6:
+    if strength[NUMBERS - 1] < 1e-6 * strength[0]:
         raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
-    h = right[-1] / right[-1, -1]
-    if np.any(np.column_stack([places, one]) @ h[6:] <= 0):
+    h = right[-1] / (right[-1, -1] or 1.0)
+    if abs(right[-1, -1]) < 1e-6 or np.any(at @ h[6:] <= 0):
         raise FrictrackError(
             "no camera can see the places where the points are; check that points and plane come in the same order"
         )

@@ -88,7 +88,12 @@ def _board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | No
     from frictrack.calibration.camera import plane_of  # noqa: PLC0415
 
     board = board_of(scale)
-    return plane_of(views(scale, board, shape), board, lens)
+    seen, missed = views(scale, board, shape)
+    made = plane_of(seen, board, lens)
+    if not missed:
+        return made
+    names = f"{missed[0]} and {len(missed) - 1} more" if len(missed) > 1 else missed[0]
+    return replace(made, notes=(*made.notes, f"the board was not found in {names}, which the scale goes without"))
 
 
 def _target(

@@ -27,6 +27,7 @@ CLEAR = 4.0  # noise of the background above which a line belongs to the target
 BAND = 0.8  # of the rectangle's height that is read
 LEAST = 12  # lines on which the edge must be found
 ROUND = 0.1  # curvature of the squared chords from which they are those of a disc
+VAGUE = 0.3  # px: an edge that is known no better is none
 GROUPS = 6  # of lines, whose scatter says how well the edge is known
 DEEP, NEAR = 7, 3  # px from the edge within which its two levels are read
 
@@ -134,10 +135,12 @@ def _edge(lines: Array) -> _Edge:
     offset = np.arange(-DEEP * OVERSAMPLED, DEEP * OVERSAMPLED + 1)
     readings = np.arange(lines.shape[1])
     laid = np.array([np.interp(at + offset, readings, line) for at, line in zip(smooth, lines, strict=True)])
-    shifts = np.array([_half_way(group.mean(axis=0)) for group in np.array_split(laid, GROUPS)])
-    if not np.all(np.isfinite(shifts)):
+    found = np.array([_half_way(group.mean(axis=0)) for group in np.array_split(laid, GROUPS)])
+    shifts, steps = found.T
+    std = float(shifts.std(ddof=1) / np.sqrt(GROUPS) / OVERSAMPLED)
+    if not std < VAGUE or abs(np.sign(steps).sum()) < GROUPS:
         raise _unclear()
-    return _Edge(smooth + shifts.mean(), float(shifts.std(ddof=1) / np.sqrt(GROUPS) / OVERSAMPLED))
+    return _Edge(smooth + shifts.mean(), std)
 
 
 def _unclear() -> FrictrackError:
@@ -148,17 +151,17 @@ def _unclear() -> FrictrackError:
     )
 
 
-def _half_way(profile: Array) -> float:
-    """Shift, in readings, of the place half-way between outside and inside from the middle of a profile."""
+def _half_way(profile: Array) -> tuple[float, float]:
+    """Shift, in readings, of the place half-way between outside and inside from the middle of a profile; the step."""
     flat = NEAR * OVERSAMPLED
     middle = len(profile) // 2
     outside, inside = float(np.mean(profile[: middle - flat])), float(np.mean(profile[middle + flat :]))
     over = (profile - (outside + inside) / 2) * np.sign(inside - outside)
     turns = np.flatnonzero((over[:-1] < 0) & (over[1:] >= 0))
     if not len(turns):
-        return float("nan")
+        return float("nan"), inside - outside
     i = int(turns[np.argmin(np.abs(turns - middle))])
-    return float(i - over[i] / (over[i + 1] - over[i]) - middle)
+    return float(i - over[i] / (over[i + 1] - over[i]) - middle), inside - outside
 
 
 def _rough(lines: Array) -> Array:
