@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.match import Rectangle
-from frictrack.tracking.scene import Picture, Scene, difference, read, sample
+from frictrack.tracking.scene import Picture, Scene, light, read, sample
 
 FRAMES = 9
 SIZES = (  # h, w px; where the body sweeps past, only narrow strips are left
@@ -48,7 +48,7 @@ def _still(scene: Scene) -> tuple[Picture, float, Mask]:
     else:
         frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
-    away = np.abs(np.stack([difference(frame, still) for frame in frames]))
+    away = np.abs(np.stack([frame - light(frame, still) * still for frame in frames]))
     noise = max(1.4826 * float(np.median(away)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
     moved = cv2.blur(away.max(axis=0) - JITTER * slope, (3, 3)) > STRAY * noise

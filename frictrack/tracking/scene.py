@@ -54,6 +54,7 @@ class Scene:
     small: list[Picture]
     background: Picture
     foreground: list[Mask]
+    light: Array  # (k,) by how much each frame is brighter than the background
     rim: list[Mask]  # pixels at the picture's edge that are not background
 
     @cached_property
@@ -82,10 +83,12 @@ def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) 
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = np.median(np.stack(small), axis=0).astype(np.float32)
-    differences = [difference(picture, background) for picture in small]
+    lights = np.array([light(picture, background) for picture in small])
+    differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
     noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
     foreground = [_foreground(d, noise) for d in differences]
-    return Scene(index, frames, factor, shake, small, background, foreground, [_rim(d, noise) for d in differences])
+    rim = [_rim(d, noise) for d in differences]
+    return Scene(index, frames, factor, shake, small, background, foreground, lights, rim)
 
 
 def _between(index: list[int], small: list[Picture]) -> list[int]:
@@ -187,12 +190,12 @@ def _shifted(picture: Picture, by: Array) -> Picture:
     return np.asarray(cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def difference(picture: Picture, background: Picture) -> Picture:
-    """Picture minus background, after the light has been evened out."""
+def light(picture: Picture, background: Picture) -> float:
+    """By how much a picture is brighter than the background: flicker and drift of the lamp."""
     few, still = picture[::3, ::3], background[::3, ::3]
     bright = still > 0.5 * np.median(still)
     ratio = float(np.median(few[bright] / np.maximum(still[bright], 1)))
-    return picture - np.float32(ratio if 0.2 < ratio < 5 else 1.0) * background
+    return ratio if 0.2 < ratio < 5 else 1.0
 
 
 def _foreground(difference: Picture, noise: float) -> Mask:
