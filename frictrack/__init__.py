@@ -22,6 +22,7 @@ __version__ = "0.1.0"
 _HOME = {
     "open_recording": "recording",
     "track": "tracking",
+    "learn_target": "tracking",
     "aligned": "tracking",
     "contact_sheet": "tracking",
     "calibrate": "calibration",

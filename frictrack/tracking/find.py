@@ -17,7 +17,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Rectangle, correlate, vertex
 from frictrack.tracking.outline import outline
-from frictrack.tracking.scene import Blob, Picture, Scene, sample
+from frictrack.tracking.scene import Blob, Picture, Scene, sample, without
 
 LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6
@@ -57,11 +57,9 @@ def locate(recording: Recording) -> tuple[Rectangle, int]:
 
     Raises `FrictrackError` when the film has no contrast, nothing moves, or two bodies move apart.
     """
-    scene = sample(recording)
-    bodies = moving(scene)
+    scene, bodies = _looked(sample(recording))
     if not bodies and scene.shake.any():  # perhaps what filled the picture was the body, and no shake
-        scene = sample(recording, steady=False)
-        bodies = moving(scene)
+        scene, bodies = _looked(sample(recording, steady=False))
     if not bodies:
         raise FrictrackError(
             f"{recording.path.name}: expected a moving target but nothing moves by more than "
@@ -71,6 +69,14 @@ def locate(recording: Recording) -> tuple[Rectangle, int]:
     if rivals:
         raise FrictrackError(_which(recording, scene, (bodies[0], rivals[0])))
     return drawn(scene, bodies[0])
+
+
+def _looked(scene: Scene) -> tuple[Scene, list[Body]]:
+    """The moving bodies; looked for once more where the best of them was part of the background."""
+    bodies = moving(scene)
+    clean = without(scene, bodies[0].box, bodies[0].corner) if bodies else None
+    again = moving(clean) if clean else []
+    return (clean, again) if clean and again else (scene, bodies)
 
 
 def drawn(scene: Scene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:

@@ -23,6 +23,7 @@ MISFITS = 1.5  # times the usual mean squared residual: the frame shows more tha
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
+MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,4 +92,7 @@ def _fits(left: Array, given: Array) -> Array:
         rated = picture / max(scale, 1e-6)
         around = 3 * np.abs(cv2.blur(rated, (3, 3)))  # the mean of nine: a standard deviation of one third
         fits[k] = np.clip((FARTHEST - np.maximum(np.abs(rated), around)) / (FARTHEST - FAR), 0, 1)
+        # Among many that do not fit, one that does is there by chance.
+        company = cv2.blur(fits[k] * (given[k] > 0), (5, 5)) / np.maximum(cv2.blur(given[k], (5, 5)), 0.1)
+        fits[k] *= np.clip((company - MANY[0]) / (MANY[1] - MANY[0]), 0, 1)
     return fits

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Rectangle, correlate, vertex
-from frictrack.tracking.scene import Picture, Scene, read, tidy, window
+from frictrack.tracking.scene import LOOKS, Picture, Scene, behind_of, read, tidy, window
 
-LOOKS = 15  # frames that are registered
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
 STEADY = 6  # times the body's own noise variance above which a pixel is not the body's
 OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
@@ -63,7 +62,7 @@ def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
     whole = _full(scene, box, row, corner)[rows]
     at = whole - reach
     still = at - scene.shake[rows] * scene.factor
-    background = _behind(scene, box, corner)
+    background = behind_of(scene, box, corner)
     if scene.factor > 1:
         background = np.asarray(cv2.resize(background, None, fx=scene.factor, fy=scene.factor), dtype=np.float32)
     stack = np.stack([read(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
@@ -71,18 +70,6 @@ def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
     picture = np.median(stack, axis=0).astype(np.float32)
     member = _member(stack, behind, picture)
     return Look(picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member]))
-
-
-def _behind(scene: Scene, box: Rectangle, corner: Array) -> Picture:
-    """The background from the frames in which the body was elsewhere; where it never was, of all frames."""
-    seen = np.flatnonzero(np.isfinite(corner[:, 0]))
-    rows = np.unique(seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)])
-    stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
-    for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
-        picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
-    known = np.count_nonzero(np.isfinite(stack), axis=0)
-    middle = np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
-    return np.where(known > 0, middle, scene.background).astype(np.float32)
 
 
 def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:

@@ -21,6 +21,8 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.match import Rectangle
 
 SAMPLES = 32
+LOOKS = 15  # of them, where fewer will do
+GHOST = 0.4  # share of the frames in which a body covers the same place, above which it is in the background
 FEW = 10  # intervals between samples in which something must happen
 SAMPLE_BYTES = 40_000_000
 WORK = 40_000  # px of a reduced picture
@@ -83,12 +85,45 @@ def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) 
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = np.median(np.stack(small), axis=0).astype(np.float32)
+    return _compared(index, frames, (factor, shake, small), background)
+
+
+def _compared(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> Scene:
+    """The scene with what differs from this background; `reduced` is factor, shake and reduced frames."""
+    factor, shake, small = reduced
     lights = np.array([light(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
     noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
     foreground = [_foreground(d, noise) for d in differences]
     rim = [_rim(d, noise) for d in differences]
     return Scene(index, frames, factor, shake, small, background, foreground, lights, rim)
+
+
+def without(scene: Scene, box: Rectangle, corner: Array) -> Scene | None:
+    """The scene before a background from which a body is taken out; None where it hardly was in it.
+
+    The body has this `box` and was at `corner` (k, 2). Where it covers a place in half of the frames, it is part of
+    the median, and a ghost of it stands beside the body in the others.
+    """
+    covered = np.zeros(scene.background.shape)
+    for x, y in np.rint(corner[np.isfinite(corner[:, 0])]).astype(int):
+        covered[max(y, 0) : y + box[3], max(x, 0) : x + box[2]] += 1
+    if covered.max() < GHOST * len(scene.small):
+        return None
+    better = behind_of(scene, box, corner)
+    return _compared(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), better)
+
+
+def behind_of(scene: Scene, box: Rectangle, corner: Array) -> Picture:
+    """The background from the frames in which a body was elsewhere; where it never was, that of all frames."""
+    seen = np.flatnonzero(np.isfinite(corner[:, 0]))
+    rows = np.unique(seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)])
+    stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
+    for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
+        picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
+    known = np.count_nonzero(np.isfinite(stack), axis=0)
+    middle = np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
+    return np.where(known > 0, middle, scene.background).astype(np.float32)
 
 
 def _between(index: list[int], small: list[Picture]) -> list[int]:

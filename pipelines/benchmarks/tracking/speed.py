@@ -28,11 +28,15 @@ def measure(say: Callable[[str], None], n: int = FRAMES) -> dict[str, Any]:
     """Medians of a few rounds in which every line has its turn; files in the page cache."""
     raw, packed = condition("nominal", 0, n), condition("mjpg", 0, n)
     _track(condition("nominal", 0, 60))  # imports, first use
+    of_raw, of_packed = (ft.learn_target(ft.open_recording(c.film, fps=FPS), c.rectangle) for c in (raw, packed))
     lines: dict[str, Callable[[], None]] = {
         "8-bit TIFF: read the pictures": lambda: _read(raw),
+        "8-bit TIFF: track, template known": lambda: _track(raw, of_raw),
         "8-bit TIFF: track": lambda: _track(raw),
+        "8-bit TIFF: find by itself and track": lambda: _track(raw, rectangle=None),
         "MJPEG: decode by OpenCV, one thread": lambda: _opencv(packed),
         "MJPEG: decode": lambda: _read(packed),
+        "MJPEG: track, template known": lambda: _track(packed, of_packed),
         "MJPEG: track": lambda: _track(packed),
     }
     rounds = [{name: _time(line) for name, line in lines.items()} for _ in range(ROUNDS)]
@@ -42,14 +46,16 @@ def measure(say: Callable[[str], None], n: int = FRAMES) -> dict[str, Any]:
         cpu, wall = (n / statistics.median(getattr(r[name], kind) for r in rounds) for kind in ("cpu", "wall"))
         out[name] = {"frames_per_cpu_s": cpu, "frames_per_s": wall}
         say(f"{name:54}{cpu:20.0f}{wall:14.0f}")
-    over = {k: _over(rounds, k) for k in ("cpu", "wall")}
-    say(f"MJPEG: tracking over decoding alone: {over['cpu']:+.1%} CPU, {over['wall']:+.1%} on the clock")
-    return out | {"mjpg_over_decoder": over}
+    for line in ("MJPEG: track, template known", "MJPEG: track"):
+        over = {kind: _over(rounds, line, kind) for kind in ("cpu", "wall")}
+        out[f"{line}, over the decoder"] = over
+        say(f"{line}: {over['cpu']:+.1%} CPU over decoding alone, {over['wall']:+.1%} on the clock")
+    return out
 
 
-def _over(rounds: list[dict[str, Took]], kind: str) -> float:
+def _over(rounds: list[dict[str, Took]], line: str, kind: str) -> float:
     """Median over the rounds of (track / decode) - 1."""
-    return statistics.median(getattr(r["MJPEG: track"], kind) / getattr(r["MJPEG: decode"], kind) - 1 for r in rounds)
+    return statistics.median(getattr(r[line], kind) / getattr(r["MJPEG: decode"], kind) - 1 for r in rounds)
 
 
 def _time(what: Callable[[], None]) -> Took:
@@ -58,8 +64,9 @@ def _time(what: Callable[[], None]) -> Took:
     return Took(time.process_time() - cpu, time.perf_counter() - wall)
 
 
-def _track(film: Condition) -> None:
-    ft.track(ft.open_recording(film.film, fps=FPS), film.rectangle)
+def _track(film: Condition, known: Any = None, rectangle: Any = ...) -> None:
+    target = film.rectangle if rectangle is ... else rectangle
+    ft.track(ft.open_recording(film.film, fps=FPS), target, known=known)
 
 
 def _read(film: Condition) -> None:

@@ -1,0 +1,241 @@
+"""The parts of the tracker against exact shifts, drawn noise and known faults of the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from film import FULL_WELL, READ_NOISE, Film, block_film, expose, moved, speckle
+
+from frictrack.errors import FrictrackError
+from frictrack.tracking import learn_target, track
+from frictrack.tracking.learn import first_look, learn
+from frictrack.tracking.measure import Lesson, measure, residual, without_what_does_not_fit
+from frictrack.tracking.refine import products, refine
+from frictrack.tracking.trust import inflation
+from frictrack.tracking.view import Sums, view_of
+from frictrack.tracking.waves import RANGE, shifts
+
+SHAPE = (40, 56)
+INSIDE = (slice(20, 60), slice(20, 76))  # of a texture of 80 x 96 px
+
+
+def texture(seed=0, fwhm=4.0):
+    return 128 + speckle((80, 96), np.random.default_rng(seed), fwhm=fwhm)
+
+
+def frames(shift, seed=0, noise=True, **given):
+    """The same window of the texture, moved by each shift (n, 2), and exposed."""
+    rng = np.random.default_rng(seed + 100)
+    pictures = [moved(texture(seed, **given), *s)[INSIDE] for s in shift]
+    return np.stack([expose(p, rng if noise else None) for p in pictures])
+
+
+def spread(n, seed=5):
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (n, 2))
+
+
+def taught(shift, rounds=3, cuts=None, **given):
+    cuts = frames(shift, **given) if cuts is None else cuts
+    template = first_look(cuts[0])
+    fine = refine(products(cuts, template), np.zeros((len(cuts), 2)), template)
+    for _ in range(rounds):
+        template = learn(cuts, fine, template)
+        fine = refine(products(cuts, template), fine.at, template)
+    return cuts, fine, template
+
+
+# ---- waves: every shift of a band-limited picture
+
+
+def test_adjoint_is_the_transpose():
+    grid, rng = shifts(SHAPE), np.random.default_rng(1)
+    waves = rng.standard_normal(grid.n_waves)
+    pictures = rng.standard_normal((len(grid.order), *SHAPE))
+    assert np.sum(grid.pictures(waves) * pictures) == pytest.approx(np.sum(waves * grid.adjoint(pictures)), rel=1e-10)
+
+
+@pytest.mark.parametrize("wave", [(0.05, 0.11), (0.3, 0.2), (0.35, 0.0)])
+def test_shifts_of_a_wave_are_exact(wave):
+    """A plane wave is not a sum of the cosines, but inside the picture it is met to a ten-thousandth."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+    def at(dx, dy):
+        return np.sin(2 * np.pi * (wave[0] * (x - dx) + wave[1] * (y - dy)) + 0.3)
+
+    template = first_look(at(0, 0) * 100)
+    inner = (slice(6, -6), slice(6, -6))
+    for shift in ([0.5, 0.0], [-0.3, 0.45], [RANGE, -RANGE]):
+        weights = template.shifts.design(np.array([shift]))[0]
+        picture = (weights @ template.pictures[: weights.shape[1]]).reshape(SHAPE) + template.level
+        np.testing.assert_allclose(picture[inner], 100 * at(*shift)[inner], atol=1.0)
+
+
+def test_slopes_and_turn_are_derivatives():
+    template = first_look(texture()[INSIDE])
+    k, step, shift = len(template.shifts.order), 1e-5, np.array([[0.21, -0.34]])
+    picture, along, across, turn = template.shifts.design(shift)
+    for axis, slope in ((0, along), (1, across)):
+        ahead, behind = (template.shifts.design(shift + s * np.eye(2)[axis])[0] for s in (step, -step))
+        np.testing.assert_allclose((ahead - behind) / (2 * step), slope, atol=1e-6)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - (np.array(SHAPE)[:, None, None] - 1) / 2
+    turned = (turn @ template.pictures[k:-1]).reshape(SHAPE)
+    dx, dy = ((s @ template.pictures[:k]).reshape(SHAPE) for s in (along, across))
+    assert np.std(turned - (x * dy - y * dx)) < 0.05 * np.std(turned)  # of lower degree in the shift
+    assert picture.shape == (1, k)
+
+
+# ---- refine
+
+
+def test_shift_gain_and_offset_of_exact_pictures():
+    truth = spread(12)
+    cuts = np.stack([40 + 0.8 * moved(texture(), *s)[INSIDE] for s in truth])
+    _, _, template = taught(spread(60, 9), noise=False)
+    fine = refine(products(cuts, template), np.zeros((12, 2)), template)
+    assert fine.settled.all()
+    np.testing.assert_allclose(fine.at - truth, np.broadcast_to((fine.at - truth).mean(axis=0), (12, 2)), atol=4e-4)
+    np.testing.assert_allclose(fine.gain / fine.gain.mean(), 1.0, rtol=2e-3)
+    np.testing.assert_allclose(fine.score, 1.0, atol=1e-3)
+
+
+def test_learnt_template_reaches_the_bound_and_says_so():
+    truth = spread(400)
+    _, fine, template = taught(truth)
+    off = fine.at - truth
+    off -= off.mean(axis=0)
+    light = texture()[INSIDE]
+    variance = (light / 255 * FULL_WELL + READ_NOISE**2) * (255 / FULL_WELL) ** 2 + 1 / 12
+    wave = 2j * np.pi * np.fft.fftfreq(96)
+    slope = np.fft.ifft(np.fft.fft(texture(), axis=1) * wave, axis=1).real[INSIDE]
+    bound = 1 / np.sqrt(np.sum(slope**2 / variance))
+    assert np.std(off[:, 0]) / bound == pytest.approx(1.0, abs=0.09)  # 400 errors scatter by 3.5 %
+    assert np.mean(fine.sigma[:, 0]) / bound == pytest.approx(1.0, abs=0.03)
+    assert np.median(1 / template.weight) == pytest.approx(np.median(variance), rel=0.08)
+    assert np.median(fine.misfit) == pytest.approx(1.0, abs=0.05)
+
+
+def test_pixels_that_come_and_go_count_little():
+    truth = spread(120)
+    cuts = frames(truth)
+    cuts[:, 10:20, 30:44] = np.random.default_rng(3).integers(0, 255, (120, 10, 14))
+    _, _, template = taught(truth, cuts=cuts)
+    inside, outside = template.weight[11:19, 31:43], template.weight[24:, :]
+    assert np.median(inside) < 0.01 * np.median(outside)
+
+
+# ---- what stands before the target
+
+
+def pass_by(change, n=300):
+    """Sums over frames of a random scene that passes each pixel, and the picture's `change` of it."""
+    rng = np.random.default_rng(2)
+    sums, noise = Sums((30, 50)), 1.5
+    model = 40 * rng.standard_normal((n, 30, 50)).astype(np.float32)
+    seen = change(model) + noise * rng.standard_normal(model.shape)
+    sums.add(np.zeros((n, 2), np.int64), model, (seen - model).astype(np.float32))
+    return view_of(sums, noise**2)
+
+
+def test_nothing_in_the_way():
+    assert pass_by(lambda m: m) is None
+
+
+def test_flat_field_is_learnt():
+    gain = 1 + 0.03 * np.random.default_rng(7).standard_normal((30, 50))
+    view = pass_by(lambda m: gain * (m + 100) - 100)
+    assert view is not None
+    assert np.std(view.slope - gain) < 0.2 * 0.03
+    assert np.std(view.level - 100 * (gain - 1)) < 0.3
+
+
+def test_rod_and_highlight_are_learnt():
+    def change(m):
+        out = m.copy()
+        out[:, :, 20:26] = 15.0
+        out[:, 5:12, 35:44] += 50.0
+        return out
+
+    view = pass_by(change)
+    assert view is not None
+    assert np.all(view.share[:, 20:26] == 0)
+    assert np.all(view.share[:, :20] == 1)
+    np.testing.assert_allclose(view.level[5:12, 35:44], 50, atol=0.7)
+    assert np.max(np.abs(view.level[:, :20])) < 0.5
+
+
+# ---- what does not fit
+
+
+def test_half_covered_target_is_measured_by_its_other_half():
+    truth = spread(40, 11)
+    cuts, fine, template = taught(np.concatenate([truth, spread(150, 12)]))
+    covered = cuts[:40].copy()
+    covered[:, :, :22] = 60
+    plain = refine(products(covered, template), np.zeros((40, 2)), template)
+    better = measure(covered, np.zeros((40, 2), np.int64), fine[slice(0, 40)], Lesson(template, usual=1.0))
+    level = (fine.at[40:] - spread(150, 12)).mean(axis=0)
+    assert np.std(plain.at - truth) > 0.02
+    assert np.std(better.at - truth - level) < 0.005
+    assert better.settled.all()
+    rated = (better.at - truth - level) / better.sigma
+    assert np.sqrt(np.mean(rated**2)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_nothing_left_is_not_settled():
+    _, fine, template = taught(spread(60))
+    other = frames(spread(3), seed=44)
+    got = without_what_does_not_fit(other, fine[slice(0, 3)], template)
+    assert not np.any(got.settled & (got.score > 0.7) & (got.misfit < 4))
+
+
+def test_white_noise_is_trusted_and_blotches_are_not():
+    truth = spread(200)
+    cuts, fine, template = taught(truth)
+    np.testing.assert_allclose(inflation(cuts, fine, template), 1.0, atol=0.03)
+    rng = np.random.default_rng(8)
+    blotched = np.stack([c + 4 * speckle(SHAPE, rng, fwhm=6.0, contrast=1.0) for c in cuts])
+    _, fine, template = taught(truth, cuts=blotched)
+    rms = np.std((fine.at - truth)[:, 0])
+    wider = inflation(blotched, fine, template)[0]
+    assert wider > 1.5
+    assert rms / (np.mean(fine.sigma[:, 0]) * wider) == pytest.approx(1.0, abs=0.3)
+    assert np.all(np.isfinite(residual(blotched, fine, template)))
+
+
+# ---- films of the same target
+
+
+def test_a_known_target_needs_one_pass():
+    x = 40 + 150 * (1 - np.exp(-np.arange(120) / 60))
+    recording = block_film(x, size=(36, 48), shape=(64, 240))
+    rect = [19, 17, 40, 30]
+    lesson = learn_target(recording, rect)
+    known, learnt = track(recording, rect, known=lesson), track(recording, rect)
+    assert known.found.all()
+    assert np.std(known.x_px - learnt.x_px) < 2e-4
+    np.testing.assert_allclose(known.sigma_px, learnt.sigma_px, rtol=0.02)
+    by_itself = track(block_film(x + 3.3, size=(36, 48), shape=(64, 240)), known=lesson)
+    assert np.std(by_itself.x_px - x) < 0.005
+
+
+def test_a_known_target_has_its_size():
+    x = 40 + 1.5 * np.arange(60)
+    recording = block_film(x, size=(36, 48), shape=(64, 240))
+    lesson = learn_target(recording, [19, 17, 40, 30])
+    with pytest.raises(FrictrackError, match="expected a target of the known 40x30 px but got 44x30 px"):
+        track(recording, [17, 17, 44, 30], known=lesson)
+
+
+def test_a_pattern_that_repeats_is_not_followed_one_period_off():
+    """Dots every 12 px at 4 px a frame from a standing start in the picture: the next dot is never far."""
+    y, x = np.mgrid[:64, :420]
+
+    def draw(i):
+        left = 20 + 3.9 * i
+        dots = 128 + 60 * np.cos(2 * np.pi * (x - left) / 12) * np.cos(2 * np.pi * (y - 8) / 12)
+        body = (x >= left) & (x < left + 72) & (y >= 8) & (y < 56)
+        return expose(np.where(body, dots, 90.0), np.random.default_rng(i))
+
+    result = track(Film(draw, 80, (64, 420)), [24, 10, 62, 44])
+    assert result.found.all()
+    assert np.std(result.x_px - 3.9 * np.arange(80)) < 0.01
