@@ -234,7 +234,11 @@ def test_truncated_video_says_so(tmp_path):
     path.write_bytes(bytes(data[:head] + box + body[: len(body) // 2]))
     rec = open_recording(path, 4000)
     assert 1 < rec.n_frames < N
-    assert rec.notes == (f"truncated film: {rec.n_frames} of {N} promised frames are in the file",)
+    assert rec.notes[0] == f"truncated film: {rec.n_frames} of {N} promised frames are in the file"
+    assert (
+        rec.notes[1]
+        == "the frame rate of the file's header is 200 fps but that given by the user is 4000 fps; 4000 fps is used"
+    )
     assert len(list(rec.frames())) >= rec.n_frames - 1
 
 

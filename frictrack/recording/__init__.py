@@ -7,13 +7,15 @@ from pathlib import Path
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording
 from frictrack.recording.folder import Folder
+from frictrack.recording.phantom import Phantom
+from frictrack.recording.photron import Photron
 from frictrack.recording.spool import opened
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.video import Video
 
 __all__ = ["FORMATS", "Frame", "Header", "Recording", "open_recording", "opened"]
 
-FORMATS: tuple[type[Recording], ...] = (Video, Tiff)  # a new format is one file and its name here
+FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 
 
 def open_recording(path: str | Path, fps: float | None = None) -> Recording:

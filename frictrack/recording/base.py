@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,31 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.recording.header import Header
+from frictrack.recording.timebase import audit
 
 Frame = NDArray[np.unsignedinteger[Any]]  # (h, w) grey values, uint8 or uint16
 
-PLAYBACK_FPS = 60.0  # a container that says no more than this gives the speed of showing, not of filming
 _CHUNK = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a file
-
-
-@dataclass(frozen=True)
-class Header:
-    """What a format knows of a recording before any frame is used.
-
-    `ticks` counts frame intervals since the first frame (None: 0, 1, 2, ...), so that gaps stay gaps. `stamps`:
-    the camera's own time of each frame, s, NaN where there is none. `exposure`: s. `trigger`: number of the frame
-    at the trigger, 0 is the first of the film (may lie outside it).
-    """
-
-    n_frames: int
-    shape: tuple[int, int]
-    bit_depth: int
-    fps: float | None = None
-    ticks: NDArray[np.int64] | None = None
-    notes: tuple[str, ...] = ()
-    stamps: NDArray[np.float64] | None = None
-    exposure: float | None = None
-    trigger: int | None = None
 
 
 class Recording(ABC):
@@ -45,23 +25,26 @@ class Recording(ABC):
 
     Attributes: `path`, `fps` (1/s), `n_frames`, `shape` (h, w), `bit_depth`, `t` (n_frames,) in s from the
     first frame, `notes` (findings about the file, in words), `exposure` (s) or None, `stamps` (n_frames,) in s or None
-    (the camera's own), `trigger` (number of the frame at the trigger) or None, `direct`: True where any part of
+    (the camera's own), `trigger` (number of the frame at the trigger) or None, `timebase` (the audit of the time
+    base: `rows` to print), `direct`: True where any part of
     any frame can be read at once (see `opened` for the others).
     """
 
     suffixes: ClassVar[tuple[str, ...]]
     direct: bool = False
+    _kept: NDArray[np.int64] | None = None  # frames of the file that are frames of the film (None: all)
 
     def __init__(self, path: str | Path, fps: float | None = None) -> None:
         self.path = Path(path)
         header = self._open()
         self._check(header)
-        self.fps = _true_rate(self.path.name, fps, header.fps)
-        self.n_frames, self.shape, self.bit_depth = header.n_frames, header.shape, header.bit_depth
-        ticks = np.arange(self.n_frames) if header.ticks is None else header.ticks
-        self.t = ticks / self.fps
-        self.notes = header.notes
-        self.stamps, self.exposure, self.trigger = header.stamps, header.exposure, header.trigger
+        self.timebase = audit(self.path.name, fps, header)
+        self.fps, self.t, self._kept = self.timebase.fps, self.timebase.t, self.timebase.kept
+        self.n_frames, self.shape, self.bit_depth = len(self.t), header.shape, header.bit_depth
+        self.notes = header.notes + self.timebase.notes
+        self.exposure = header.exposure
+        self.stamps = header.stamps if self._kept is None or header.stamps is None else header.stamps[self._kept]
+        self.trigger = header.trigger
 
     @abstractmethod
     def _open(self) -> Header:
@@ -76,17 +59,17 @@ class Recording(ABC):
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[Frame]:
         """Frames `start` to `stop` (exclusive) in order, each (h, w) uint8 or uint16."""
-        return self._read(range(self.n_frames)[start:stop:step])
+        return self._read(self._in_file(range(self.n_frames)[start:stop:step]))
 
     def pick(self, indices: Iterable[int]) -> list[Frame]:
         """The frames of these rising `indices`, in one pass over the file."""
-        return list(self._read(indices))
+        return list(self._read(self._in_file(indices)))
 
     def frame(self, i: int) -> Frame:
         """Frame `i`, (h, w) uint8 or uint16; negative `i` counts from the end."""
         if not -self.n_frames <= i < self.n_frames:
             raise FrictrackError(f"{self.path.name}: expected a frame from 0 to {self.n_frames - 1} but got {i}")
-        for frame in self._read([i % self.n_frames]):
+        for frame in self._read(self._in_file([i % self.n_frames])):
             return frame
         raise FrictrackError(self._breaks_off(i))
 
@@ -110,7 +93,7 @@ class Recording(ABC):
     def _boxes(
         self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices (n,) and corners (n, 2) as whole numbers, checked against the film."""
+        """Indices (n,) in the file and corners (n, 2) as whole numbers, checked against the film."""
         indices, corners = np.asarray(indices, np.int64), np.asarray(corners, np.int64).reshape(-1, 2)
         if len(indices) != len(corners):
             raise FrictrackError(f"expected one corner per frame but got {len(corners)} for {len(indices)} frames")
@@ -125,7 +108,11 @@ class Recording(ABC):
                 f"{self.path.name}: expected boxes inside the picture of {self.shape[1]}x{self.shape[0]} px but got "
                 f"{size[1]}x{size[0]} px at {x}, {y}"
             )
-        return indices, corners
+        return indices if self._kept is None else self._kept[indices], corners
+
+    def _in_file(self, indices: Iterable[int]) -> Iterable[int]:
+        """Numbers in the file of these frames of the film."""
+        return indices if self._kept is None else self._kept[list(indices)].tolist()
 
     def _breaks_off(self, i: int) -> str:
         return (
@@ -165,21 +152,6 @@ class Recording(ABC):
     def __repr__(self) -> str:
         h, w = self.shape
         return f"<{self.path.name}: {self.n_frames} frames {w}x{h} px, {self.bit_depth} bit, {self.fps:g} fps>"
-
-
-def _true_rate(name: str, given: float | None, header: float | None) -> float:
-    """The frame rate of the camera: given by the user, else by a header that can be believed."""
-    if given is not None:
-        if not (np.isfinite(given) and given > 0):
-            raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
-        return float(given)
-    if header is not None and np.isfinite(header) and header > PLAYBACK_FPS:
-        return float(header)
-    says = f"says {header:.4g} fps, which is the speed of showing it" if header else "names no frame rate"
-    raise FrictrackError(
-        f"{name}: expected the camera's frame rate but the file {says}; give the true rate as fps "
-        "(friction goes with its square)"
-    )
 
 
 def grey(picture: NDArray[Any]) -> Frame:

@@ -26,16 +26,19 @@ _GROUPS = {8: (1, 1), 10: (4, 5), 12: (2, 3), 16: (1, 2)}  # bits: pixels and by
 class Layout:
     """Where the pictures lie and how a pixel is stored.
 
-    `offsets`: byte at which each picture starts. `bits`: 8, 16, or 10 and 12 for pixels packed without a gap, high bits
-    first (four pixels in five bytes, two in three). `upward`: the lowest row is stored first. `shift`: bits to
-    the right (values stored in the high bits). `table`: grey value of each stored code (companded recordings).
+    `path`: the file of pixels. `offsets`: byte at which each picture starts. `bits`: 8, 16, or 10 and 12 for pixels
+    packed without a gap, high bits first (four pixels in five bytes, two in three). `upward`: the lowest row is
+    stored first. `shift`: bits to the right (values stored in the high bits). `padded`: bytes of a row are a multiple
+    of it. `table`: grey value of each stored code (companded recordings).
     """
 
+    path: Path
     offsets: NDArray[np.int64] | range
     bits: int
     byte_order: Literal["<", ">", "="] = "<"
     upward: bool = False
     shift: int = 0
+    padded: int = 1
     table: NDArray[np.uint16] | None = None
 
     def starts(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -43,6 +46,11 @@ class Layout:
         if isinstance(self.offsets, range):
             return self.offsets.start + self.offsets.step * indices
         return self.offsets[indices]
+
+    def pitch(self, width: int) -> int:
+        """Bytes from one row to the next."""
+        pixels, size = _GROUPS[self.bits]
+        return -(-width // pixels * size // self.padded) * self.padded
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -76,7 +84,7 @@ class Direct(Recording):
     @property
     def _mapped(self) -> Window:
         if not hasattr(self, "_window"):
-            self._window = Window(self.path)
+            self._window = Window(self._layout.path)
         return self._window
 
 
@@ -109,7 +117,7 @@ class Cutter:
     def __init__(self, shape: tuple[int, int], layout: Layout, window: Window) -> None:
         self._layout, self._window, self._shape = layout, window, shape
         self._group, self._bytes = _GROUPS[layout.bits]
-        self._pitch = shape[1] // self._group * self._bytes
+        self._pitch = layout.pitch(shape[1])
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
         """Grey values (n, h, w) of the boxes; nothing is checked."""

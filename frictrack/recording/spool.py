@@ -141,7 +141,7 @@ class _Disk:
         self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", delete=False)  # noqa: SIM115
         self._file.truncate(n * self._frame)
         path = Path(self._file.name)
-        layout = Layout(range(0, n * self._frame, self._frame), bits, "=")
+        layout = Layout(path, range(0, n * self._frame, self._frame), bits, "=")
         self._cutter = Cutter(shape, layout, Window(path))
 
     def write(self, i: int, frame: Frame) -> None:

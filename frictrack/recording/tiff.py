@@ -63,7 +63,7 @@ class Tiff(Direct):
         offsets = self._offsets(tif, in_file, frame_bytes)
         self.direct = offsets is not None
         if offsets is not None:
-            self._layout = Layout(offsets, page.bitspersample, tif.byteorder)
+            self._layout = Layout(self.path, offsets, page.bitspersample, tif.byteorder)
         return Header(in_file, shape, _bit_depth(page), _rate(tif), notes=notes)
 
     def _offsets(self, tif: tifffile.TiffFile, count: int, frame_bytes: int) -> NDArray[np.int64] | range | None:

@@ -1,0 +1,200 @@
+"""Photron: bare pixels in an .mraw file, everything about them in a .cih (text) or .cihx (XML) file beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Literal
+from xml.etree import ElementTree
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.base import Header
+from frictrack.recording.raw import Direct, Layout, picture_bytes
+
+_HEADERS = (".cihx", ".cih")
+_MOST = 4 << 20  # bytes of a header that are read; the longest seen has 20 kB
+# The same facts in both kinds of header.
+_KEYS = {
+    "width": ("Image Width", "imageDataInfo/resolution/width"),
+    "height": ("Image Height", "imageDataInfo/resolution/height"),
+    "bits": ("Color Bit", "imageDataInfo/colorInfo/bit"),
+    "colour": ("Color Type", "imageDataInfo/colorInfo/type"),
+    "depth": ("EffectiveBit Depth", "imageDataInfo/effectiveBit/depth"),
+    "side": ("EffectiveBit Side", "imageDataInfo/effectiveBit/side"),
+    "frames": ("Total Frame", "frameInfo/totalFrame"),
+    "start": ("Start Frame", "frameInfo/startFrame"),
+    "step": ("Save Step", "frameInfo/skipFrame"),
+    "trigger": ("Correct Trigger Frame", "frameInfo/correctTriggerFrame"),
+    "fps": ("Record Rate(fps)", "recordInfo/recordRate"),
+    "shutter": ("Shutter Speed(s)", "recordInfo/shutterSpeed"),
+    "shutter_ns": ("Shutter Type2(nsec)", "recordInfo/shutterSpeedNsec"),
+    "format": ("File Format", "imageFileInfo/fileFormat"),
+}
+
+Facts = dict[str, str]
+
+
+class Photron(Direct):
+    """A Photron recording (8, 10 packed, 12 packed or 16 bit), named by its header or by its .mraw file."""
+
+    suffixes: ClassVar[tuple[str, ...]] = (".mraw", *_HEADERS)
+
+    def _open(self) -> Header:
+        self._head, self._data = _pair(self.path)
+        facts = _facts(self._head)
+        shape, bits = self._pixels(facts)
+        frame = picture_bytes(shape, bits)
+        promised, size = self._whole(facts, "frames", 1, 1 << 40), self._data.stat().st_size
+        count = min(promised, size // frame)
+        notes: tuple[str, ...] = ()
+        if not count:
+            raise FrictrackError(
+                f"{self._data.name}: truncated film: none of its {promised} frames is complete; "
+                "copy it from the camera again"
+            )
+        if count < promised:
+            notes = (f"truncated film: {count} of {promised} promised frames are in the file",)
+        depth = self._whole(facts, "depth", 8, 16) if bits == 16 and "depth" in facts else bits
+        high = bits == 16 and facts.get("side", "").lower() == "higher"
+        layout = Layout(self._data, range(0, count * frame, frame), bits, shift=bits - depth if high else 0)
+        self._layout = layout if high else _in_order(layout, shape, depth)
+        fps, said = _rate(facts)
+        exposure, trigger = _exposure(facts), self._trigger(facts)
+        return Header(count, shape, depth, fps, notes=notes + said, exposure=exposure, trigger=trigger, camera=True)
+
+    def _pixels(self, facts: Facts) -> tuple[tuple[int, int], int]:
+        """Shape (h, w) and bits of a pixel, both possible."""
+        if facts.get("format", "mraw").lower() != "mraw":
+            raise FrictrackError(
+                f'{self._head.name}: expected the header of an mraw film but its pictures are "{facts["format"]}"; '
+                "open those pictures themselves"
+            )
+        shape = self._whole(facts, "height", 1, 1 << 16), self._whole(facts, "width", 1, 1 << 16)
+        bits, colour = self._whole(facts, "bits", 1, 64), facts.get("colour", "Mono")
+        if bits not in (8, 10, 12, 16) or colour.lower() not in ("mono", "raw"):
+            raise FrictrackError(
+                f"{self._head.name}: expected grey values of 8, 10, 12 or 16 bit but got {colour} of {bits} bit; "
+                "save the film as mono from the camera's software"
+            )
+        if shape[1] * bits % 8 or (bits == 10 and shape[1] % 4):
+            raise FrictrackError(
+                f"{self._head.name}: expected rows of whole bytes but got {shape[1]} px of {bits} bit; "
+                "save the film with 16 bit from the camera's software"
+            )
+        return shape, bits
+
+    def _whole(self, facts: Facts, key: str, low: int, high: int) -> int:
+        number = _number(facts.get(key, ""))
+        if number is None or number != int(number) or not low <= number <= high:
+            raise FrictrackError(
+                f'{self._head.name}: expected "{_KEYS[key][0]}" as a whole number from {low} to {high} but got '
+                f'"{facts.get(key, "nothing")[:40]}"; the header is damaged, copy it from the camera again'
+            )
+        return int(number)
+
+    def _trigger(self, facts: Facts) -> int | None:
+        """Photron counts frames from the trigger; the film's first frame is number `start`."""
+        start = _number(facts.get("start", ""))
+        if start is None:
+            return None
+        return round(((_number(facts.get("trigger", "")) or 0) - start) / _step(facts))
+
+    def _files(self) -> list[Path]:
+        return [self._head, self._data]
+
+
+def _pair(path: Path) -> tuple[Path, Path]:
+    """The header and the pixels of a recording that is named by either."""
+    beside = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
+    beside[path.suffix.lower()] = path
+    heads = [beside[s] for s in _HEADERS if s in beside]
+    head = path if path.suffix.lower() in _HEADERS else heads[0] if heads else None
+    if head is None:
+        raise FrictrackError(
+            f"{path.name}: expected its header {path.stem}.cihx or {path.stem}.cih beside it; copy both files"
+        )
+    if ".mraw" not in beside:
+        raise FrictrackError(f"{path.name}: expected its film {path.stem}.mraw beside it; copy both files")
+    return head, beside[".mraw"]
+
+
+def _facts(head: Path) -> Facts:
+    with head.open("rb") as file:
+        text = file.read(_MOST).decode("utf-8", "replace")
+    return _from_xml(head, text) if head.suffix.lower() == ".cihx" else _from_text(text)
+
+
+def _from_text(text: str) -> Facts:
+    """`Key : value` lines up to END: after it stands the header of the film that this one was saved from."""
+    lines: Facts = {}
+    for line in text.splitlines():
+        if line.strip() == "END":
+            break
+        key, colon, value = line.partition(":")
+        if colon:
+            lines.setdefault(key.strip(), value.strip())
+    return {name: lines[key] for name, (key, _) in _KEYS.items() if lines.get(key)}
+
+
+def _from_xml(head: Path, text: str) -> Facts:
+    start, end = text.find("<cih>"), text.rfind("</cih>")
+    if start < 0 or end < 0 or "<!ENTITY" in text:
+        raise FrictrackError(f"{head.name}: expected a Photron header but found no <cih> in it; copy it again")
+    try:
+        root = ElementTree.fromstring(text[start : end + len("</cih>")])
+    except ElementTree.ParseError as error:
+        raise FrictrackError(f"{head.name}: expected a Photron header but its XML is damaged; copy it again") from error
+    found = {name: (root.findtext(place) or "").strip() for name, (_, place) in _KEYS.items()}
+    return {name: value for name, value in found.items() if value}
+
+
+def _number(text: str) -> float | None:
+    """A number, or a fraction such as 1/15371; None for anything else."""
+    above, slash, below = text.partition("/")
+    try:
+        value = float(above) / float(below) if slash else float(above)
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return value if np.isfinite(value) else None
+
+
+def _step(facts: Facts) -> int:
+    return max(1, int(_number(facts.get("step", "")) or 1))
+
+
+def _rate(facts: Facts) -> tuple[float | None, tuple[str, ...]]:
+    """Frames per second in this file: a film saved with a step holds only every n-th frame of the record."""
+    fps, step = _number(facts.get("fps", "")), _step(facts)
+    if fps is None or fps <= 0:
+        return None, ()
+    if step == 1:
+        return fps, ()
+    note = (
+        f"the header names {fps:g} fps while filming and a save step of {step}: only one frame in {step} is in "
+        f"the file, so its own rate is {fps / step:g} fps"
+    )
+    return fps / step, (note,)
+
+
+def _exposure(facts: Facts) -> float | None:
+    """Exposure in s. "Shutter Speed(s)" holds 1/15371, or its inverse 50000.0, whatever its name says."""
+    nanoseconds = _number(facts.get("shutter_ns", ""))
+    if nanoseconds is not None and nanoseconds > 0:
+        return nanoseconds * 1e-9
+    value = _number(facts.get("shutter", ""))
+    if value is None or value <= 0:
+        return None
+    return 1 / value if value > 1 else value
+
+
+def _in_order(layout: Layout, shape: tuple[int, int], depth: int) -> Layout:
+    """The layout with the byte order in which the first picture does not exceed its bit depth."""
+    if layout.bits != 16 or depth == 16:
+        return layout
+    first = np.fromfile(layout.path, "<u2", shape[0] * shape[1])
+    orders: tuple[Literal["<", ">"], ...] = ("<", ">")
+    for order in orders:
+        if int(first.view(np.dtype(np.uint16).newbyteorder(order)).max(initial=0)) < 1 << depth:
+            return Layout(layout.path, layout.offsets, layout.bits, order)
+    return layout

@@ -1,0 +1,297 @@
+"""The time base of a recording, judged before any derivative is taken.
+
+Friction goes with the square of the frame rate, so the user's rate, the header's and the stamps' are held against each
+other, and missing, doubled and corrupt stamps are found. Times are whole frame intervals of one rate wherever the
+stamps allow it: a missing frame becomes a gap and no shift, a corrupt stamp is passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+from frictrack.recording.header import Header
+
+PLAYBACK_FPS = 60.0  # a container that says no more than this gives the speed of showing, not of filming
+DISAGREE = 1e-3  # relative difference of two frame rates that is said: 0.2 % of friction
+COARSE = 0.3  # stamps rounded to more than this share of a frame interval tell no frames apart
+UNEVEN = 0.1  # rms deviation of stamps from whole frames, in frames, above which they are the times themselves
+_FAR = 10_000  # frames; nothing is believed to be missing for longer
+_AGAIN = 3  # stamps in a row that agree with each other, not with those before: the clock was set
+_LISTED = 5
+
+Array = NDArray[np.float64]
+Ticks = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the audit: what was looked at, its value, what is made of it."""
+
+    name: str
+    value: str
+    verdict: str
+
+
+@dataclass(frozen=True, eq=False)
+class Timebase:
+    """The frame rate and the times that are used, and why.
+
+    `t` (n_kept,) s from the first frame; `kept` numbers the frames of the file that stay (None: all);
+    `rows` print as a table, `notes` as sentences.
+    """
+
+    fps: float
+    t: Array
+    rows: tuple[Row, ...] = ()
+    notes: tuple[str, ...] = ()
+    kept: Ticks | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stamps:
+    """What the stamps say: frame intervals since the first (-1 where corrupt), their rate, and the odd frames."""
+
+    ticks: Ticks
+    step: float  # s between frames
+    corrupt: Ticks
+    doubled: Ticks
+    gaps: Ticks  # frames before which others are missing
+    uneven: bool = False
+
+
+def audit(name: str, given: float | None, header: Header) -> Timebase:
+    """Judge the time base of the recording `name`: the header, its stamps, and the rate `given` by the user (1/s).
+
+    A container's rate and stamps (`header.camera` is False) may be those of showing and are believed only above 60
+    fps. Raises `FrictrackError` where no rate can be believed.
+    """
+    stamps, n = header.stamps, header.n_frames
+    read = read_stamps(stamps) if stamps is not None and header.ticks is None else None
+    stamped = 1 / read.step if read is not None else None
+    fps = _true_rate(name, given, header, stamped)
+    found = _rates(fps, given, header, stamped), _stamp_findings(read, stamps), _exposure_findings(header.exposure, fps)
+    rows = tuple(row for rows, _ in found for row in rows)
+    notes = tuple(note for _, notes in found for note in notes)
+    if read is None:
+        return Timebase(fps, (np.arange(n) if header.ticks is None else header.ticks) / fps, rows, notes)
+    kept = np.setdiff1d(np.arange(n), read.doubled)
+    t = _times(read, stamps, fps)[kept]
+    return Timebase(fps, t - t[0], rows, notes, kept if len(kept) < n else None)
+
+
+def read_stamps(stamps: Array) -> Stamps | None:
+    """Make frame numbers out of `stamps` (n,) s; None where they are too few or too coarse for that."""
+    good = np.flatnonzero(np.isfinite(stamps))
+    steps = np.diff(stamps[good])
+    forward = steps[steps > 0]
+    if len(good) < 3 or len(forward) < max(2, 0.8 * len(steps)):
+        return None
+    step = float(np.median(forward))
+    if _off_whole(forward / step) > COARSE:
+        return None
+    ticks = _plain(stamps, step)
+    if ticks is None:
+        ticks = _counted(stamps, step)
+    written_twice = _written_twice(ticks)
+    ticks[written_twice] += 1
+    known = np.flatnonzero(ticks >= 0)
+    if len(known) < max(3, len(stamps) // 2):
+        return None
+    step = _fitted(ticks[known], stamps[known], step)
+    jumps = np.diff(ticks[known])
+    return Stamps(
+        ticks,
+        step,
+        corrupt=np.union1d(np.flatnonzero(ticks < 0), written_twice),
+        doubled=known[1:][jumps == 0],
+        gaps=known[1:][jumps > np.diff(known)],
+        uneven=_uneven(ticks[known], stamps[known], step),
+    )
+
+
+def _off_whole(steps: Array) -> float:
+    """How far most intervals, in frames, are from whole numbers."""
+    return float(np.sqrt(np.mean(np.minimum((steps - np.rint(steps)) ** 2, 0.25))) * np.sqrt(12)) / 2
+
+
+def _written_twice(ticks: Ticks) -> Ticks:
+    """Frames with the stamp of the one before while the next is two intervals on: only the stamp is wrong."""
+    steps = np.diff(ticks)
+    twice = (steps[:-1] == 0) & (steps[1:] == 2) & (ticks[:-2] >= 0)
+    return np.flatnonzero(twice) + 1
+
+
+def _uneven(ticks: Ticks, stamps: Array, step: float) -> bool:
+    """Whether the frames are off the even grid by more than rounding; a clock that was set says nothing of that."""
+    steps = np.diff(stamps)
+    if np.any((steps < -0.5 * step) | (steps > _FAR * step)):
+        return False
+    off = stamps - stamps[0] - (ticks - ticks[0]) * step
+    return float(np.std(off)) > UNEVEN * step
+
+
+def _plain(stamps: Array, step: float) -> Ticks | None:
+    """0, 1, 2, ... where every interval is one frame: nearly always."""
+    steps = np.diff(stamps)
+    if np.all((steps > 0.5 * step) & (steps < 1.5 * step)):
+        return np.arange(len(stamps))
+    return None
+
+
+def _counted(stamps: Array, step: float) -> Ticks:
+    """Frame intervals since the first good stamp, -1 where a stamp is corrupt; a clock that was set counts on."""
+    ticks = np.full(len(stamps), -1, np.int64)
+    last = _first(stamps, step)
+    ticks[last] = last
+    strangers: list[int] = []
+    for i in range(last + 1, len(stamps)):
+        passed = (stamps[i] - stamps[last]) / step
+        if _believed(passed, i, last, stamps, step):
+            ticks[i] = ticks[last] + max(round(passed), 0)
+            last, strangers = i, []
+            continue
+        strangers = [*strangers, i] if _follows(stamps, strangers, i, step) else [i]
+        if len(strangers) == _AGAIN:
+            for place in strangers:
+                ticks[place] = ticks[last] + place - last
+            last, strangers = i, []
+    return ticks - ticks[ticks >= 0].min(initial=0) * (ticks >= 0)
+
+
+def _first(stamps: Array, step: float) -> int:
+    """The first stamp that the next one bears out."""
+    steps = np.diff(stamps) / step
+    near = np.flatnonzero((steps > 0.5) & (steps < 1.5))
+    return int(near[0]) if len(near) else 0
+
+
+def _follows(stamps: Array, strangers: Sequence[int], i: int, step: float) -> bool:
+    return bool(strangers) and 0.5 < (stamps[i] - stamps[strangers[-1]]) / step < 1.5
+
+
+def _believed(passed: float, i: int, last: int, stamps: Array, step: float) -> bool:
+    """Whether stamp `i` can be right, `passed` frame intervals after the last right one."""
+    if not -0.5 < passed < _FAR:  # NaN too
+        return False
+    if passed < i - last + 0.5:
+        return True
+    # A gap: the next stamp must go on from it, or a single stamp is wrong.
+    after = stamps[i + 1 : i + 2]
+    return bool(np.all((after - stamps[i]) / step > -0.5)) and (len(after) > 0 or passed < i - last + 10)
+
+
+def _fitted(ticks: Ticks, stamps: Array, step: float) -> float:
+    """Seconds per frame by a straight line through the stamps, without those that lie off it."""
+    use = np.ones(len(ticks), dtype=bool)
+    for _ in range(3):
+        slope, start = np.polyfit(ticks[use] - ticks[0], stamps[use] - stamps[0], 1)
+        off = np.abs(stamps - stamps[0] - start - slope * (ticks - ticks[0]))
+        use = off <= max(0.5 * step, 5 * float(np.median(off)))
+    return float(slope) if 0.5 * step < slope < 2 * step else step
+
+
+def _times(read: Stamps, stamps: Array | None, fps: float) -> Array:
+    """Times (n,) s: whole intervals, or the stamps themselves where these are uneven; corrupt ones interpolated."""
+    n = np.arange(len(read.ticks))
+    known = read.ticks >= 0
+    ticks = np.interp(n, n[known], read.ticks[known])
+    ends = np.flatnonzero(known)[[0, -1]]
+    ticks[: ends[0]] -= (ends[0] - n)[: ends[0]]  # before the first and after the last: one interval each
+    ticks[ends[1] + 1 :] += (n - ends[1])[ends[1] + 1 :]
+    if not read.uneven or stamps is None or len(read.corrupt):
+        return ticks / fps
+    return (stamps - stamps[0]) / read.step / fps
+
+
+def _true_rate(name: str, given: float | None, header: Header, stamped: float | None) -> float:
+    """The frame rate of the camera: the user's, else that of its stamps, else a header that can be believed."""
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
+        return float(given)
+    least = 0.0 if header.camera else PLAYBACK_FPS
+    agree = header.fps and stamped and abs(header.fps / stamped - 1) <= DISAGREE
+    for rate in (header.fps, stamped) if agree else (stamped, header.fps):
+        if rate is not None and np.isfinite(rate) and rate > least:
+            return float(rate)
+    says = f"says {header.fps:.4g} fps, which is the speed of showing it" if header.fps else "names no frame rate"
+    raise FrictrackError(
+        f"{name}: expected the camera's frame rate but the file {says}; give the true rate as fps "
+        "(friction goes with its square)"
+    )
+
+
+def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> tuple[list[Row], list[str]]:
+    rows, notes = [], []
+    used = "given" if given is not None else "stamps" if stamped == fps else "header"
+    for source, rate in (("given", given), ("header", header.fps), ("stamps", stamped)):
+        if rate is None or not np.isfinite(rate):
+            continue
+        apart = abs(rate / fps - 1) > DISAGREE
+        shown = not header.camera and apart and rate <= PLAYBACK_FPS
+        verdict = "used" if source == used else "speed of showing" if shown else "disagrees" if apart else "agrees"
+        rows.append(Row(f"frame rate, {source}", f"{rate:.6g} fps", verdict))
+        if verdict == "disagrees":
+            notes.append(
+                f"the frame rate of the {_WHERE[source]} is {rate:.6g} fps but that {_FROM[used]} is {fps:.6g} fps; "
+                f"{fps:.6g} fps is used"
+            )
+    return rows, notes
+
+
+_WHERE = {"header": "file's header", "stamps": "time stamps", "given": "user"}
+_FROM = {"header": "of the file's header", "stamps": "of the time stamps", "given": "given by the user"}
+
+
+def _stamp_findings(read: Stamps | None, stamps: Array | None) -> tuple[list[Row], list[str]]:
+    if stamps is None:
+        return [], []
+    if read is None:
+        return [Row("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
+    missing = int(read.ticks.max()) + 1 - len(stamps) + len(read.doubled)
+    found = [
+        (len(read.gaps) and max(missing, 1), "missing", "left as gaps in time", read.gaps, "frames are missing before"),
+        (len(read.doubled), "doubled", "left out", read.doubled, "frames have the time of the one before:"),
+        (len(read.corrupt), "corrupt", "passed over", read.corrupt, "time stamps are corrupt:"),
+    ]
+    rows, notes = [], []
+    for count, what, handled, frames, words in found:
+        verdict = handled if count else "none"
+        rows.append(Row(f"time stamps, {what}", str(int(count)), verdict))
+        if count:
+            notes.append(f"{_some(int(count), words)} {_list(frames)}; {handled}")
+    if read.uneven:
+        rows.append(Row("time stamps, spacing", "uneven", "each frame has its own time"))
+        notes.append("the time stamps are not evenly spaced; each frame has the time of its own stamp")
+    return rows, notes
+
+
+def _some(count: int, words: str) -> str:
+    if count == 1:
+        for many, one in (("frames are", "frame is"), ("frames have", "frame has"), ("stamps are", "stamp is")):
+            words = words.replace(many, one)
+    return f"{count} {words}"
+
+
+def _list(frames: Ticks) -> str:
+    named = ", ".join(str(i) for i in frames[:_LISTED].tolist())
+    more = len(frames) - _LISTED
+    return f"frame {named}" + (f" and {more} more" if more > 0 else "")
+
+
+def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[Row], list[str]]:
+    if exposure is None:
+        return [], []
+    share = exposure * fps
+    if share <= 1 + DISAGREE:
+        return [Row("exposure", f"{1e6 * exposure:.4g} us", f"{share:.1%} of the frame interval")], []
+    note = (
+        f"the exposure of {1e6 * exposure:.4g} us is longer than the frame interval of {1e6 / fps:.4g} us; "
+        "one of the two is wrong"
+    )
+    return [Row("exposure", f"{1e6 * exposure:.4g} us", "longer than the frame interval")], [note]
