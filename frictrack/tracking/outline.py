@@ -14,6 +14,8 @@ from frictrack.tracking.scene import LOOKS, Picture, Scene, behind_of, read, tid
 
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
 STEADY = 6  # times the body's own noise variance above which a pixel is not the body's
+SHOWS = 4  # times that variance by which a pixel must differ from the background
+FEW = 5  # frames of which a median tells nothing
 OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
 
 
@@ -74,18 +76,24 @@ def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
 
 def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
     """The pixels that move with the body, of registered frames (k, h, w) and the scene behind them."""
-    differs = cv2.GaussianBlur(np.median((stack - behind) ** 2, axis=0), (0, 0), 1.0)
-    spread = cv2.GaussianBlur(np.median((stack - picture) ** 2, axis=0), (0, 0), 1.0)
+    differs = _typical(stack - behind)
+    spread = _typical(stack - picture)
     member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
     # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
     even = _evened(stack, picture, member)
-    spread = cv2.GaussianBlur(np.median((even - picture) ** 2, axis=0), (0, 0), 1.0)
+    spread = _typical(even - picture)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
     own = float(np.percentile(spread[member], 25))
-    alike = (
-        cv2.dilate((spread < STEADY * max(own, 0.25) + 0.04 * slope).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    )
-    return _main(tidy(np.asarray(alike & (spread < 0.5 * differs)), close=5))
+    alike = (spread < STEADY * max(own, 0.25) + 0.04 * slope).astype(np.uint8)
+    alike = cv2.dilate(alike, np.ones((3, 3), np.uint8))
+    return _main(tidy(np.asarray((alike > 0) & (differs > np.maximum(2 * spread, SHOWS * own))), close=5))
+
+
+def _typical(off: Picture) -> Picture:
+    """Typical square (h, w) of deviations (k, h, w): their median, of few the mean."""
+    squares = off**2
+    usual = np.median(squares, axis=0) if len(off) > FEW else np.sum(squares, axis=0) / max(len(off) - 1, 1)
+    return np.asarray(cv2.GaussianBlur(usual, (0, 0), 1.0), dtype=np.float32)
 
 
 def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
