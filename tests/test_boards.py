@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from pinhole import CENTRE, FOCAL, LENS, NO_LENS, SIZE, charuco, checkers, homography, pictured, shot, through, turned
 
 from frictrack.calibration import parse_scale, plane_map
@@ -198,9 +199,7 @@ def test_a_known_lens_and_one_picture_give_the_plane(tmp_path):
 
 def test_several_pictures_or_a_folder_of_them(tmp_path):
     """The first shows the plane of the course, or the one that is named."""
-    board, names = checkers((9, 6)), []
-    for i, (x, y) in enumerate([(0.1, 0.3), (-0.3, 0.2), (0.3, -0.3), (0.0, -0.4), (0.35, 0.0)]):
-        names.append(drawn(tmp_path, board, f"{i}.png", (turned(x, y, 0.1 * i), np.array([-0.045, -0.03, 0.3]))))
+    names = [drawn(tmp_path, checkers((9, 6)), f"{i}.png", view) for i, view in enumerate(tilts())]
     scale = {"squares": [9, 6], "square": "10 mm"}
     of_list = plane_map(scale | {"board": names})
     of_folder = plane_map(scale | {"board": str(tmp_path)})
@@ -211,6 +210,41 @@ def test_several_pictures_or_a_folder_of_them(tmp_path):
     np.testing.assert_allclose(of_folder(at), of_list(at), atol=1e-6)
     assert of_list.length(at[:2])[0] == pytest.approx(0.07, rel=2e-3)
     assert of_list.values[0] == pytest.approx(1200, rel=0.02)
+
+
+def test_a_film_of_a_board_that_is_moved_about(tmp_path):
+    """Views that differ are taken from it; the first that shows the board lies in the plane, or frame `plane`."""
+    stack = np.stack([pictured(checkers((9, 6)), 40, homography(*view, 1200.0, SMALL), SMALL) for view in tilts()])
+    blank = np.full((1, *SMALL[::-1]), 200, np.uint8)
+    frames = np.concatenate([blank, np.repeat(stack, 3, axis=0)])
+    tifffile.imwrite(tmp_path / "moved.tif", frames, photometric="minisblack")
+    scale = {"board": str(tmp_path / "moved.tif"), "squares": [9, 6], "square": "10 mm"}
+    made = plane_map(scale)
+    assert "in 5 pictures" in made.used
+    assert "plane (moved.tif, frame 1)" in made.used
+    assert made.values[0] == pytest.approx(1200, rel=0.02)
+    assert "plane (moved.tif, frame 8)" in plane_map(scale | {"plane": 8}).used
+    with pytest.raises(FrictrackError, match=r"expected plane as one of 16 frames of moved\.tif but got 16"):
+        plane_map(scale | {"plane": 16})
+    with pytest.raises(FrictrackError, match=r"9 x 6 squares in moved\.tif, frame 0 but found none"):
+        plane_map(scale | {"plane": 0})
+
+
+def tilts():
+    angles = [(0.1, 0.3), (-0.3, 0.2), (0.3, -0.3), (0.0, -0.4), (0.35, 0.0)]
+    return [(turned(x, y, 0.1 * i), np.array([-0.045, -0.03, 0.3])) for i, (x, y) in enumerate(angles)]
+
+
+def test_pictures_without_the_board(tmp_path):
+    """Left out and named, but for the one that lies in the plane of the course."""
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full(SMALL[::-1], 200, np.uint8))
+    scale = {"squares": [9, 6], "square": "10 mm"}
+    board = drawn(tmp_path, checkers((9, 6)))
+    notes = plane_map(scale | {"board": [board, str(blank)]}).notes
+    assert notes == ("the board was not found in blank.png, which the scale goes without",)
+    with pytest.raises(FrictrackError, match=r"9 x 6 squares in blank\.png but found none"):
+        plane_map(scale | {"board": [str(blank), board]})
 
 
 @pytest.mark.parametrize(

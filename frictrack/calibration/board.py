@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -132,34 +132,56 @@ def board_of(scale: Mapping[str, Any]) -> Board:
     return board
 
 
-def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> tuple[list[View], list[str]]:
-    """The board in every picture that shows it, at most 20 that differ, the picture `plane` first; and where it is not.
+def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> Seen:
+    """The board in every picture that shows it, at most 20 that differ, the one in the plane of the course first.
 
     `shape` (h, w) is that of the film. Raises `FrictrackError` when the board is in no picture, not in the picture
     `plane`, or the pictures are of another size than the film.
     """
-    plane = scale.get("plane")
+    paths = tuple(files(scale))
+    return _views(paths, _changed(paths), scale.get("plane"), board, shape)
+
+
+Seen = tuple[list[View], list[str]]  # views, and the names of pictures in which the board is not found
+
+
+def _changed(paths: tuple[Path, ...]) -> tuple[int, ...]:
+    """When the files were written: the runs of one camera share its board, which is looked for once."""
+    each = [p for path in paths for p in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    return tuple(p.stat().st_mtime_ns for p in each if p.exists())
+
+
+@lru_cache(maxsize=16)
+def _views(
+    paths: tuple[Path, ...],
+    _: tuple[int, ...],
+    plane: int | None,
+    board: Board,
+    shape: tuple[int, int] | None,
+) -> Seen:
+    film = _is_film(paths)
+    plane = (
+        plane if film or plane is not None else 0
+    )  # of pictures the first must show it; a film may find its board late
     found: list[View] = []
     missed: list[str] = []
     sizes: set[tuple[int, int]] = set()
-    last: Grey | None = None
-    for number, name, grey in _pictures(files(scale), plane):
-        last = grey
-        sizes.add(grey.shape[::-1])
+    grey = np.zeros((0, 0), np.uint8)
+    for number, name, grey in _frames(paths[0], plane) if film else _pictures(paths, plane):
+        sizes.add((grey.shape[1], grey.shape[0]))
         _check_size(name, sizes, shape)
         corners = board.corners(grey)
-        if corners is not None:
-            seen = View(name, number, *corners, grey.shape[::-1])
-            if number == plane or all(_differs(seen, other) for other in found):
-                found.append(seen)
-        elif number == plane:
+        if corners is None and number == plane:
             raise FrictrackError(_lost(board, name, grey))
-        else:
+        if corners is None:
             missed.append(name)
+            continue
+        seen = View(name, number, *corners, (grey.shape[1], grey.shape[0]))
+        if number == plane or all(_differs(seen, other) for other in found):
+            found.append(seen)
     if not found:
-        assert last is not None  # a scale names at least one picture
-        raise FrictrackError(_lost(board, ", ".join(str(p.name) for p in files(scale)), last))
-    return _first(found, plane), missed
+        raise FrictrackError(_lost(board, paths[0].name, grey))
+    return _first(found, plane), [] if film else missed
 
 
 def _first(found: list[View], plane: int | None) -> list[View]:
@@ -204,11 +226,18 @@ def _differs(seen: View, other: View) -> bool:
     return moved > MOVED * seen.size[0]
 
 
-def _pictures(paths: list[Path], plane: int | None) -> Iterator[tuple[int, str, Grey]]:
-    """Number, name and grey picture of every file, or of frames spread over a recording."""
-    if len(paths) == 1 and (paths[0].is_dir() or paths[0].suffix.lower() not in PICTURES or _pages(paths[0]) > 1):
-        yield from _frames(paths[0], plane)
-        return
+def _is_film(paths: tuple[Path, ...]) -> bool:
+    return (
+        len(paths) == 1 and not paths[0].is_dir() and (paths[0].suffix.lower() not in PICTURES or _pages(paths[0]) > 1)
+    )
+
+
+def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int, str, Grey]]:
+    """Number, name and grey picture of every file, or of those in a folder."""
+    if len(paths) == 1 and paths[0].is_dir():
+        paths = tuple(sorted(p for p in paths[0].iterdir() if p.suffix.lower() in PICTURES))
+    if not paths:
+        raise FrictrackError("expected pictures of the board in its folder but found none")
     if plane is not None and plane >= len(paths):
         raise FrictrackError(f"expected plane as the number of one of {len(paths)} pictures but got {plane}")
     for number, path in enumerate(paths):
@@ -225,6 +254,7 @@ def _pages(path: Path) -> int:
 
 
 def _frames(path: Path, plane: int | None) -> Iterator[tuple[int, str, Grey]]:
+    """Number, name and grey picture of frames spread over a recording."""
     recording = open_recording(path, fps=1.0)  # time does not matter here
     wanted = np.unique(np.linspace(0, recording.n_frames - 1, SAMPLES).astype(int)).tolist()
     if plane is not None:

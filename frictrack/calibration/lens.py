@@ -67,7 +67,7 @@ def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
     if matrix.size != 9 or not _is_camera(matrix.reshape(3, 3)):
         raise FrictrackError(f"{path.name}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px")
     _check_model(path, fields, distortion)
-    size = _size(fields)
+    size = _size(fields, path)
     if size and shape and size != shape[::-1]:
         raise FrictrackError(
             f"{path.name}: expected the lens of a {shape[1]}x{shape[0]} px film but got one calibrated on "
@@ -102,12 +102,17 @@ def _named(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str
         raise FrictrackError(f"{path.name}: expected {what} as numbers but got {str(value)[:60]}") from e
 
 
-def _size(fields: dict[str, Any]) -> tuple[int, int] | None:
+def _size(fields: dict[str, Any], path: Path) -> tuple[int, int] | None:
     width, height = (next((fields[n] for n in names if n in fields), None) for names in (WIDTH, HEIGHT))
     if width is None or height is None:
         pair = fields.get("image_size", fields.get("img_size"))
         width, height = pair if isinstance(pair, list) and len(pair) == 2 else (None, None)
-    return (int(width), int(height)) if width and height else None
+    if not width or not height:
+        return None
+    try:
+        return int(width), int(height)
+    except (TypeError, ValueError, OverflowError) as e:
+        raise FrictrackError(f"{path.name}: expected the size of the pictures in px but got {width} x {height}") from e
 
 
 def _fields(path: Path) -> dict[str, Any]:

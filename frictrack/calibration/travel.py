@@ -146,7 +146,8 @@ def _told(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
     first, last, middle = (_pitch(plane, p, x) for p in (*ends, ends.mean(axis=0)))
     path_px = float(np.hypot(*(ends[1] - ends[0])))
     share = 100 * plane.length(ends)[1]
-    notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {share:.2g} % of its length uncertain"]
+    sure = f"its length known to {share:.2g} %" if share else "its uncertainty not given"
+    notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {sure}"]
     change = max(first, middle, last) / min(first, middle, last) - 1
     if change > VARIES:
         notes.append(
