@@ -252,7 +252,9 @@ def test_pictures_without_the_board(tmp_path):
     [
         ({"squares": [8, 5]}, r"it has 8 x 5 inner corners: write squares = \[9, 6\]"),
         ({"squares": [12, 7]}, "expected a checkerboard of 12 x 7 squares in board.png but found none; all of it must"),
-        ({"squares": [9]}, r"expected squares as their number along and across, such as \[9, 6\], but got \[9\]"),
+        ({"squares": [9]}, r"along and across, 4 to 100 each, such as \[9, 6\], but got \[9\]"),
+        ({"squares": [5, 3]}, r"along and across, 4 to 100 each, such as \[9, 6\], but got \[5, 3\]"),
+        ({"squares": [5, 3.0]}, r"but got \[5, 3.0\]"),
         ({"square": "0 mm"}, "expected the side of a square above 0 m"),
         ({"square": "1 kg"}, "expected the side of a square as a quantity in m"),
         ({"marker": "7 mm"}, "expected both dictionary and marker for a ChArUco board"),

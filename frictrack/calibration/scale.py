@@ -175,8 +175,11 @@ def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
     """Number of squares along and across the board."""
     raw = scale["squares"]
     whole = isinstance(raw, list | tuple) and len(raw) == 2 and all(type(n) is int for n in raw)
-    if not whole or min(raw) < 3 or max(raw) > 100:
-        raise FrictrackError(f"expected squares as their number along and across, such as [9, 6], but got {raw!r}")
+    least = 3 if "dictionary" in scale else 4
+    if not whole or min(raw) < least or max(raw) > 100:
+        raise FrictrackError(
+            f"expected squares as their number along and across, {least} to 100 each, such as [9, 6], but got {raw!r}"
+        )
     return raw[0], raw[1]
 
 
