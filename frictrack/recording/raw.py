@@ -8,6 +8,7 @@ from __future__ import annotations
 import mmap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -74,18 +75,16 @@ class Direct(Recording):
         if not self.direct:
             return super().cut(indices, corners, size)
         indices, corners = self._boxes(indices, corners, size)
-        return Cutter(self.shape, self._layout, self._mapped).cut(indices, corners, size)
+        return self._cutter.cut(indices, corners, size)
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         corner = np.zeros((1, 2), np.int64)
         for index in indices:
-            yield self.cut([index], corner, self.shape)[0]
+            yield self._cutter.cut(np.array([index]), corner, self.shape)[0]
 
-    @property
-    def _mapped(self) -> Window:
-        if not hasattr(self, "_window"):
-            self._window = Window(self._layout.path)
-        return self._window
+    @cached_property
+    def _cutter(self) -> Cutter:
+        return Cutter(self.shape, self._layout, Window(self._layout.path))
 
 
 class Window:

@@ -115,8 +115,9 @@ def read_stamps(stamps: Array) -> Stamps | None:
 
 
 def _off_whole(steps: Array) -> float:
-    """How far most intervals, in frames, are from whole numbers."""
-    return float(np.sqrt(np.mean(np.minimum((steps - np.rint(steps)) ** 2, 0.25))) * np.sqrt(12)) / 2
+    """To how many frames the stamps are rounded: by the rms deviation of intervals (in frames) from whole ones."""
+    near = steps[steps < 3]
+    return float(np.sqrt(12 * np.mean((near - np.rint(near)) ** 2))) / 2
 
 
 def _written_twice(ticks: Ticks) -> Ticks:

@@ -12,6 +12,7 @@ from typing import ClassVar, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording
@@ -39,12 +40,13 @@ class Video(Recording):
                 f"{self.path.name}: expected a film but no frame of it can be read; it is damaged or empty, "
                 "copy it from the camera again"
             )
-        packets = self._count_packets()
+        stamps = self._stamps()
+        packets = len(stamps)
         notes: tuple[str, ...] = ()
         if packets < promised:
             notes = (f"truncated film: {packets} of {promised} promised frames are in the file",)
         depth = 16 if first.dtype == np.uint16 else 8
-        return Header(packets, first.shape[:2], depth, fps if fps > 0 else None, notes=notes)
+        return Header(packets, first.shape[:2], depth, fps if fps > 0 else None, notes=notes, stamps=stamps)
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         capture, at = self._capture(), -1
@@ -67,10 +69,10 @@ class Video(Recording):
             capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         return capture
 
-    def _count_packets(self) -> int:
-        """Frames that are in the file, counted without decoding."""
+    def _stamps(self) -> NDArray[np.float64]:
+        """When each frame of the file is shown, s; read off the packets without decoding them."""
         capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-        count = 0
+        stamps = []
         while capture.grab():
-            count += 1
-        return count
+            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+        return np.sort(stamps)  # packets come in the order of decoding, frames in that of showing
