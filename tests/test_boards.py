@@ -195,6 +195,10 @@ def test_a_known_lens_and_one_picture_give_the_plane(tmp_path):
     assert length == pytest.approx(0.08, rel=4 * relative)
     assert relative < plane_map(scale).length(ends)[1]  # it knows more
     assert made.used.endswith("seen through the lens of lens.yml")
+    fields = {"K": [[1200, 0, 160], [0, 1200, 120], [0, 0, 1]], "D": [0, 0, 0, 0], "image_size": [320, 240]}
+    lens.write_text(json.dumps(fields))
+    with pytest.raises(FrictrackError, match=r"of 320x240 px, as the lens was calibrated on, but board\.png has 640"):
+        plane_map(scale, lens=lens)
 
 
 def test_several_pictures_or_a_folder_of_them(tmp_path):
@@ -233,6 +237,14 @@ def test_a_film_of_a_board_that_is_moved_about(tmp_path):
 def tilts():
     angles = [(0.1, 0.3), (-0.3, 0.2), (0.3, -0.3), (0.0, -0.4), (0.35, 0.0)]
     return [(turned(x, y, 0.1 * i), np.array([-0.045, -0.03, 0.3])) for i, (x, y) in enumerate(angles)]
+
+
+def test_pictures_that_do_not_tell_the_camera(tmp_path):
+    """Two of them, or many that are not tilted: the homography of the first, and a word."""
+    two = [drawn(tmp_path, checkers((9, 6)), f"{i}.png", view) for i, view in enumerate(tilts()[:2])]
+    made = plane_map({"board": two, "squares": [9, 6], "square": "10 mm"})
+    assert "in 0.png" in made.used
+    assert made.notes[-1].startswith("the pictures do not tell the camera (three and more are needed")
 
 
 def test_pictures_without_the_board(tmp_path):

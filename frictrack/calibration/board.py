@@ -132,6 +132,9 @@ def board_of(scale: Mapping[str, Any]) -> Board:
     return board
 
 
+Seen = tuple[list[View], list[str]]  # views, and the names of pictures in which the board is not found
+
+
 def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> Seen:
     """The board in every picture that shows it, at most 20 that differ, the one in the plane of the course first.
 
@@ -140,9 +143,6 @@ def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None 
     """
     paths = tuple(files(scale))
     return _views(paths, _changed(paths), scale.get("plane"), board, shape)
-
-
-Seen = tuple[list[View], list[str]]  # views, and the names of pictures in which the board is not found
 
 
 def _changed(paths: tuple[Path, ...]) -> tuple[int, ...]:
@@ -160,9 +160,8 @@ def _views(
     shape: tuple[int, int] | None,
 ) -> Seen:
     film = _is_film(paths)
-    plane = (
-        plane if film or plane is not None else 0
-    )  # of pictures the first must show it; a film may find its board late
+    if plane is None and not film:
+        plane = 0  # the first picture must show the board; a film may come to it late
     found: list[View] = []
     missed: list[str] = []
     sizes: set[tuple[int, int]] = set()

@@ -25,6 +25,8 @@ DETERMINED = 0.01  # standard deviation of the distortion in the corners up to w
 SURE = 0.2  # relative standard deviation of the focal length above which the views do not tell it
 INTRINSIC = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 COARSE = 1.0  # px of reprojection error that is worth a word
+CORNER = 0.02  # px: a corner is known no better than this, whatever its neighbours say (print, light, detection)
+FEW = "the pictures do not tell the camera (three and more are needed, tilted differently): only one of them is used"
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +40,17 @@ class _Camera:
 
 def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneMap:
     """The map to the plane of the first view, m; `lens` is one that was calibrated before."""
-    made = _posed(seen[0], lens, board) if lens else _bundle(seen, board) if len(seen) >= LEAST_VIEWS else None
+    made = _posed(seen[0], lens, board) if lens else _bundle(seen, board)
     if made is None:
-        made = _single(seen, board)
+        made = _single(seen[0], board)
+        made = replace(made, notes=(*made.notes, FEW)) if len(seen) > 1 else made
     middle = seen[0].points.mean(axis=0)
     made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0))
     return made.scaled(1.0, board.relative)
 
 
-def _single(seen: list[View], board: Board) -> PlaneMap:
+def _single(first: View, board: Board) -> PlaneMap:
     """One view: homography, and the radial coefficient where the view tells it well."""
-    first = seen[0]
     one = np.ones(len(first.points))
     width, height = first.size
     frame = Norm(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
@@ -71,12 +73,12 @@ def _variance(fitted: Homography) -> float:
     """Variance of a corner along one axis, px^2."""
     if fitted.degrees < 1:
         raise FrictrackError("expected more corners of the board in its picture; show more of it")
-    return fitted.chi2 / fitted.degrees
+    return max(fitted.chi2 / fitted.degrees, CORNER**2)
 
 
 def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
     """Camera, lens and pose from several views; None where the views do not tell the camera."""
-    best = _calibrated(seen)
+    best = _calibrated(seen) if len(seen) >= LEAST_VIEWS else None
     if best is None:
         return None
     covariance = _covariance(seen, best)
@@ -135,7 +137,7 @@ def _covariance(seen: list[View], camera: _Camera) -> Array | None:
     if count < 1 or not np.all(size > 0):
         return None
     inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    return np.asarray(inverse * square / count)
+    return np.asarray(inverse * max(square / count, CORNER**2))
 
 
 def _slopes(v: View, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
@@ -167,6 +169,11 @@ def on_plane(rays: Array, pose: Array) -> Array:
 
 def _posed(first: View, lens: Lens, board: Board) -> PlaneMap:
     """The pose of the board under a lens that is known."""
+    if lens.size and lens.size != first.size:
+        raise FrictrackError(
+            f"expected the board in pictures of {lens.size[0]}x{lens.size[1]} px, as the lens was calibrated on, but "
+            f"{first.name} has {first.size[0]}x{first.size[1]} px; use the same setting of the camera"
+        )
     solid = np.column_stack([first.places, np.zeros(len(first.places))])
     rays = lens.rays(first.points)
     if not np.all(np.isfinite(rays)):
@@ -179,7 +186,7 @@ def _posed(first: View, lens: Lens, board: Board) -> PlaneMap:
     at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
     misfit = (at.reshape(-1, 2) - first.points).ravel()
     normal = slopes[:, :6].T @ slopes[:, :6]
-    covariance = np.linalg.inv(normal) * float(misfit @ misfit) / (len(misfit) - 6)
+    covariance = np.linalg.inv(normal) * max(float(misfit @ misfit) / (len(misfit) - 6), CORNER**2)
     rms = float(np.sqrt(2 * np.mean(misfit**2)))
     used = (
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from frictrack.calibration import scale as written
-from frictrack.calibration.course import Axis, directions
+from frictrack.calibration.course import Axis, directions, path
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
 from frictrack.calibration.scale import Scale
 from frictrack.errors import FrictrackError
@@ -55,7 +55,7 @@ def plane_map(
         "number": lambda: written.given(scale, straight),
         "ruler": lambda: written.ruler(_table(scale), straight),
         "points": lambda: _points(_table(scale), straight),
-        "target": lambda: _target(_table(scale), (track, film), directions(axis)[0], straight),
+        "target": lambda: _target(_table(scale), (track, film), _direction(track, axis), straight),
         "board": lambda: _board(_table(scale), known, shape),
     }
     made = makers[kind]()
@@ -94,6 +94,16 @@ def _board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | No
         return made
     names = f"{missed[0]} and {len(missed) - 1} more" if len(missed) > 1 else missed[0]
     return replace(made, notes=(*made.notes, f"the board was not found in {names}, which the scale goes without"))
+
+
+def _direction(track: Track | None, axis: Axis) -> Array:
+    """The course in the picture: the axis, or that of the path where this is asked for."""
+    if isinstance(axis, str) and track is not None:
+        found = track.found
+        line = path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
+        if line is not None:
+            return line.along
+    return directions(axis)[0]
 
 
 def _target(
