@@ -14,9 +14,10 @@ from frictrack.tracking.scene import LOOKS, Picture, Scene, behind_of, read, tid
 
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
 STEADY = 6  # times the body's own noise variance above which a pixel is not the body's
+AROUND = 2  # px round a plain body, so that its whole edge is in, blurred as it is
 SHOWS = 4  # times that variance by which a pixel must differ from the background
 FEW = 5  # frames of which a median tells nothing
-OUTLINE = 0.5  # least share of the contrast that a rectangle inside the body must hold
+OUTLINE = 0.4  # least share of the contrast that must lie inside the body, away from its edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ def outline(scene: Scene, box: Rectangle, row: int, corner: Array, frame: int | 
     left, top = (int(c) for c in look.corner[at])
     height, width = scene.frames[0].shape
     x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
-    x1, y1 = min(left + x + max(w, 8), width), min(top + y + max(h, 8), height)
+    x1, y1 = np.clip(left + x + w, x0 + 8, width), np.clip(top + y + h, y0 + 8, height)
     return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), scene.index[look.rows[at]]
 
 
@@ -76,7 +77,7 @@ def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
 
 def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
     """The pixels that move with the body, of registered frames (k, h, w) and the scene behind them."""
-    differs = _typical(stack - behind)
+    differs = _typical(stack - behind, 0.5)  # a plain background far brighter than the body must not leak in
     spread = _typical(stack - picture)
     member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
     # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
@@ -89,11 +90,11 @@ def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
     return _main(tidy(np.asarray((alike > 0) & (differs > np.maximum(2 * spread, SHOWS * own))), close=5))
 
 
-def _typical(off: Picture) -> Picture:
+def _typical(off: Picture, blur: float = 1.0) -> Picture:
     """Typical square (h, w) of deviations (k, h, w): their median, of few the mean."""
     squares = off**2
     usual = np.median(squares, axis=0) if len(off) > FEW else np.sum(squares, axis=0) / max(len(off) - 1, 1)
-    return np.asarray(cv2.GaussianBlur(usual, (0, 0), 1.0), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(usual, (0, 0), blur), dtype=np.float32)
 
 
 def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
@@ -138,14 +139,14 @@ def _main(mask: Mask) -> Mask:
 
 def _rectangle(look: Look) -> Rectangle:
     """Inside the body where its texture is; round it where most of its contrast is the outline."""
-    inner = _inside(look.member)
-    x, y, w, h = inner
+    bits = look.member.astype(np.uint8)
     energy = np.sum(np.square(np.gradient(look.picture)), axis=0)
-    outlined = cv2.dilate(look.member.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if energy[y : y + h, x : x + w].sum() > OUTLINE * energy[outlined].sum():
-        return inner
-    x, y, w, h = cv2.boundingRect(outlined.astype(np.uint8))
-    return (x, y, w, h)
+    core = cv2.erode(bits, np.ones((7, 7), np.uint8)) > 0
+    outlined = cv2.dilate(bits, np.ones((3, 3), np.uint8)) > 0
+    if energy[core].sum() > OUTLINE * energy[outlined].sum():
+        return _inside(look.member)
+    x, y, w, h = cv2.boundingRect(bits)
+    return (x - AROUND, y - AROUND, w + 2 * AROUND, h + 2 * AROUND)
 
 
 def _inside(member: Mask) -> Rectangle:
