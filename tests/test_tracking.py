@@ -77,6 +77,7 @@ def test_both_axes():
     y = 31.5 + 2 * np.sin(np.arange(N) / 9)
     result = track(a_film(SLIDE, y=y))
     off = result.y_px - y
+    off -= off.mean()  # the rectangle's middle need not be the block's
     assert np.std(off) < 0.005
     assert np.std(off / result.sigma_y_px) == pytest.approx(1.0, abs=0.25)
 
@@ -192,8 +193,10 @@ def test_what_covers_the_target_is_not_tracked():
         return frame
 
     result = track(a_film(SLIDE, rod), rectangle(SLIDE[0]))
-    hidden = np.abs(SLIDE - 150) < 15
+    hidden = np.abs(SLIDE - 150) < 6
     assert not result.found[hidden].any()
+    # What looks out on one side is measured; nowhere is the target said to be where it is not.
+    assert np.nanmax(np.abs(error(result, SLIDE))) < 0.06
     clear = np.abs(SLIDE - 150) > 48
     assert result.found[clear].all()
     assert np.nanstd(result.x_px[clear] - SLIDE[clear]) < 0.005

@@ -9,7 +9,7 @@ and then in the whole picture.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -36,8 +36,9 @@ ANYWHERE = 0.5  # least score of a find far from where the target should be
 BETTER = 0.1  # by this much must another place match better than the one that is near
 SURPRISE = 1.5  # px off the prediction: no find in a batch, or a pattern that repeats would be followed one period off
 REACH = 24  # px searched round the prediction
-BATCH = (8, 128)  # frames predicted at once: least, most
+BATCH = (8, 256)  # frames predicted at once: least, most
 AGAIN = 4  # times that a batch is read at better corners
+FORGOTTEN = 128  # frames without a find after which the target may be anywhere
 HIDDEN = 16  # frames after which the path is no guide any more
 NOISIER = 4.0  # times the usual misfit at most, of what is left of a partly hidden target
 MEMORY = 24  # frames from which the next are predicted
@@ -83,11 +84,10 @@ class _Path:
     def add(self, frame: NDArray[np.int64], at: Array) -> None:
         """Remember finds; judge the predictors by them first."""
         if len(frame) > 2 and len(self.frame) > 4:
-            for axis in (0, 1):
-                miss = [np.max(np.abs(self._foretold(frame, axis, d) - at[:, axis])) for d in (0, 1, 2)]
-                self.degree[axis] = int(np.argmin(miss))
-        self.frame = [*self.frame, *frame.tolist()][-MEMORY:]
-        self.at = [*self.at, *at][-MEMORY:]
+            miss = [np.max(np.abs(foretold - at), axis=0) for foretold in self._foretold(frame)]
+            self.degree = np.argmin(miss, axis=0).tolist()
+        self.frame = [*self.frame, *frame[-MEMORY:].tolist()][-MEMORY:]
+        self.at = [*self.at, *at[-MEMORY:]][-MEMORY:]
 
     def forget(self, frame: int, at: Array) -> None:
         """Start again: the path broke off, the target is here now; the frame before may still tell the velocity."""
@@ -101,18 +101,19 @@ class _Path:
 
     def predicted(self, frame: NDArray[np.int64]) -> Array:
         """Where the target should be in these frames (n, 2) px."""
-        return np.stack([self._foretold(frame, axis, self.degree[axis]) for axis in (0, 1)], axis=1)
+        every = self._foretold(frame)
+        return np.stack([every[min(d, len(every) - 1)][:, axis] for axis, d in enumerate(self.degree)], axis=1)
 
-    def _foretold(self, frame: NDArray[np.int64], axis: int, degree: int) -> Array:
-        last = self.frame[-1]
-        known = np.array([a[axis] for a in self.at])
-        when = np.array(self.frame, dtype=np.float64) - last
-        degree = min(degree, len(known) - 1, 2 if len(known) > 4 else 1)
-        if degree == 0:
-            return np.full(len(frame), known[-1])
+    def _foretold(self, frame: NDArray[np.int64]) -> list[Array]:
+        """The same by polynomials of degree 0, 1, 2 through the path so far, as far as that carries them."""
+        when = np.array(self.frame, dtype=np.float64) - self.frame[-1]
         scale = max(abs(when[0]), 1.0)
-        fit = np.linalg.lstsq(np.vander(when / scale, degree + 1), known, rcond=None)[0]
-        return np.asarray(np.polyval(fit, (frame - last) / scale))
+        powers, ahead = ((t[:, None] / scale) ** np.arange(3) for t in (when, frame - self.frame[-1]))
+        known = np.array(self.at)
+        normal, right = powers.T @ powers, powers.T @ known
+        highest = 2 if len(known) > 4 else len(known) - 1 if len(known) < 3 else 1
+        fits = [ahead[:, :d] @ np.linalg.solve(normal[:d, :d], right[:d]) for d in range(2, highest + 2)]
+        return [np.broadcast_to(known[-1], (len(frame), 2)), *fits]
 
 
 class Follower:
@@ -183,7 +184,7 @@ class Follower:
 
     def _covered(self, i: int, path: _Path, result: Followed) -> bool:
         """Whether the target is where it should be in frame `i`, though partly hidden; if so it is kept."""
-        if path.age(i) > HIDDEN:
+        if path.age(i) > HIDDEN or np.isinf(self.noise):
             return False
         frames = np.array([i])
         predicted = path.predicted(frames)
@@ -192,9 +193,9 @@ class Follower:
             cuts = self.film.cut(frames, corner, self.size)
         except FrictrackError:
             return False
-        start = np.clip(predicted - corner, -RANGE, RANGE)
-        whole = refine(products(cuts, self.template), start, self.template)
-        fine = without_what_does_not_fit(cuts, whole, self.template)
+        last = result.fine[np.array([path.frame[-1]])]
+        guess = replace(last, at=np.clip(predicted - corner, -RANGE, RANGE))
+        fine = without_what_does_not_fit(cuts, guess, self.template, usual=self.noise)
         near = np.max(np.abs(corner + fine.at - predicted)) < SURPRISE
         if not (near and self.accepted(corner, fine)[0] and fine.misfit[0] < NOISIER * self.noise):
             return False
@@ -234,6 +235,7 @@ class Follower:
         result.reason[frames] = ""
         if len(frames):
             self.usual = 0.9 * self.usual + 0.1 * float(np.median(fine.score))
+        if len(frames) > 1:  # the frame that the template was cut from fits itself too well
             misfit = float(np.median(fine.misfit))
             self.noise = misfit if np.isinf(self.noise) else 0.9 * self.noise + 0.1 * misfit
 
@@ -247,7 +249,7 @@ class Follower:
             result.reason[i] = FLAT
             return
         predicted = path.predicted(np.array([i]))[0]
-        place, score = self._look(frame, predicted if path.age(i) < BATCH[1] else None)
+        place, score = self._look(frame, predicted if path.age(i) < FORGOTTEN else None)
         if score >= max(ANYWHERE * self.usual, LEAST_SCORE):
             corner, fine = self.read(np.array([i]), place[None])
             if self.accepted(corner, fine)[0]:

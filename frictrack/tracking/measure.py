@@ -23,6 +23,7 @@ MISFITS = 1.5  # times the usual mean squared residual: the frame shows more tha
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
+TRUSTED = 2.0  # times the usual noise: what a prediction may be off by
 MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
@@ -46,27 +47,42 @@ def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson)
     usual = float(np.median(fine.misfit)) if np.isnan(lesson.usual) else lesson.usual
     odd = np.flatnonzero(covered | (fine.misfit > MISFITS * usual))
     if len(odd):
-        given = np.ones((len(odd), *cuts.shape[1:]), np.float32) if share is None else share[odd]
-        better = without_what_does_not_fit(cuts[odd], fine[odd], template, given)
-        fine.put(odd, better)
+        given = None if share is None else share[odd]
+        fine.put(odd, without_what_does_not_fit(cuts[odd], fine[odd], template, given))
     return replace(fine, sigma=fine.sigma * lesson.inflation)
 
 
-def without_what_does_not_fit(cuts: Patch, fine: Fine, template: Template, given: Array | None = None) -> Fine:
-    """The same frames, pixel by pixel weighted by how well they fit; score and noise are those of what is left.
+def without_what_does_not_fit(
+    cuts: Patch, guess: Fine, template: Template, given: Patch | None = None, usual: float = np.nan
+) -> Fine:
+    """The frames (n, h, w), pixel by pixel weighted by how well they fit a `guess`, then each better fit.
 
-    `given` (n, h, w) is the share of their weight that pixels have in the first place. Where hardly anything is
-    left, the frame is not settled.
+    `given` (n, h, w) is the share of their weight that pixels have in the first place. With the `usual` misfit of a
+    frame that holds nothing but target and noise the guess is trusted, and may speak against most of the picture;
+    without, it is one that the whole picture has made. Where hardly anything is left, the frame is not settled.
     """
     counts = (template.weight > 0).astype(np.float32)
     given = np.broadcast_to(counts, cuts.shape) if given is None else given * counts
-    share = given
-    for _ in range(AGAIN):
-        start = np.clip(np.nan_to_num(fine.at), -RANGE, RANGE)
+    fine, scale = guess, np.full(len(cuts), TRUSTED * np.sqrt(usual))
+    enough, share = np.ones(len(cuts), np.bool_), np.array(given)
+    for k in range(AGAIN):
+        left = residual(cuts, fine, template)
+        if k or np.isnan(usual):
+            scale = _scale(left, share)
+        share = given * _fits(left / scale[:, None, None].astype(np.float32), given)
+        enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
+        start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
+        share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
         fine = refine(products(cuts, template, share), start, template)
-        share = given * _fits(residual(cuts, fine, template), given)
-    left = share.mean(axis=(1, 2)) / max(float(counts.mean()), 1e-9)
-    return replace(fine, settled=fine.settled & (left > LEAST_LEFT))
+    return replace(fine, settled=fine.settled & enough)
+
+
+def _scale(left: Patch, share: Patch) -> Array:
+    """Standard deviation (n,) of the residual pictures where they count, from the median."""
+    scale = [
+        1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0 for p, s in zip(left, share, strict=True)
+    ]
+    return np.maximum(scale, 1e-6)
 
 
 def residual(cuts: Patch, fine: Fine, template: Template) -> Array:
@@ -83,15 +99,12 @@ def modelled(fine: Fine, template: Template) -> Array:
     return np.asarray(weights @ template.pictures.astype(np.float32))
 
 
-def _fits(left: Array, given: Array) -> Array:
-    """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours."""
-    fits = np.empty_like(left)
-    for k, picture in enumerate(left):
-        seen = picture[given[k] > 0.5]
-        scale = 1.4826 * float(np.median(np.abs(seen))) if seen.size else 1.0
-        rated = picture / max(scale, 1e-6)
-        around = 3 * np.abs(cv2.blur(rated, (3, 3)))  # the mean of nine: a standard deviation of one third
-        fits[k] = np.clip((FARTHEST - np.maximum(np.abs(rated), around)) / (FARTHEST - FAR), 0, 1)
+def _fits(rated: Patch, given: Patch) -> Patch:
+    """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours; `rated` in standard deviations."""
+    fits = np.empty_like(rated)
+    for k, picture in enumerate(rated):
+        around = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third
+        fits[k] = np.clip((FARTHEST - np.maximum(np.abs(picture), around)) / (FARTHEST - FAR), 0, 1)
         # Among many that do not fit, one that does is there by chance.
         company = cv2.blur(fits[k] * (given[k] > 0), (5, 5)) / np.maximum(cv2.blur(given[k], (5, 5)), 0.1)
         fits[k] *= np.clip((company - MANY[0]) / (MANY[1] - MANY[0]), 0, 1)
