@@ -44,8 +44,9 @@ def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneM
     if made is None:
         made = _single(seen[0], board)
         made = replace(made, notes=(*made.notes, FEW)) if len(seen) > 1 else made
-    middle = seen[0].points.mean(axis=0)
-    made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0))
+    points = seen[0].points
+    middle, reach = points.mean(axis=0), float(np.hypot(*np.ptp(points, axis=0)))
+    made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
     return made.scaled(1.0, board.relative)
 
 
@@ -89,7 +90,7 @@ def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
     used = (
         f"scale by a {board.kind} in {len(seen)} pictures, {sum(len(v.points) for v in seen)} corners, reprojected "
         f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({seen[0].name}) fitted together; it is "
-        f"{1e3 * depth:.0f} mm away: 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
+        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
     )
     return PlaneMap(values, covariance, _place, used=used, notes=_coarse(best.rms))
 

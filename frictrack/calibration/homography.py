@@ -76,7 +76,8 @@ def view(
         return there.back(project(_inverse(given), picture(flat)))
 
     middle = points.mean(axis=0)
-    made = PlaneMap(values, covariance, place, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0))
+    centre, reach = (float(middle[0]), float(middle[1])), float(np.hypot(*np.ptp(points, axis=0)))
+    made = PlaneMap(values, covariance, place, centre=centre, zero=(0.0, 0.0), reach=reach)
     rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
     return Homography(made, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
 

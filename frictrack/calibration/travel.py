@@ -155,7 +155,7 @@ def _told(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
         )
     if 0 < plane.reach < SHORT * path_px:
         notes.append(
-            f"the scale was read over {plane.reach:.0f} px but the path is {path_px:.0f} px long: a longer ruler would "
-            "give a surer scale"
+            f"the scale was read over {plane.reach:.0f} px but the path is {path_px:.0f} px long: a longer ruler, or "
+            "points farther apart, would give a surer scale"
         )
     return (*notes, *plane.notes)
