@@ -5,7 +5,7 @@ from __future__ import annotations
 import film
 import numpy as np
 import pytest
-from film import Film, block_film, expose, moved, speckle
+from film import Film, block_film, expose, speckle
 from scipy.ndimage import map_coordinates
 
 from frictrack.errors import FrictrackError
