@@ -139,7 +139,7 @@ def test_several_views_give_camera_lens_and_plane(poses):
     assert np.median([np.abs(m(path) - PATH).max() for m in maps]) < 25e-6
     np.testing.assert_allclose(maps[0].values[:4], [*FOCAL, *CENTRE], atol=6)
     assert "in 12 pictures, 480 corners, reprojected to 0.068 px" in maps[0].used
-    assert "550 mm away: 1 mm between it and the target's would be 0.18 % of every length" in maps[0].used
+    assert "550 mm away: 1 mm between it and the target's is 0.18 % of every length" in maps[0].used
 
 
 def test_the_square_of_the_board_is_as_sure_as_stated():

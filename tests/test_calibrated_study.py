@@ -164,7 +164,7 @@ def test_measured_friction_does_not_go_with_the_scale():
         ({"points": [[0, 0], [1, 1]], "length": "100 mm"}, "ruler of 100 mm"),
         ({"points": [[0, 0]] * 5, "plane": [[0, 0]] * 5}, "5 points of known place"),
         (["0.5 mm/px", {"target": "40 mm"}], "0.5 mm/px, checked against the target's size, 40 mm"),
-        ({"board": ["a.png", "b.png"], "squares": [9, 6], "square": 0.01}, "in a.png, b.png: 9 x 6 squares of 0.01"),
+        ({"board": ["a.png", "b.png"], "squares": [9, 6], "square": 1}, "board in a.png, b.png: 9 x 6 squares of 1"),
     ],
 )  # fmt: skip
 def test_the_record_says_how_the_scale_was_given(scale, said):

@@ -90,7 +90,7 @@ def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
     used = (
         f"scale by a {board.kind} in {len(seen)} pictures, {sum(len(v.points) for v in seen)} corners, reprojected "
         f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({seen[0].name}) fitted together; it is "
-        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's would be {0.1 / depth:.2g} % of every length"
+        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's is {0.1 / depth:.2g} % of every length"
     )
     return PlaneMap(values, covariance, _place, used=used, notes=_coarse(best.rms))
 
