@@ -39,8 +39,8 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
     return _best(_precisions(still, noise, taken), foot)
 
 
-def _still(scene: Scene) -> tuple[Picture, float, Mask]:
-    """The still picture at full size, the noise of a single frame, and where anything ever moved."""
+def _still(scene: Scene) -> tuple[Picture, Picture, Mask]:
+    """The still picture at full size, the noise of a single frame (h, w), and where anything ever moved."""
     rows = np.unique(np.linspace(0, len(scene.frames) - 1, FRAMES).astype(int))
     shape = (scene.frames[0].shape[0], scene.frames[0].shape[1])
     if scene.shake.any():
@@ -49,13 +49,14 @@ def _still(scene: Scene) -> tuple[Picture, float, Mask]:
         frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
     away = np.abs(np.stack([frame - light(frame, still) * still for frame in frames]))
-    noise = max(1.4826 * float(np.median(away)), 0.3)
+    # Bright parts are noisier than dark ones, and where the sensor is full there is no noise at all.
+    noise = np.maximum(1.4826 * cv2.blur(np.median(away, axis=0), (15, 15)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
     moved = cv2.blur(away.max(axis=0) - JITTER * slope, (3, 3)) > STRAY * noise
     for mask in scene.foreground:
         small = cv2.resize(mask.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
         moved |= np.asarray(small) > 0
-    return still, noise, np.asarray(moved)
+    return still, np.asarray(noise, dtype=np.float32), np.asarray(moved)
 
 
 def _swept(track: Track, shape: tuple[int, int]) -> Mask:
@@ -74,10 +75,10 @@ def _swept(track: Track, shape: tuple[int, int]) -> Mask:
     return np.asarray(np.cumsum(np.cumsum(corners, axis=0), axis=1)[:-1, :-1] > 0)
 
 
-def _precisions(still: Picture, noise: float, taken: Mask) -> list[tuple[float, Rectangle, Array]]:
+def _precisions(still: Picture, noise: Picture, taken: Mask) -> list[tuple[float, Rectangle, Array]]:
     """For each size of patch the standard deviation px at every corner, inf where taken: worst axis, Cramer-Rao."""
     smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
-    gy, gx = (np.asarray(g, dtype=np.float64) for g in np.gradient(smooth))
+    gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(smooth))
     found = []
     for h, w in SIZES:
         if h + 4 > still.shape[0] or w + 4 > still.shape[1]:
@@ -85,8 +86,8 @@ def _precisions(still: Picture, noise: float, taken: Mask) -> list[tuple[float, 
         xx, yy, xy, blocked = (_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, taken.astype(np.float64)))
         weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
         # What the noise left in the median has of gradient is no texture.
-        weakest -= 0.1 * noise**2 * h * w
-        sigma = np.where((blocked < 0.5) & (weakest > 0), noise / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
+        weakest -= 0.1 * h * w
+        sigma = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
         found.append((float(sigma.min()), (0, 0, w, h), sigma))
     return found
 

@@ -93,10 +93,18 @@ def _compared(index: list[int], frames: list[Frame], reduced: Any, background: P
     factor, shake, small = reduced
     lights = np.array([light(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
-    noise = 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2])) for d in differences]))
+    noise = _noise(differences, background)
     foreground = [_foreground(d, noise) for d in differences]
     rim = [_rim(d, noise) for d in differences]
     return Scene(index, frames, factor, shake, small, background, foreground, lights, rim)
+
+
+def _noise(differences: list[Picture], background: Picture) -> float:
+    """Standard deviation of the reduced frames about the background, where the sensor is not full."""
+    few = background[::2, ::2]
+    lit = few < 0.97 * few.max()
+    lit = lit if lit.mean() > 0.02 else np.ones_like(lit)
+    return 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2][lit])) for d in differences]))
 
 
 def without(scene: Scene, box: Rectangle, corner: Array) -> Scene | None:
