@@ -29,9 +29,9 @@ class Folder(Recording):
             raise FrictrackError(
                 f"{self.path.name}: expected pictures ({', '.join(_PICTURES)}) in the folder but found none"
             )
-        first = _load(self._pictures[0])
+        first = next((p for p in map(_load, self._pictures) if p is not None), None)
         if first is None:
-            raise FrictrackError(f"{self.path.name}: {self._pictures[0].name} cannot be read as a picture")
+            raise FrictrackError(f"{self.path.name}: none of its {len(self._pictures)} files can be read as a picture")
         ticks, notes = _ticks(self._pictures)
         depth = 8 * first.dtype.itemsize
         return Header(len(self._pictures), first.shape, depth, ticks=ticks, notes=notes)

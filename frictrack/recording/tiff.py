@@ -32,9 +32,9 @@ class Tiff(Direct):
         try:
             with tifffile.TiffFile(self.path) as tif:
                 return self._header(tif)
-        except (tifffile.TiffFileError, ValueError, IndexError, OSError) as error:
-            if isinstance(error, FrictrackError):
-                raise
+        except FrictrackError:
+            raise
+        except Exception as error:  # damaged tags make tifffile fail in many ways
             raise FrictrackError(
                 f"{self.path.name}: expected a TIFF film but the file cannot be read as one"
             ) from error
@@ -47,6 +47,7 @@ class Tiff(Direct):
                 "save the film as unsigned 8 or 16 bit"
             )
         shape = page.shape[:2]
+        self._page_shape, self._kind = page.shape, np.dtype(page.dtype)
         frame_bytes = int(np.prod(page.shape)) * page.bitspersample // 8
         self._contiguous = len(tif.pages) == 1 and tif.imagej_metadata is not None
         self._at = page.dataoffsets[0]
@@ -98,7 +99,17 @@ class Tiff(Direct):
             return
         with tifffile.TiffFile(self.path) as tif:
             for index in indices:
-                yield grey(tif.pages[index].asarray())
+                yield self._picture(tif, index)
+
+    def _picture(self, tif: tifffile.TiffFile, index: int) -> Frame:
+        """Grey values of a page; black where it cannot be decoded or is no picture of this film."""
+        try:
+            page = tif.pages[index]
+            if page.shape == self._page_shape and page.dtype == self._kind:
+                return grey(page.asarray())
+        except Exception:  # noqa: BLE001 - damaged tags and codecs make tifffile fail in many ways
+            pass
+        return np.zeros(self.shape, self._kind)
 
 
 def _bare(page: Any) -> bool:
