@@ -146,7 +146,7 @@ def test_many_damaged_files(tmp_path, form):
 # ---- long recordings in little memory
 
 
-@pytest.mark.parametrize("form", ["mraw", "tif"])
+@pytest.mark.parametrize("form", ["mraw", pytest.param("tif", marks=pytest.mark.slow)])
 def test_twenty_gigabytes_in_bounded_memory(tmp_path, form):
     """A sparse file of 20 GB: every part can be read, resident memory stays below 1 GB (here far below)."""
     n, h, w = (20_000, 1000, 1000) if form == "mraw" else (2000, 2500, 4000)

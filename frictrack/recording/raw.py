@@ -19,6 +19,7 @@ from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 
 _WINDOW = 64 << 20  # bytes mapped at a time: what was read before it is given back to the system
+_SPARSE = 1 << 18  # bytes of a frame above which reading ahead beyond the box costs more than it saves
 _TOGETHER = 1 << 18  # bytes of packed pixels unpacked at a time: they stay in the cache
 _GROUPS = {8: (1, 1), 10: (4, 5), 12: (2, 3), 16: (1, 2)}  # bits: pixels and bytes of one group
 
@@ -84,14 +85,20 @@ class Direct(Recording):
 
     @cached_property
     def _cutter(self) -> Cutter:
-        return Cutter(self.shape, self._layout, Window(self._layout.path))
+        sparse = picture_bytes(self.shape, self._layout.bits) > _SPARSE
+        return Cutter(self.shape, self._layout, Window(self._layout.path, sparse))
 
 
 class Window:
-    """A file mapped piece by piece, so that resident memory does not grow with the file."""
+    """A file mapped piece by piece, so that resident memory does not grow with the file.
 
-    def __init__(self, path: Path) -> None:
+    `sparse`: little of it is wanted, so the system reads what it is told of and nothing around it (measured: a box
+    out of a frame of 1 MB that is not in memory yet takes 0.1 ms, not 1 ms).
+    """
+
+    def __init__(self, path: Path, sparse: bool = False) -> None:
         self._path = path
+        self.sparse = sparse and hasattr(mmap, "MADV_WILLNEED")  # not on Windows
         self._now: tuple[mmap.mmap | bytes, int, int] = (b"", 0, 0)
 
     def over(self, low: int, high: int) -> tuple[mmap.mmap | bytes, int, int]:
@@ -106,8 +113,17 @@ class Window:
             first = low - low % mmap.ALLOCATIONGRANULARITY
             end = min(size, max(high, first + _WINDOW))
             piece = mmap.mmap(file.fileno(), end - first, access=mmap.ACCESS_READ, offset=first)
+        if self.sparse:
+            piece.madvise(mmap.MADV_RANDOM)
         self._now = (piece, first, end)
         return self._now
+
+    def read(self, low: int, high: int) -> None:
+        """Have `low` to `high` of the mapped piece read in one go; only where `sparse`."""
+        piece, first, end = self._now
+        if isinstance(piece, mmap.mmap):
+            start = (low - first) // mmap.PAGESIZE * mmap.PAGESIZE
+            piece.madvise(mmap.MADV_WILLNEED, start, min(high, end) - first - start)
 
 
 class Cutter:
@@ -150,6 +166,8 @@ class Cutter:
         for target, low in zip(out, starts.tolist(), strict=True):
             if not (first <= low and low + span <= end):
                 piece, first, end = self._window.over(low, low + span)
+            if self._window.sparse:
+                self._window.read(low, low + span)
             target[...] = np.ndarray(box, kind, piece, low - first + first_row, strides)
 
     def _unpacked(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
