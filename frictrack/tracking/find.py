@@ -23,11 +23,12 @@ LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6
 NEARER = 0.3  # score that a match on the other side of the picture must be better by
 SHADING = 0.15  # share of the contrast that a plane leaves of a slope of light
+HOPS = 8  # finds of which some must be on the way
 ROWS = 6  # sampled frames from which candidates are taken
 PURSUED = 8
 CUT_OFF = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
 # A second body is worth a question when it is as large and travels as far as this share of the first ...
-RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE = 0.25, 0.5, 0.7
+RIVAL_SIDE, RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE, RIVAL_SEEN = 16, 0.25, 0.5, 0.7, 0.6  # the side in px
 APART = 0.3  # ... and moves against it by this share of the way; shadow, reflection and rod in contact do not
 
 
@@ -183,7 +184,7 @@ def _merit(scene: Scene, box: Rectangle, corner: Array, score: Array, known: Arr
     """How much a body is worth tracking: seen often and well, large, far travelled; 0 for what does not move."""
     seen = np.isfinite(corner[:, 0])
     far = travel(corner[seen] @ known)
-    if far * scene.factor <= LEAST_TRAVEL:
+    if far * scene.factor <= LEAST_TRAVEL or _hops(corner[seen] @ known, far):
         return 0.0
     cut = np.mean([_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
     alike = np.sum((score[seen] - MATCH) ** 2)
@@ -196,6 +197,12 @@ def travel(corner: Array) -> float:
         return 0.0
     away = np.sort(np.hypot(*(corner - np.median(corner, axis=0)).T))
     return 2 * float(away[-max(2, len(corner) // 10)])
+
+
+def _hops(corner: Array, far: float) -> bool:
+    """Whether the finds (k, 2) jump between places without ever being on the way: scraps that look alike."""
+    steps = np.hypot(*np.diff(corner, axis=0).T)
+    return len(corner) >= HOPS and float(np.sum(steps[steps < 0.45 * far])) < 0.2 * far
 
 
 def _cut_off(scene: Scene, row: int, box: Rectangle, corner: Array) -> bool:
@@ -212,11 +219,15 @@ def _holds(blob: Blob, point: NDArray[np.float64]) -> bool:
 def _rivals(scene: Scene, first: Body, second: Body) -> bool:
     """Whether the second body moves on its own, so far and so plainly that one must ask which is meant."""
     both = first.seen & second.seen
-    if both.sum() < min(3, len(both)):
+    if both.sum() < max(min(3, len(both)), RIVAL_SEEN * first.seen.sum()):
         return False
     a, b = first.corner[both], second.corner[both]
     size = np.array([first.box[2:], second.box[2:]])
-    if size[1].prod() < RIVAL_AREA * size[0].prod() or np.median(second.score[both]) < RIVAL_SCORE:
+    if (
+        size.min() * scene.factor < RIVAL_SIDE
+        or size[1].prod() < RIVAL_AREA * size[0].prod()
+        or np.median(second.score[both]) < RIVAL_SCORE
+    ):
         return False
     apart = np.any(np.abs(a + size[0] / 2 - b - size[1] / 2) > 0.35 * size.sum(axis=0), axis=1)
     if apart.mean() < 0.5 or _span(b) < RIVAL_TRAVEL * _span(a):

@@ -100,11 +100,13 @@ def _compared(index: list[int], frames: list[Frame], reduced: Any, background: P
 
 
 def _noise(differences: list[Picture], background: Picture) -> float:
-    """Standard deviation of the reduced frames about the background, where the sensor is not full."""
-    few = background[::2, ::2]
+    """Standard deviation of the reduced frames about the background; where the sensor is full there is none."""
+    few, off = background[::2, ::2], [np.abs(d[::2, ::2]) for d in differences]
+    everywhere = float(np.median([np.median(d) for d in off]))
     lit = few < 0.97 * few.max()
-    lit = lit if lit.mean() > 0.02 else np.ones_like(lit)
-    return 1.4826 * float(np.median([np.median(np.abs(d[::2, ::2][lit])) for d in differences]))
+    if everywhere > 0.1 or lit.mean() < 0.02:
+        return 1.4826 * everywhere
+    return 1.4826 * float(np.median([np.median(d[lit]) for d in off]))
 
 
 def without(scene: Scene, box: Rectangle, corner: Array) -> Scene | None:
