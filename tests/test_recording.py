@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from camera_films import write_cine, write_photron
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import FORMATS, open_recording
+from frictrack.recording import FORMATS, open_recording, opened
+from frictrack.recording.timebase import Row
 
 N, H, W = 12, 32, 48
 
@@ -38,18 +40,36 @@ def write_folder(path, frames, numbers=None, suffix="png"):
 
 
 def write_any(tmp_path, form):
+    """A film in this form, and its true frames."""
+    if form in CAMERA_FILMS:
+        write, bits = CAMERA_FILMS[form]
+        truth = stack(np.uint8 if bits == 8 else np.uint16)
+        return write(tmp_path, truth, bits), truth
+    if form in TIFFS:
+        path, truth = tmp_path / "film.tif", stack(np.uint8 if form == "deflate" else np.uint16)
+        tifffile.imwrite(path, truth, **TIFFS[form])
+        return path, truth
     if form == "folder":
         return write_folder(tmp_path / "film", stack(np.uint16)), stack(np.uint16)
-    if form == "pages":
-        tifffile.imwrite(tmp_path / "film.tif", stack(np.uint16), photometric="minisblack")
-        return tmp_path / "film.tif", stack(np.uint16)
-    if form == "imagej":
-        tifffile.imwrite(tmp_path / "film.tif", stack(np.uint16), imagej=True)
-        return tmp_path / "film.tif", stack(np.uint16)
     return write_video(tmp_path / f"film.{form}", stack(), 100), stack()
 
 
-FORMS = ["avi", "mkv", "pages", "imagej", "folder"]
+TIFFS = {
+    "pages": {"photometric": "minisblack"},
+    "bigtiff": {"photometric": "minisblack", "bigtiff": True},
+    "deflate": {"photometric": "minisblack", "compression": "deflate"},
+    "imagej": {"imagej": True},
+}
+CAMERA_FILMS = {
+    "mraw8": (write_photron, 8),
+    "mraw12": (write_photron, 12),
+    "mraw16": (write_photron, 16),
+    "cine8": (write_cine, 8),
+    "cine12": (write_cine, 12),
+    "cine16": (write_cine, 16),
+}
+DIRECT = ["pages", "imagej", "bigtiff", *CAMERA_FILMS]
+FORMS = ["avi", "mkv", "deflate", "folder", *DIRECT]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -57,7 +77,8 @@ def test_contract_of_every_format(tmp_path, form):
     path, truth = write_any(tmp_path, form)
     rec = open_recording(path, fps=4000)
     assert (rec.n_frames, len(rec), rec.shape, rec.fps) == (N, N, (H, W), 4000.0)
-    assert rec.bit_depth == (8 if truth.dtype == np.uint8 else 16)
+    assert rec.bit_depth == (8 if truth.dtype == np.uint8 else 12 if form.endswith("12") else 16)
+    assert rec.direct == (form in DIRECT)
     np.testing.assert_allclose(rec.t, np.arange(N) / 4000)
     frames = list(rec.frames())
     assert all(f.dtype == truth.dtype for f in frames)
@@ -69,6 +90,19 @@ def test_contract_of_every_format(tmp_path, form):
     np.testing.assert_array_equal(rec.frame(-1), truth[-1])
     with pytest.raises(FrictrackError, match="expected a frame from 0 to 11 but got 12"):
         rec.frame(12)
+    assert rec.timebase.rows[0] == Row("frame rate, given", "4000 fps", "used")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_boxes_of_every_format(tmp_path, form):
+    path, truth = write_any(tmp_path, form)
+    indices, corners = [7, 0, 11, 7], [[0, 0], [W - 9, H - 6], [3, 5], [8, 1]]
+    with opened(open_recording(path, fps=4000)) as rec:
+        boxes = rec.cut(indices, corners, (6, 9))
+        assert rec.direct
+    assert boxes.dtype == truth.dtype
+    for box, i, (x, y) in zip(boxes, indices, corners, strict=True):
+        np.testing.assert_array_equal(box, truth[i, y : y + 6, x : x + 9])
 
 
 @pytest.mark.parametrize("form", FORMS)

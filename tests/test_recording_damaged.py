@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from camera_films import write_cine, write_photron
 from test_recording import write_folder, write_video
-from test_recording_cameras import CAMERAS, grey, write_cine, write_photron
+from test_recording_cameras import CAMERAS, grey
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import open_recording, opened

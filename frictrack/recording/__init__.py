@@ -19,9 +19,12 @@ FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new 
 
 
 def open_recording(path: str | Path, fps: float | None = None) -> Recording:
-    """Open a film, a multi-page TIFF or a folder of pictures.
+    """Open a recording: Photron (.mraw with .cih or .cihx, named by either), Phantom (.cine), TIFF, film or folder.
 
-    `fps` is the camera's frame rate, 1/s, and wins over what the file says. Raises `FrictrackError` when the
+    A film is .avi, .mp4, .mov, .mkv or .m4v; a TIFF has many pages, BigTIFF included; a folder holds one numbered
+    picture per frame, gaps in the numbers are gaps in time. Uncompressed ones are `direct`: see `Recording.cut`.
+    `fps` is the camera's frame rate, 1/s, and wins over what the file says; `Recording.timebase` says what was found.
+    Raises `FrictrackError` when the
     recording is missing, no film, truncated to nothing, one frame long, or when neither `fps` nor the file
     gives a frame rate that can be believed.
     """

@@ -42,10 +42,10 @@ class Spool(Recording):
     """The decoded frames of another recording, with random access; made by `opened`."""
 
     suffixes: ClassVar[tuple[str, ...]] = ()
-    direct = True
 
     def __init__(self, source: Recording) -> None:
         self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
+        self.direct = True
         self._source = source
         self._store = _store(source)
         self._ready, self._done, self._stop = 0, False, False

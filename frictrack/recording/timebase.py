@@ -92,7 +92,7 @@ def read_stamps(stamps: Array) -> Stamps | None:
     if len(good) < 3 or len(forward) < max(2, 0.8 * len(steps)):
         return None
     step = float(np.median(forward))
-    if _off_whole(forward / step) > COARSE:
+    if _rounding(forward / step) > COARSE:
         return None
     ticks = _plain(stamps, step)
     if ticks is None:
@@ -102,7 +102,8 @@ def read_stamps(stamps: Array) -> Stamps | None:
     known = np.flatnonzero(ticks >= 0)
     if len(known) < max(3, len(stamps) // 2):
         return None
-    step = _fitted(ticks[known], stamps[known], step)
+    sure = np.setdiff1d(known, written_twice)
+    step = _fitted(ticks[sure], stamps[sure], step)
     jumps = np.diff(ticks[known])
     return Stamps(
         ticks,
@@ -110,14 +111,19 @@ def read_stamps(stamps: Array) -> Stamps | None:
         corrupt=np.union1d(np.flatnonzero(ticks < 0), written_twice),
         doubled=known[1:][jumps == 0],
         gaps=known[1:][jumps > np.diff(known)],
-        uneven=_uneven(ticks[known], stamps[known], step),
+        uneven=_uneven(ticks[sure], stamps[sure], step),
     )
 
 
-def _off_whole(steps: Array) -> float:
-    """To how many frames the stamps are rounded: by the rms deviation of intervals (in frames) from whole ones."""
+def _rounding(steps: Array) -> float:
+    """To how many frames the stamps are rounded: few values occur among the intervals (in frames), off whole ones.
+
+    The difference of two numbers rounded to q is off by q / sqrt(6) rms.
+    """
     near = steps[steps < 3]
-    return float(np.sqrt(12 * np.mean((near - np.rint(near)) ** 2))) / 2
+    if len(np.unique(np.round(near, 2))) > 4:
+        return 0.0
+    return float(np.sqrt(6 * np.mean((near - np.rint(near)) ** 2)))
 
 
 def _written_twice(ticks: Ticks) -> Ticks:
@@ -282,7 +288,7 @@ def _some(count: int, words: str) -> str:
 def _list(frames: Ticks) -> str:
     named = ", ".join(str(i) for i in frames[:_LISTED].tolist())
     more = len(frames) - _LISTED
-    return f"frame {named}" + (f" and {more} more" if more > 0 else "")
+    return f"frame{'s' if len(frames) > 1 else ''} {named}" + (f" and {more} more" if more > 0 else "")
 
 
 def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[Row], list[str]]:
