@@ -10,7 +10,7 @@ import film
 import numpy as np
 import pytest
 from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
-from film import Film, block_film, expose
+from film import Film, block_film, expose, speckle
 
 from frictrack.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
@@ -181,3 +181,36 @@ def test_it_is_quick():
     start = time.process_time()
     find_target(recording)
     assert time.process_time() - start < 0.5  # 0.04 s here; slow and busy machines have time
+
+
+def test_a_body_that_never_clears_its_place_on_a_plain_wall():
+    """In the median of eight frames it is half background: no ghost of it may be taken in."""
+    _, paste = pasted()
+
+    def draw(i):
+        picture = np.full(SHAPE, 60.0)
+        paste(picture, 60 + 14.3 * i, 30, SIZE, 1)
+        return picture
+
+    rect, frame = locate(shown(draw, 8))
+    left, top, w, h = rect
+    x = 60 + 14.3 * frame
+    assert abs(left - (x - 24)) < 6
+    assert abs(left + w - (x + 24)) < 6
+    assert abs(top - 12) < 6
+    assert abs(top + h - 48) < 6
+
+
+def test_noise_is_no_foreground_where_the_sensor_is_full_elsewhere():
+    """A white wall without noise, a noisy course below: the body is found, not the course."""
+    _, paste = pasted()
+    course = 110 + speckle(SHAPE, np.random.default_rng(4))
+
+    def draw(i):
+        picture = np.where(np.arange(SHAPE[0])[:, None] > 48, course, 400.0)
+        paste(picture, SLIDE[i], 26, (36, 48), 1)
+        return picture
+
+    rect, frame = locate(shown(draw))
+    assert abs(rect[0] + rect[2] / 2 - SLIDE[frame]) < 4
+    assert rect[1] + rect[3] < 52
