@@ -112,7 +112,7 @@ def fuzz(folder: Path, form: str, seeds: range) -> None:
             error.add_note(f"form {form}, seed {seed}")
             raise
         assert said is None or ("\n" not in str(said) and len(str(said)) < 400), str(said)
-        assert time.perf_counter() - start < 10, f"form {form}, seed {seed} takes too long"
+        assert time.perf_counter() - start < 30, f"form {form}, seed {seed} takes too long"
 
 
 def in_another_process(folder: Path, form: str, seeds: range) -> None:

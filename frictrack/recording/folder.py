@@ -91,4 +91,7 @@ def _load(picture: Path) -> Frame | None:
     data = np.fromfile(picture, np.uint8)  # imread itself cannot open names outside ASCII on Windows
     if not data.size:
         return None
-    return cast(Frame | None, cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))
+    try:
+        return cast(Frame | None, cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))
+    except cv2.error:  # a damaged header that promises a picture of gigabytes
+        return None

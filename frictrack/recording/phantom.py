@@ -155,16 +155,16 @@ def _offsets(file: BinaryIO, head: _Head, picture: int, size: int) -> NDArray[np
     """Bytes at which the pictures start that are complete, up to the first that is not."""
     most = min(head.count, max(0, size - head.off_offsets) // 8)
     file.seek(head.off_offsets)
-    places = np.frombuffer(file.read(8 * most), "<u8")
-    if not most or places[0] + 4 > size:
+    places = np.frombuffer(file.read(8 * most), "<i8")
+    if not most or not 0 <= places[0] <= size - 4:
         return np.empty(0, np.int64)
     # Before each picture stands its annotation, whose first number is the length of the two; it is the same throughout.
     annotation = _number(file, int(places[0]), "<I")
-    whole = places <= max(0, size - picture - annotation)
+    whole = (places >= 0) & (places <= size - picture - annotation)
     if size < picture + annotation or annotation < 8:
         return np.empty(0, np.int64)
     count = len(whole) if whole.all() else int(np.argmin(whole))
-    return places[:count].astype(np.int64) + annotation
+    return places[:count] + annotation
 
 
 def _blocks(file: BinaryIO, head: _Head, size: int) -> dict[int, NDArray[Any]]:
@@ -191,10 +191,11 @@ def _stamps(block: NDArray[Any] | None, head: _Head, count: int) -> NDArray[np.f
     """Times of the pictures in s from the trigger; NaN where none was written."""
     if block is None or len(block) < 2:
         return None
-    stored = block[:count].astype(np.int64)  # 2^-32 s since 1970: the sign bit is free until 2038
+    stored = block[:count]
     stamps = np.full(count, np.nan)
-    # The whole seconds are subtracted first: a float has no room for them and for microseconds.
-    stamps[: len(stored)] = np.where(stored == 0, np.nan, (stored - np.int64(head.trigger_time)) * 2.0**-32)
+    # In 2^-32 s since 1970. Subtracted as whole numbers: a float has no room for years and microseconds.
+    since = (stored - np.uint64(head.trigger_time)).astype(np.int64)
+    stamps[: len(stored)] = np.where(stored == 0, np.nan, since * 2.0**-32)
     return stamps
 
 

@@ -17,6 +17,7 @@ from frictrack.recording.raw import Direct, Layout, picture_bytes
 # What tifffile would log about broken files, `Recording` says in words.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
+_MOST_PACKED = 1100  # times that deflate, the densest of the codecs, can make a picture smaller
 _MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
 
 
@@ -61,6 +62,9 @@ class Tiff(Direct):
                 f"{self.path.name}: truncated film: none of its {promised} frames is complete; "
                 "copy it from the camera again"
             )
+        plain = page.compression == tifffile.COMPRESSION.NONE
+        if frame_bytes > self.path.stat().st_size * (1 if plain else _MOST_PACKED):
+            raise ValueError("a picture larger than the file can hold")
         offsets = self._offsets(tif, in_file, frame_bytes)
         self.direct = offsets is not None
         if offsets is not None:

@@ -64,7 +64,7 @@ class Video(Recording):
         capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             raise FrictrackError(f"{self.path.name}: expected a film but the file cannot be read as one")
-        code = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(4, "little")
+        code = (int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF).to_bytes(4, "little")
         if code in _LUMA_FIRST:
             capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         return capture
