@@ -138,7 +138,7 @@ class _Disk:
     def __init__(self, n: int, shape: tuple[int, int], bits: int) -> None:
         self._frame = picture_bytes(shape, bits)
         # Cannot be unlinked while open on every system, so it has a name and goes in `close`.
-        self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", delete=False)  # noqa: SIM115
+        self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", buffering=0, delete=False)  # noqa: SIM115
         self._file.truncate(n * self._frame)
         path = Path(self._file.name)
         layout = Layout(path, range(0, n * self._frame, self._frame), bits, "=")
@@ -147,7 +147,6 @@ class _Disk:
     def write(self, i: int, frame: Frame) -> None:
         self._file.seek(i * self._frame)
         self._file.write(np.ascontiguousarray(frame).data)
-        self._file.flush()
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
         return self._cutter.cut(indices, corners, size)
