@@ -49,6 +49,7 @@ class Spool(Recording):
         self._source = source
         self._store = _store(source)
         self._ready, self._done, self._stop = 0, False, False
+        self._wanted = source.n_frames  # the first frame that a reader waits for
         self._fault: BaseException | None = None
         self._news = Condition()
         self._decoder = Thread(target=self._decode, name="frictrack decoder", daemon=True)
@@ -86,8 +87,13 @@ class Spool(Recording):
         """Wait for this frame; False where the film breaks off before it."""
         if index < self._ready:
             return True
+
+        def there() -> bool:
+            self._wanted = min(self._wanted, index)
+            return index < self._ready or self._done
+
         with self._news:
-            self._news.wait_for(lambda: index < self._ready or self._done)
+            self._news.wait_for(there)
         if index >= self._ready and self._fault is not None:
             raise self._fault
         return index < self._ready
@@ -109,7 +115,9 @@ class Spool(Recording):
     def _tell(self, ready: int) -> None:
         with self._news:
             self._ready = ready
-            self._news.notify_all()
+            if ready > self._wanted:  # a reader that is woken for every frame takes time from the decoder
+                self._wanted = self._source.n_frames
+                self._news.notify_all()
 
 
 class _Memory:
