@@ -32,6 +32,7 @@ class Recording(ABC):
 
     suffixes: ClassVar[tuple[str, ...]]
     direct: bool = False
+    interframe: bool = False  # its codec predicts pictures from one another: some frames are coded anew (key frames)
     _kept: NDArray[np.int64] | None = None  # frames of the file that are frames of the film (None: all)
 
     def __init__(self, path: str | Path, fps: float | None = None) -> None:

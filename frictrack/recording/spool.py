@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
-from frictrack.recording.raw import Cutter, Layout, Window, picture_bytes
+from frictrack.recording.raw import Cutter, Layout, picture_bytes
 
-IN_MEMORY = 256 << 20  # bytes of decoded film kept in memory; a longer film goes to a temporary file
+IN_MEMORY = 512 << 20  # bytes of decoded film kept in memory; a longer film goes to a temporary file
 
 
 @contextmanager
@@ -150,7 +150,7 @@ class _Disk:
         self._file.truncate(n * self._frame)
         path = Path(self._file.name)
         layout = Layout(path, range(0, n * self._frame, self._frame), bits, "=")
-        self._cutter = Cutter(shape, layout, Window(path))
+        self._cutter = Cutter(shape, layout)
 
     def write(self, i: int, frame: Frame) -> None:
         self._file.seek(i * self._frame)

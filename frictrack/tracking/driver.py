@@ -53,7 +53,7 @@ def track(
             followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
             rows = _doubtful(followed, known)
         measured = _measured(film, followed, rows, lesson, progress)
-        change = None if recording.direct else _change(film)
+        change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
