@@ -50,8 +50,8 @@ class Tiff(Direct):
         shape = page.shape[:2]
         self._page_shape, self._kind = page.shape, np.dtype(page.dtype)
         frame_bytes = int(np.prod(page.shape)) * page.bitspersample // 8
-        self._contiguous = len(tif.pages) == 1 and tif.imagej_metadata is not None
         self._at = page.dataoffsets[0]
+        self._contiguous = _in_one_block(tif, self._at, frame_bytes)
         promised = self._promised(tif)
         in_file = self._pages_in_file(tif, frame_bytes)
         notes: tuple[str, ...] = ()
@@ -114,6 +114,14 @@ class Tiff(Direct):
         except Exception:  # noqa: BLE001 - damaged tags and codecs make tifffile fail in many ways
             pass
         return np.zeros(self.shape, self._kind)
+
+
+def _in_one_block(tif: tifffile.TiffFile, at: int, frame_bytes: int) -> bool:
+    """ImageJ's stacks: all pictures lie behind the first page's tags, and before the second page's, if there is one."""
+    about = tif.imagej_metadata
+    if about is None:
+        return False
+    return len(tif.pages) == 1 or at + int(about.get("images", 1)) * frame_bytes <= tif.pages[1].offset
 
 
 def _bare(page: Any) -> bool:
