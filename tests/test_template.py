@@ -132,7 +132,7 @@ def pass_by(change, n=300):
     sums, noise = Sums((30, 50)), 1.5
     model = 40 * rng.standard_normal((n, 30, 50)).astype(np.float32)
     seen = change(model) + noise * rng.standard_normal(model.shape)
-    sums.add(np.zeros((n, 2), np.int64), model, (seen - model).astype(np.float32))
+    sums.add(np.zeros((n, 2), np.int64), model, (seen - model).astype(np.float32), np.ones((30, 50)))
     return view_of(sums, noise**2)
 
 
@@ -172,7 +172,7 @@ def test_half_covered_target_is_measured_by_its_other_half():
     covered = cuts[:40].copy()
     covered[:, :, :22] = 60
     plain = refine(products(covered, template), np.zeros((40, 2)), template)
-    better = measure(covered, np.zeros((40, 2), np.int64), fine[slice(0, 40)], Lesson(template, usual=1.0))
+    better, _ = measure(covered, np.zeros((40, 2), np.int64), fine[slice(0, 40)], Lesson(template, usual=1.0))
     level = (fine.at[40:] - spread(150, 12)).mean(axis=0)
     assert np.std(plain.at - truth) > 0.02
     assert np.std(better.at - truth - level) < 0.005
@@ -184,7 +184,7 @@ def test_half_covered_target_is_measured_by_its_other_half():
 def test_nothing_left_is_not_settled():
     _, fine, template = taught(spread(60))
     other = frames(spread(3), seed=44)
-    got = without_what_does_not_fit(other, fine[slice(0, 3)], template)
+    got, _ = without_what_does_not_fit(other, fine[slice(0, 3)], template)
     assert not np.any(got.settled & (got.score > 0.7) & (got.misfit < 4))
 
 

@@ -121,7 +121,7 @@ def _measured(
         part = rows[at : at + CHUNK]
         corner = np.rint(followed.at[part]).astype(np.int64).clip(0, room)
         guess = followed.fine[part].moved(followed.corner[part] - corner)
-        followed.fine.put(part, measure(film.cut(part, corner, size), corner, guess, lesson))
+        followed.fine.put(part, measure(film.cut(part, corner, size), corner, guess, lesson)[0])
         followed.corner[part] = corner
         if progress:
             progress(at, len(rows), "measure")

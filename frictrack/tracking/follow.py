@@ -124,6 +124,7 @@ class Follower:
         self.size = template.weight.shape
         self.room = np.array(film.shape[::-1]) - np.array(self.size[::-1])
         self.usual, self.noise = 1.0, np.inf  # score and misfit of the last finds
+        self.template_frame = 0
         low = template.image
         self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
             np.uint8 if film.bit_depth == 8 else np.uint16
@@ -136,7 +137,7 @@ class Follower:
 
     def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> Followed:
         """All frames; `start` (2,) is the corner in frame `template`, from which the film is followed both ways."""
-        result = nowhere(self.film.n_frames)
+        result, self.template_frame = nowhere(self.film.n_frames), template
         self._along(np.arange(template, self.film.n_frames), start, result, progress)
         if template:
             self._along(np.arange(template, -1, -1), start, result, progress)
@@ -173,7 +174,7 @@ class Follower:
         except FrictrackError:
             return 0, False
         miss = np.max(np.abs(corner + fine.at - predicted), axis=1)
-        good = self.accepted(corner, fine) & (miss < SURPRISE)
+        good = self.accepted(corner, fine) & (miss < SURPRISE) & (fine.misfit < NOISIER * self.noise)
         count = len(frames) if good.all() else int(np.argmin(good))
         self._keep(frames[:count], corner[:count], fine[slice(0, count)], result)
         if count:
@@ -195,7 +196,7 @@ class Follower:
             return False
         last = result.fine[np.array([path.frame[-1]])]
         guess = replace(last, at=np.clip(predicted - corner, -RANGE, RANGE))
-        fine = without_what_does_not_fit(cuts, guess, self.template, usual=self.noise)
+        fine, _ = without_what_does_not_fit(cuts, guess, self.template, usual=self.noise)
         near = np.max(np.abs(corner + fine.at - predicted)) < SURPRISE
         if not (near and self.accepted(corner, fine)[0] and fine.misfit[0] < NOISIER * self.noise):
             return False
@@ -235,8 +236,8 @@ class Follower:
         result.reason[frames] = ""
         if len(frames):
             self.usual = 0.9 * self.usual + 0.1 * float(np.median(fine.score))
-        if len(frames) > 1:  # the frame that the template was cut from fits itself too well
-            misfit = float(np.median(fine.misfit))
+        if len(frames) and frames[0] != self.template_frame:  # that fits itself too well
+            misfit = max(float(np.median(fine.misfit)), self.template.least_misfit)
             self.noise = misfit if np.isinf(self.noise) else 0.9 * self.noise + 0.1 * misfit
 
     def _search(self, i: int, path: _Path, result: Followed) -> None:

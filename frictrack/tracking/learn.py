@@ -22,6 +22,8 @@ CONJUGATE_STEPS = 15
 CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
 RIDGE = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
+MEDIAN_OF = 60  # frames
+SELDOM = 0.5  # share of the frames in which a pixel of the target must show it
 LEAK = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
 OUTLINE = 0.5  # share of the contrast that must lie inside; else the outline is used as well
 SCATTERS = 1.5  # times the noise: such a pixel is not just noisy, it shows something that comes and goes
@@ -38,26 +40,40 @@ def first_look(cut: Patch) -> Template:
     return Template(waves, weight, level)
 
 
-def learn(cuts: Patch, fine: Fine, template: Template, scene: Patch | None = None) -> Template:
+def learn(
+    cuts: Patch, fine: Fine, template: Template, scene: Patch | None = None, share: Patch | None = None
+) -> Template:
     """The template that fits the cut-outs (n, h, w) best where `fine` found the target in them.
 
-    `scene` (n, h, w) is the still background behind each cut-out, where it is known.
+    `scene` (n, h, w) is the still background behind each cut-out, where it is known; `share` (n, h, w) how much of
+    each pixel shows the target, the rest is taken to be as expected.
     """
-    grid = template.shifts
     fine = replace(fine, gain=fine.gain / np.median(fine.gain))  # the picture is that of the usual light
     pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - fine.offset.astype(np.float32)[:, None]
     columns, turn = _columns(template, fine)
     pixels -= turn
-    waves = _fitted(grid, columns, pixels, template.weight, template.waves)
-    level = float(np.median(fine.offset))
-    learnt = replace(template, waves=waves, level=level)
-    left = pixels - columns.astype(np.float32) @ learnt.pictures[: columns.shape[1]].astype(np.float32)
-    rated = left / fine.gain.astype(np.float32)[:, None]
-    # The picture has taken up as many frames' worth of noise as it has waves to a pixel.
-    lost = min(waves.size / template.weight.size, 0.5 * len(cuts))
-    spread = np.sum(rated**2, axis=0).reshape(template.weight.shape) / (len(cuts) - lost)
-    moves = None if scene is None else _moves(cuts, scene, spread, learnt.image)
-    return replace(learnt, weight=_weight(spread + ROUNDING, learnt.image, moves))
+    k = columns.shape[1]
+    seen = pixels
+    if share is not None:
+        expected = columns.astype(np.float32) @ template.pictures[:k].astype(np.float32)
+        seen = expected + share.reshape(pixels.shape) * (pixels - expected)
+    waves = _fitted(template.shifts, columns, seen, template.weight, template.waves)
+    learnt = replace(template, waves=waves, level=float(np.median(fine.offset)))
+    left = pixels - columns.astype(np.float32) @ learnt.pictures[:k].astype(np.float32)
+    left = (left / fine.gain.astype(np.float32)[:, None]).reshape(cuts.shape)
+    moves = None if scene is None else _moves(cuts, scene, left, learnt.image)
+    return replace(learnt, weight=_weight(_spread(left, share, waves.size), learnt.image, moves))
+
+
+def _spread(left: Patch, share: Patch | None, n_waves: int) -> Array:
+    """Variance (h, w) of each pixel about the picture, DN^2; infinite where it seldom shows the target."""
+    n, size = len(left), left[0].size
+    lost = min(n_waves / size, 0.5 * n)  # frames' worth of noise that the picture has taken up
+    if share is None:
+        return np.mean(left**2, axis=0) * (n / (n - lost)) + ROUNDING
+    counted = np.sum(share, axis=0)
+    spread = np.einsum("nij,nij,nij->ij", share, left, left) / np.maximum(counted, 1.0) * (n / (n - lost))
+    return np.where(counted > SELDOM * n, spread + ROUNDING, np.inf)
 
 
 def _columns(template: Template, fine: Fine) -> tuple[Array, Patch]:
@@ -103,9 +119,14 @@ def _fitted(grid: Shifts, columns: Array, pixels: Patch, weight: Array, start: A
     return waves.astype(np.float64)
 
 
-def _moves(cuts: Patch, scene: Patch, spread: Array, image: Array) -> Mask | None:
-    """Pixels that move with the target: better explained by it than by the still scene; None where too few do."""
-    differs = np.mean((cuts.astype(np.float32) - scene) ** 2, axis=0)
+def _moves(cuts: Patch, scene: Patch, left: Patch, image: Array) -> Mask | None:
+    """Pixels that move with the target: better explained by it than by the still scene; None where too few do.
+
+    Medians over some of the frames, since a rod before the target is no background.
+    """
+    few = slice(None, None, -(-len(cuts) // MEDIAN_OF))
+    spread = np.median(left[few] ** 2, axis=0)
+    differs = np.median((cuts[few].astype(np.float32) - scene[few]) ** 2, axis=0)
     moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)
     return moves if moves.mean() > LEAST_SHARE else None
 
@@ -134,8 +155,8 @@ def _weight(spread: Array, image: Array, moves: Mask | None) -> Array:
 
 def _photon_line(spread: Array, image: Array) -> Array:
     """The line through variance against light, that of the pixels which follow one; nowhere below half its median."""
-    good = np.ones(spread.shape, np.bool_)
-    line = np.full(spread.shape, np.median(spread))
+    good = np.isfinite(spread)
+    line = np.full(spread.shape, np.median(spread[good]) if good.any() else 1.0)
     for _ in range(3):
         good = spread < SCATTERS * line
         if np.count_nonzero(good) < 20 or np.ptp(image[good]) <= 0:

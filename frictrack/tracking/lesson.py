@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.recording import Recording
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Followed
 from frictrack.tracking.learn import learn
 from frictrack.tracking.match import Patch
@@ -18,8 +20,9 @@ from frictrack.tracking.view import Sums, View, view_of
 
 FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
 BYTES = 32_000_000  # of cut-outs held at once
-ROUNDS = 3
+ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
+STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
 
@@ -34,19 +37,31 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
     scene = _scene(film, corner, size)
     view = None
-    for k in range(ROUNDS):
-        template = learn(_seen(cuts, corner, fine, template, view), fine, template, scene)
-        fine = measure(cuts, corner, fine, Lesson(template, view))
-        good = fine.settled
+    fine, share = measure(cuts, corner, fine, Lesson(template))
+    for k in range(MOST_ROUNDS):
+        good = _teaches(fine, template)
         if np.count_nonzero(good) < 3:
             break
-        rows, corner, cuts, fine = rows[good], corner[good], cuts[good], fine[good]
-        scene = None if scene is None else scene[good]
-        if k + 1 < ROUNDS:
-            view = _view(film, cuts, corner, fine, template)
-    few = slice(None, None, max(1, len(fine.score) // TRUST_FRAMES))
-    wider = inflation(_seen(cuts[few], corner[few], fine[few], template, view), fine[few], template)
-    return Lesson(template, view, float(np.median(fine.misfit)), wider)
+        corner, cuts, fine = corner[good], cuts[good], fine[good]
+        share, scene = (None if v is None else v[good] for v in (share, scene))
+        template = learn(_seen(cuts, corner, fine, view), fine, template, scene, share)
+        fine, share = measure(cuts, corner, fine, Lesson(template, view))
+        if view is None and k >= ROUNDS - 1:
+            break
+        if 0 < k < MOST_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
+            good = _teaches(fine, template)
+            view = _view(film, cuts[good], corner[good], fine[good], template)
+    lesson = Lesson(template, view, float(np.median(fine.misfit)))
+    few = np.flatnonzero(_teaches(fine, template))
+    few = few[:: max(1, len(few) // TRUST_FRAMES)]
+    seen = _seen(cuts[few], corner[few], fine[few], view)
+    return replace(lesson, inflation=inflation(seen, fine[few], template, None if share is None else share[few]))
+
+
+def _teaches(fine: Fine, template: Template) -> Mask:
+    """Frames that show the target and not something else."""
+    usual = max(float(np.median(fine.misfit)), template.least_misfit)
+    return fine.settled & (fine.misfit < STRANGE * usual)
 
 
 def spread(followed: Followed, size: int) -> NDArray[np.int64]:
@@ -64,13 +79,9 @@ def spread(followed: Followed, size: int) -> NDArray[np.int64]:
     return found[np.unique(at.clip(0, len(found) - 1))]
 
 
-def _seen(cuts: Patch, corner: NDArray[np.int64], fine: Fine, template: Template, view: View | None) -> Patch:
-    """Cut-outs without what stands still; pixels that do not see the target show what is expected of them."""
-    if view is None:
-        return cuts
-    clean, share = view.cleaned(cuts, corner, fine.gain, fine.offset)
-    expected = modelled(fine, template).reshape(clean.shape) + np.float32(template.level)
-    return np.where(share >= 1, clean, share * clean + (1 - share) * expected)
+def _seen(cuts: Patch, corner: NDArray[np.int64], fine: Fine, view: View | None) -> Patch:
+    """Cut-outs without what stands still."""
+    return cuts if view is None else view.cleaned(cuts, corner, fine.gain, fine.offset)[0]
 
 
 def _view(film: Recording, cuts: Patch, corner: NDArray[np.int64], fine: Fine, template: Template) -> View | None:
@@ -81,9 +92,11 @@ def _view(film: Recording, cuts: Patch, corner: NDArray[np.int64], fine: Fine, t
     model = (modelled(fine, template) - offset) / gain
     pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - np.float32(template.level)
     differs = (pixels - offset) / gain - model
-    counted = template.weight.ravel() > 0
-    sums.add(corner, model.reshape(cuts.shape), (differs * counted).reshape(cuts.shape))
-    return view_of(sums, 1 / float(np.median(template.weight[template.weight > 0])))
+    usual = float(np.median(template.weight[template.weight > 0]))
+    # What shows behind the target's edge is the scene, not something before the target.
+    counts = np.asarray(template.weight > 0.5 * usual, dtype=np.float64)
+    sums.add(corner, model.reshape(cuts.shape), differs.reshape(cuts.shape), counts)
+    return view_of(sums, 1 / usual)
 
 
 def _scene(film: Recording, corner: NDArray[np.int64], size: tuple[int, ...]) -> Array | None:

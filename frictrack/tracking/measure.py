@@ -37,25 +37,33 @@ class Lesson:
     inflation: Array = field(default_factory=lambda: np.ones(2))  # of the standard deviations, see `trust`
 
 
-def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> Fine:
-    """Positions in cut-outs (n, h, w) taken at `corner` (n, 2), from the `guess` of an earlier round."""
+def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> tuple[Fine, Patch | None]:
+    """Positions in cut-outs (n, h, w) taken at `corner` (n, 2), from the `guess` of an earlier round.
+
+    Also the share (n, h, w) of its weight that each pixel has kept; None where all have kept all.
+    """
     share, template = None, lesson.template
     if lesson.view is not None:
         cuts, share = lesson.view.cleaned(cuts, corner, guess.gain, guess.offset)
     fine = refine(products(cuts, template), guess.at, template)
     covered = np.zeros(len(cuts), np.bool_) if share is None else np.any(share < 1, axis=(1, 2))
     usual = float(np.median(fine.misfit)) if np.isnan(lesson.usual) else lesson.usual
+    usual = max(usual, template.least_misfit)
     odd = np.flatnonzero(covered | (fine.misfit > MISFITS * usual))
     if len(odd):
-        given = None if share is None else share[odd]
-        fine.put(odd, without_what_does_not_fit(cuts[odd], fine[odd], template, given))
-    return replace(fine, sigma=fine.sigma * lesson.inflation)
+        share = np.ones(cuts.shape, np.float32) if share is None else share
+        better, kept = without_what_does_not_fit(cuts[odd], guess[odd], template, share[odd], usual)
+        # Where the rest is no better, the whole picture stands, with the larger deviation that its misfit tells.
+        good = odd[better.settled]
+        share[good] = kept[better.settled]
+        fine.put(good, better[better.settled])
+    return replace(fine, sigma=fine.sigma * lesson.inflation), share
 
 
 def without_what_does_not_fit(
     cuts: Patch, guess: Fine, template: Template, given: Patch | None = None, usual: float = np.nan
-) -> Fine:
-    """The frames (n, h, w), pixel by pixel weighted by how well they fit a `guess`, then each better fit.
+) -> tuple[Fine, Patch]:
+    """The frames (n, h, w), pixel by pixel weighted by how well they fit a `guess`, then each better fit; the weights.
 
     `given` (n, h, w) is the share of their weight that pixels have in the first place. With the `usual` misfit of a
     frame that holds nothing but target and noise the guess is trusted, and may speak against most of the picture;
@@ -74,7 +82,7 @@ def without_what_does_not_fit(
         start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
         share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
         fine = refine(products(cuts, template, share), start, template)
-    return replace(fine, settled=fine.settled & enough)
+    return replace(fine, settled=fine.settled & enough), share
 
 
 def _scale(left: Patch, share: Patch) -> Array:

@@ -167,4 +167,6 @@ def _correlation(given: Products, right: Array, normal: Array) -> Array:
     both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
     frame = given.power - right[:, 1] ** 2 / weight
     picture = normal[:, 0, 0] - normal[:, 0, 1] ** 2 / weight
-    return np.asarray(both / np.sqrt(np.maximum(frame * picture, 1e-12)), dtype=np.float64)
+    # Where nothing is left of frame or picture, rounding errors are no match.
+    size = np.maximum(frame, 1e-9 * given.power) * np.maximum(picture, 1e-9 * normal[:, 0, 0])
+    return np.clip(both / np.sqrt(np.maximum(size, 1e-12)), -1.0, 1.0)

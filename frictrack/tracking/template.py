@@ -11,6 +11,8 @@ from frictrack.records import Array
 from frictrack.tracking.match import Patch
 from frictrack.tracking.waves import Shifts, shifts
 
+NOISELESS = 5e-4  # of the picture's variance
+
 
 @dataclass(frozen=True, eq=False)
 class Template:
@@ -55,6 +57,14 @@ class Template:
     def n_pixels(self) -> int:
         """Pixels that count."""
         return int(np.count_nonzero(self.weight))
+
+    @cached_property
+    def least_misfit(self) -> float:
+        """Misfit below which a film is as good as without noise: differences are then the template's own."""
+        counts = self.weight > 0
+        if not counts.any():
+            return 0.0
+        return NOISELESS * float(np.var(self.image[counts]) * np.mean(self.weight[counts]))
 
     @property
     def image(self) -> Array:

@@ -20,10 +20,14 @@ BLOCKS = (4, 8, 16)  # px
 SURE = 4.0  # standard errors above one from which it is no accident
 
 
-def inflation(cuts: Patch, fine: Fine, template: Template) -> Array:
-    """Factors (2,) by which the standard deviations of x and y exceed those of white noise; 1 where none is seen."""
+def inflation(cuts: Patch, fine: Fine, template: Template, share: Patch | None = None) -> Array:
+    """Factors (2,) by which the standard deviations of x and y exceed those of white noise; 1 where none is seen.
+
+    `share` (n, h, w) is the share of its weight that each pixel has kept.
+    """
     slopes = template.columns(fine.turned_back())[:, 2:4] @ template.pictures  # (n, 2, h w)
-    parts = slopes * (residual(cuts, fine, template).reshape(len(cuts), 1, -1) * template.root)
+    left = residual(cuts, fine, template) if share is None else residual(cuts, fine, template) * share
+    parts = slopes * (left.reshape(len(cuts), 1, -1) * template.root)
     white = np.sum(parts**2, axis=(0, 2))
     factor = np.ones(2)
     for block in BLOCKS:

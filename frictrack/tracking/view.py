@@ -58,12 +58,15 @@ class Sums:
     def __init__(self, shape: tuple[int, int]) -> None:
         self._total = np.zeros((6, *shape), np.float32)
 
-    def add(self, corner: NDArray[np.int64], model: Patch, differs: Patch) -> None:
-        """Frames whose target should look like `model` (n, h, w) and differs from it by `differs`, at even light."""
+    def add(self, corner: NDArray[np.int64], model: Patch, differs: Patch, counts: Array) -> None:
+        """Frames whose target should look like `model` (n, h, w) and differs from it by `differs`, at even light.
+
+        `counts` (h, w) is 1 for pixels that show the target, 0 for others.
+        """
         h, w = model.shape[1:]
         parts = np.empty((6, h, w), np.float32)
-        parts[0] = 1
-        for (x, y), m, d in zip(corner.tolist(), model, differs, strict=True):
+        parts[0] = counts
+        for (x, y), m, d in zip(corner.tolist(), model * parts[0], differs * parts[0], strict=True):
             parts[1], parts[2] = m, d
             np.multiply(m, m, out=parts[3])
             np.multiply(d, m, out=parts[4])
