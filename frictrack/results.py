@@ -38,6 +38,9 @@ class Film(Table):
     hash: str = ""  # sha256 of the file, or of the files of a folder
     picture: NDArray[Any] = field(default_factory=lambda: np.zeros((0, 0)))  # first frame, grey values
     notes: tuple[str, ...] = ()  # findings about the time base, in words
+    audit: tuple[tuple[str, str, str], ...] = ()  # of the time base: what was looked at, its value, the verdict
+    exposure: float | None = scalar("s", default=None)
+    clocked: bool = False  # the camera wrote time stamps, so that no frame can be missing unnoticed
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class RunResults:
     track: Track | None = None
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
+    quality: dict[str, Any] = field(default_factory=dict)  # what the film says of its own measurement: see flow.quality
     role: str = "fit"
     group: str = ""
     settings: dict[str, Any] = field(default_factory=dict)  # the run's keys, inherited ones too

@@ -7,6 +7,7 @@ sends the track through it.
 from frictrack.calibration.mapping import plane_map
 from frictrack.calibration.plane import PlaneMap
 from frictrack.calibration.scale import Scale, parse_scale
+from frictrack.calibration.shake import Shake, shake, steadied
 from frictrack.calibration.travel import calibrate
 
-__all__ = ["PlaneMap", "Scale", "calibrate", "parse_scale", "plane_map"]
+__all__ = ["PlaneMap", "Scale", "Shake", "calibrate", "parse_scale", "plane_map", "shake", "steadied"]

@@ -10,6 +10,7 @@ from frictrack.calibration.course import Axis, Line, directions, forward, in_pla
 from frictrack.calibration.mapping import plane_map
 from frictrack.calibration.plane import PlaneMap
 from frictrack.calibration.scale import SHORT, Scale
+from frictrack.calibration.shake import steadied
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Displacement, Mask, Track
 
@@ -32,16 +33,19 @@ def calibrate(
     at the middle of the scale's points (default image right), or "track": the path's own direction, +x to the right,
     or downward where the path is steeper than 60 degrees. `origin_px` is the pixel [x, y] where x = 0 and y = 0
     (default the picture's corner, or the zero of the board or of the known places, so that all runs of one camera share
-    it); `x_offset` is added to x, m. `reference` is the track of something fixed: its movement is camera shake and is
-    subtracted.
+    it); `x_offset` is added to x, m. `reference` is the track of something fixed: what it moves beyond its own noise is
+    camera shake and is subtracted (`shake`).
 
-    x runs along the axis, y across it (upward in the picture), the angle counter-clockwise. Where the target or the
-    reference was lost they are NaN and ``valid`` is false. ``pixel_pitch`` is that in the middle of the path,
-    ``relative_scale_error`` the standard deviation of the length of the path over it: common to all frames, and to
-    all runs of one camera.
+    x runs along the axis, y across it (upward in the picture), the angle counter-clockwise. Where the target was lost,
+    or the reference of a shaking film, they are NaN and ``valid`` is false. ``pixel_pitch`` is that in the middle of
+    the path, ``relative_scale_error`` the standard deviation of the length of the path over it: common to all frames,
+    and to all runs of one camera.
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
-    at, variance, valid = _seen(track, reference)
+    track, told = steadied(track, reference)
+    at = np.stack([track.x_px, track.y_px], axis=1)
+    variance = np.stack([track.sigma_px, track.sigma_y_px], axis=1) ** 2
+    valid = np.all(np.isfinite(at), axis=1)
     place = np.full(at.shape, np.nan)
     place[valid] = plane(at[valid])
     _check_seen(place, valid)
@@ -65,29 +69,8 @@ def calibrate(
         valid=valid,
         pixel_pitch=_pitch(plane, ends.mean(axis=0), x),
         relative_scale_error=plane.length(ends)[1],
-        notes=(*track.notes, *(reference.notes if reference else ()), *notes),
+        notes=(*track.notes, *told, *notes),
     )
-
-
-def _seen(track: Track, reference: Track | None) -> tuple[Array, Array, Mask]:
-    """Places (n, 2) px without the camera's shake, their variances (n, 2), and where both are known."""
-    at = np.stack([track.x_px, track.y_px], axis=1)
-    variance = np.stack([track.sigma_px, track.sigma_y_px], axis=1) ** 2
-    if reference is not None:
-        shake, shake_variance = _movement(reference, len(track))
-        at, variance = at - shake, variance + shake_variance
-    return at, variance, np.all(np.isfinite(at), axis=1)
-
-
-def _movement(reference: Track, n: int) -> tuple[Array, Array]:
-    """Movement of the reference about its median place (n, 2) px, and its variance."""
-    if len(reference) != n:
-        raise FrictrackError(f"expected a reference track of {n} frames but got {len(reference)}")
-    if not np.any(reference.found):
-        raise FrictrackError(f'the reference "{reference.name}" was found in no frame; choose another one')
-    at = np.stack([reference.x_px, reference.y_px], axis=1)
-    variance = np.stack([reference.sigma_px, reference.sigma_y_px], axis=1) ** 2
-    return at - np.nanmedian(at, axis=0), variance
 
 
 def _check_seen(place: Array, valid: Mask) -> None:

@@ -25,9 +25,9 @@ class Recording(ABC):
 
     Attributes: `path`, `fps` (1/s), `n_frames`, `shape` (h, w), `bit_depth`, `t` (n_frames,) in s from the
     first frame, `notes` (findings about the file, in words), `exposure` (s) or None, `stamps` (n_frames,) in s or None
-    (the camera's own), `trigger` (number of the frame at the trigger) or None, `timebase` (the audit of the time
-    base: `rows` to print), `direct`: True where any part of
-    any frame can be read at once (see `opened` for the others).
+    (the file's own; `clocked`: the camera wrote them, not a container), `trigger` (number of the frame at the trigger)
+    or None, `timebase` (the audit of the time base: `rows` to print), `direct`: True where any part of any frame can
+    be read at once (see `opened` for the others).
     """
 
     suffixes: ClassVar[tuple[str, ...]]
@@ -45,6 +45,7 @@ class Recording(ABC):
         self.notes = header.notes + self.timebase.notes
         self.exposure = header.exposure
         self.stamps = header.stamps if self._kept is None or header.stamps is None else header.stamps[self._kept]
+        self.clocked = header.camera and header.stamps is not None
         self.trigger = header.trigger
 
     @abstractmethod

@@ -1,0 +1,185 @@
+"""Camera shake, told by the track of something fixed: only what of its movement is more than its own noise.
+
+Subtracting a reference as it was measured would add its noise to every frame of the target. Its movement is therefore
+taken apart: steady tones are fitted, the rest is shrunk in the spectrum (Wiener 1949: power less noise over power)
+where it stands out of the white noise, and what does not stand out is zero: a camera that rests costs nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array, Mask, Track
+
+SURE = 1e-3  # probability that noise alone is taken for shake, over all frequencies of an axis
+WIDTH = 5  # frequencies over which the spectrum is smoothed; each has one degree of freedom (real cosines)
+LEAST = 32  # frames in which the reference must be found
+TONES = 6  # steady tones fitted at most, along each axis
+ROUNDS = 8  # of Gauss-Newton on their frequencies
+
+
+@dataclass(frozen=True, eq=False)
+class Shake:
+    """Movement of the picture (n, 2) px as far as it can be told from noise, and what is left of the reference.
+
+    `sigma` (2,) px is the standard deviation of `movement`, `size` (2,) px its rms, `frequency` Hz where it is
+    strongest (None without shake), `floor` (2,) px the rms of what the reference does beyond it: the live noise floor.
+    """
+
+    movement: Array
+    sigma: Array
+    size: Array
+    floor: Array
+    frequency: float | None
+
+    @property
+    def seen(self) -> bool:
+        """Whether there is any."""
+        return self.frequency is not None
+
+
+def shake(reference: Track) -> Shake:
+    """Shake told by the track of something fixed; none where it moves no more than its own noise.
+
+    For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
+    would not make such a one in a thousand films; so do, in what they leave, the cosines (reflecting ends: a drift
+    leaks little) whose mean power over five neighbours is above what noise alone reaches. Lost frames are bridged.
+    Raises `FrictrackError` for a reference that is found in no frame.
+    """
+    if not np.any(reference.found):
+        raise FrictrackError(f'the reference "{reference.name}" was found in no frame; choose another one')
+    at = _bridged(np.stack([reference.x_px, reference.y_px], axis=1), reference.found)
+    at = at - at.mean(axis=0)
+    stated = [float(np.nanmedian(s)) for s in (reference.sigma_px, reference.sigma_y_px)]
+    movement, variance = np.zeros(at.shape), np.zeros(2)
+    if np.count_nonzero(reference.found) >= LEAST:
+        for axis in range(2):
+            movement[:, axis], variance[axis] = _told(at[:, axis], stated[axis])
+    return Shake(
+        movement,
+        sigma=np.sqrt(variance),
+        size=np.std(movement, axis=0),
+        floor=np.sqrt(np.mean((at - movement)[reference.found] ** 2, axis=0)),
+        frequency=_strongest(movement, reference.t) if np.any(variance) else None,
+    )
+
+
+def steadied(track: Track, reference: Track | None) -> tuple[Track, tuple[str, ...]]:
+    """The track without the camera's shake, and in words what was done; as it is without a reference.
+
+    The uncertainty that the reference adds goes into sigma. Where shake is subtracted and the reference was lost,
+    the track is unknown. Raises `FrictrackError` where the two are not of one film.
+    """
+    if reference is None:
+        return track, ()
+    if len(reference) != len(track):
+        raise FrictrackError(f"expected a reference track of {len(track)} frames but got {len(reference)}")
+    found = shake(reference)
+    if not found.seen:
+        return track, (*reference.notes, _rests(reference, found))
+    gone = np.where(reference.found, 0.0, np.nan)
+    steady = replace(
+        track,
+        x_px=track.x_px - found.movement[:, 0] + gone,
+        y_px=track.y_px - found.movement[:, 1] + gone,
+        angle=track.angle + gone,
+        sigma_px=np.hypot(track.sigma_px, found.sigma[0]) + gone,
+        sigma_y_px=np.hypot(track.sigma_y_px, found.sigma[1]) + gone,
+        reason=np.where(track.found & ~reference.found, "the reference is lost", track.reason),
+    )
+    return steady, (*reference.notes, _subtracted(reference, found))
+
+
+def _bridged(at: Array, found: Mask) -> Array:
+    """Places (n, 2) with lost frames interpolated."""
+    n = np.arange(len(at))
+    return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
+
+
+def _told(x: Array, stated: float) -> tuple[Array, float]:
+    """Movement along one axis as far as it is more than noise, px, and its variance, px^2.
+
+    The noise is at least a quarter of the variance that the tracker states, or a film without noise would shake.
+    """
+    window = np.hanning(len(x))
+    power = np.abs(np.fft.rfft(x * window)) ** 2
+    noise = max(float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated**2, 1e-20)
+    tones, count = _tones(x, noise)
+    spectrum = dct(x - tones, norm="ortho")
+    gain = _gain(spectrum**2, noise)
+    return tones + idct(gain * spectrum, norm="ortho"), noise * (float(gain.mean()) + 3 * count / len(x))
+
+
+def _tones(x: Array, noise: float) -> tuple[Array, int]:
+    """Sum of the steady tones in x (n,) and their number: the strongest first, all fitted again with each new one."""
+    n, model = len(x), np.zeros(len(x))
+    least = 2 * np.log(n / SURE) + 10  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
+    found: list[float] = []
+    while len(found) < TONES:
+        power = np.abs(np.fft.rfft((x - model) * np.hanning(n), 4 * n))
+        power[:6] = 0.0  # less than one and a half periods in the film is no tone but a drift
+        fitted, tried = _fitted(x, np.array([*found, float(np.argmax(power)) / (4 * n)]))
+        if float(np.sum((x - model) ** 2) - np.sum((x - fitted) ** 2)) < least * noise:
+            break
+        model, found = fitted, tried.tolist()
+    return model - model.mean(), len(found)
+
+
+def _fitted(x: Array, cycles: Array) -> tuple[Array, Array]:
+    """Tones fitted to x (n,) from first frequencies (k,) in cycles per frame: their sum and the frequencies."""
+    k, time = len(cycles), np.arange(len(x)) - (len(x) - 1) / 2
+    model = np.zeros(len(x))
+    for _ in range(ROUNDS):
+        turn = 2 * np.pi * time[:, None] * cycles
+        waves = np.concatenate([np.ones((len(x), 1)), np.cos(turn), np.sin(turn)], axis=1)
+        size = np.linalg.lstsq(waves, x, rcond=1e-9)[0]
+        model = waves @ size
+        a, b = size[1 : k + 1], size[k + 1 :]
+        slope = 2 * np.pi * time[:, None] * (b * np.cos(turn) - a * np.sin(turn))
+        step = np.linalg.lstsq(np.concatenate([waves, slope], axis=1), x - model, rcond=1e-9)[0][-k:]
+        cycles = np.clip(cycles + np.clip(step, -0.25 / len(x), 0.25 / len(x)), 1 / len(x), 0.5 - 0.5 / len(x))
+    return model, cycles
+
+
+def _gain(power: Array, noise: float) -> Array:
+    """Share of each cosine that is kept."""
+    smooth = uniform_filter1d(power, WIDTH, mode="nearest")
+    stands_out = smooth > noise * float(chi2.isf(SURE / len(power), WIDTH)) / WIDTH
+    near = uniform_filter1d(stands_out.astype(np.float64), WIDTH, mode="nearest") > 0
+    return np.where(near, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
+
+
+def _strongest(movement: Array, t: Array) -> float:
+    """Frequency at which the movement (n, 2) is largest, Hz."""
+    n = len(movement)
+    power = np.max(np.abs(np.fft.rfft(movement * np.hanning(n)[:, None], 4 * n, axis=0)), axis=1)
+    return float(np.argmax(power)) / (4 * n * float(np.median(np.diff(t))))
+
+
+def _rests(reference: Track, found: Shake) -> str:
+    x, y = found.floor
+    return (
+        f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along "
+        f"y (rms), and no frequency stands out of that as white noise (chance {SURE:g}); nothing is subtracted"
+    )
+
+
+def _subtracted(reference: Track, found: Shake) -> str:
+    (x, y), sigma, floor = found.size, float(np.max(found.sigma)), float(np.max(found.floor))
+    return (
+        f"camera shake of {x:.2g} px along x and {y:.2g} px along y (rms), strongest at {found.frequency:.0f} Hz, is "
+        f"told by the fixed reference {_where(reference)} and subtracted; this adds {sigma:.2g} px of uncertainty, and "
+        f'the reference keeps {floor:.2g} px of noise (reference = "none" leaves the shake in)'
+    )
+
+
+def _where(reference: Track) -> str:
+    if reference.target is None:
+        return f'"{reference.name}"'
+    return "[" + ", ".join(f"{v:.0f}" for v in reference.target) + "]"
