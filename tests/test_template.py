@@ -239,3 +239,44 @@ def test_a_pattern_that_repeats_is_not_followed_one_period_off():
     result = track(Film(draw, 80, (64, 420)), [24, 10, 62, 44])
     assert result.found.all()
     assert np.std(result.x_px - 3.9 * np.arange(80)) < 0.01
+
+
+# ---- what passes before the target
+
+X = 60 + 280 * (1 - np.exp(-np.arange(180) / 90)) / (1 - np.exp(-2))
+
+
+def glare(i, frame):
+    """A reflection that goes along and drowns more than half of the target."""
+    if 60 <= i < 80:
+        frame[20:70, int(X[i]) - 5 : int(X[i]) + 60] = 255
+    return frame
+
+
+def hand(i, frame):
+    """Something textured comes from behind and covers two thirds."""
+    if 60 <= i < 80:
+        x0, x1 = max(int(X[i]) - 60, 0), int(X[i]) + 10
+        frame[:60, x0:x1] = 150 + 20 * np.random.default_rng(i).standard_normal((60, x1 - x0))
+    return frame
+
+
+def shadow(i, frame):
+    """The edge of a shadow that stays on the target."""
+    if 40 <= i < 150:
+        dark = 1 - 0.4 / (1 + np.exp(-(np.arange(frame.shape[1]) - X[i] - 10) / 4))
+        frame = (frame * dark).astype(np.uint8)
+    return frame
+
+
+@pytest.mark.parametrize("disturbed", [glare, hand, shadow])
+def test_what_passes_before_the_target_neither_loses_nor_moves_it(disturbed):
+    source = block_film(X, size=(40, 60), shape=(96, 400))
+    pictures = [disturbed(i, source.frame(i).copy()) for i in range(len(X))]
+    result = track(Film(lambda i: pictures[i], len(X), (96, 400)), [34, 32, 53, 33])
+    off = result.x_px - X
+    off -= np.nanmedian(off)
+    assert result.found.all()
+    assert np.std(off) < 0.004  # the bound of the clear film is 0.002 px
+    assert np.max(np.abs(off)) < 0.02
+    assert np.sqrt(np.mean((off / result.sigma_px) ** 2)) == pytest.approx(1.0, abs=0.25)

@@ -25,6 +25,7 @@ VARIED = 0.1  # of the picture's variance, that a pixel must have seen pass: els
 WORTH = 0.01  # of the noise variance: what stands still below that costs half a percent of accuracy
 ODD = 36.0  # squared standard errors from which a single pixel is odd
 ODD_SHARE = 0.002  # of the pixels
+PASSES = 4.0  # times the noise: what a pixel shows beyond its line is then not still
 BLIND = 0.3  # slope below which a pixel does not see the target
 FULL = 0.7  # share of its weight from which a pixel counts as whole
 SURE = 0.15  # excess over the expected scatter from which it is no accident
@@ -92,14 +93,14 @@ def view_of(sums: Sums, noise: float) -> View | None:
         return None
     slope = (dm / n - mean * level) / scatter
     left = np.maximum(dd / n - level**2 - slope**2 * scatter, 0.0)
-    if not _worth(level[seen], (slope**2 * scatter)[seen], noise / n[seen], n[seen]):
+    # Only what explains itself stands still: a hand that passes leaves more about the line than noise.
+    seen &= left * n < PASSES * noise * np.maximum(n - 2, 1)  # the line has taken two of the n terms
+    if not seen.any() or not _worth(level[seen], (slope**2 * scatter)[seen], noise / n[seen], n[seen]):
         return None
     level = _shrunk(level, noise / n, seen)
     slope = 1 + _shrunk(slope, noise / (n * scatter), seen)
-    # `left` has lost two of its n terms to the line.
-    share = np.minimum(slope**2, 1.0) * np.minimum(1.0, 2 * noise / np.maximum(left * n / np.maximum(n - 2, 1), noise))
     blind = (slope < BLIND) & seen
-    share = np.where(blind, 0.0, np.where(share < FULL, share, 1.0))
+    share = np.where(blind, 0.0, np.where(slope**2 < FULL, slope**2, 1.0))
     slope = np.where(blind, 1.0, slope)
     level = np.where(blind, 0.0, level - (slope - 1) * mean)
     maps = (np.where(seen, m, default).astype(np.float32) for m, default in ((slope, 1), (level, 0), (share, 1)))
