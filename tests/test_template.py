@@ -262,8 +262,8 @@ def hand(i, frame):
 
 
 def shadow(i, frame):
-    """The edge of a shadow that stays on the target."""
-    if 40 <= i < 150:
+    """The edge of a shadow that stays on the target for a while."""
+    if 60 <= i < 100:
         dark = 1 - 0.4 / (1 + np.exp(-(np.arange(frame.shape[1]) - X[i] - 10) / 4))
         frame = (frame * dark).astype(np.uint8)
     return frame
