@@ -26,6 +26,7 @@ _HOME = {
     "aligned": "tracking",
     "contact_sheet": "tracking",
     "calibrate": "calibration",
+    "plane_map": "calibration",
     "low_pass": "motion",
     "differentiate": "motion",
     "free_section": "friction",

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 
 from frictrack.errors import FrictrackError
 from frictrack.study import find_recordings, load, read_clocked, read_table, resample, write_study
@@ -107,6 +108,37 @@ per_run = ["phase"]
     assert study.effects[0].fix == {"frequency": 60}
 
 
+def test_targets_are_rectangles_clicks_and_pictures(folder: Path) -> None:
+    (folder / "slider.png").touch()
+    for text, value in {
+        "target = [1, 2, 30, 40]": (1, 2, 30, 40),
+        "target = [10.5, 20]": (10.5, 20),
+        'target = "slider.png"': folder / "slider.png",
+    }.items():
+        run = load(written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{text}\n")).runs[0]
+        assert run.target == value
+        assert run.reference == "auto"
+    keys = 'reference = "none"\ntargets = {beam = [3, 4], rod = "slider.png"}\n'
+    run = load(written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{keys}")).runs[0]
+    assert run.reference == "none"
+    assert run.targets == {"beam": (3, 4), "rod": folder / "slider.png"}
+
+
+def test_init_lists_every_recording_once(tmp_path: Path) -> None:
+    """Headers, single pictures and results are no recordings."""
+    for name in ("a.mraw", "a.cih", "b.mraw", "b.cihx", "c.cine", "d.avi", "e.m4v", "notes.txt", ".hidden.avi"):
+        (tmp_path / name).touch()
+    tifffile.imwrite(tmp_path / "f.tif", np.zeros((3, 16, 16), np.uint8), photometric="minisblack")
+    tifffile.imwrite(tmp_path / "g.tif", np.zeros((3, 16, 16), np.uint8), imagej=True)
+    tifffile.imwrite(tmp_path / "board.tif", np.zeros((16, 16), np.uint8))
+    for folder, count in (("h", 3), ("alone", 1), ("study_results", 3)):
+        (tmp_path / folder).mkdir()
+        for i in range(count):
+            (tmp_path / folder / f"{i}.png").touch()
+    found = find_recordings(tmp_path)
+    assert [p.name for p in found] == ["a.mraw", "b.mraw", "c.cine", "d.avi", "e.m4v", "f.tif", "g.tif", "h"]
+
+
 def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path) -> None:
     written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}")
     study = load(folder)
@@ -148,7 +180,22 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
         ),
         (
             f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 3]\n",
-            "expected a rectangle [x, y, width, height] in px but got [1, 2, 3]",
+            "target: expected a rectangle [x, y, width, height] in px, a click [x, y] or the path of a picture of it "
+            "but got [1, 2, 3]",
+        ),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 0, 4]\n", "a click [x, y] or the path of a picture"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}target = 'v33.avi'\n", 'did you mean "v3.avi"?'),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}reference = 'atuo'\n", 'expected "auto", "none" or a rectangle'),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}reference = [1, 2]\n", 'expected "auto", "none" or a rectangle'),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}targets = {{beam = 3}}\n", "a click [x, y] or the path of a picture"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}targets = 3\n", "expected further targets as {name = [x, y, width"),
+        (
+            f"[study]\nmass = 1\n{CAMERA}{RUN}targets = {{reference = [1, 2, 3, 4]}}\n",
+            'other than target, reference, backward but got "reference"',
+        ),
+        (
+            f"[study]\nmass = 1\n{CAMERA}{RUN}target = 'v3.avi'\ntemplate = 3\n",
+            "expected no template beside a picture of the target",
         ),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}template = 3\n", "expected a target beside template"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}free = [0.2, 0.1]\n", "expected an end after the start but got [0.2, 0.1]"),

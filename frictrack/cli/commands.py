@@ -116,9 +116,15 @@ def _measure(stage: str, study: Path, as_json: bool) -> None:
 
 
 @app.command()
-def track(study: Study, as_json: Json = False) -> None:
+def track(
+    study: Study,
+    overlay: Annotated[bool, typer.Option("--overlay", help="write each film with what was tracked in it")] = False,
+    as_json: Json = False,
+) -> None:
     """Follow the slider through every film; a contact sheet shows whether that went well."""
-    _measure("track", study, as_json)
+    with working(study) as session:
+        result = session.measure("track", overlay=overlay)
+    tell(result, as_json, "track", session.study.output)
 
 
 @app.command()

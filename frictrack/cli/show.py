@@ -168,20 +168,63 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 
 def stages(out: Console, result: dict[str, Any]) -> None:
-    """One row per run of `track`, `motion`, `friction`, then what was found on the way."""
-    if not result["runs"]:
-        out.print("no films in this study: its runs are tables")
-        return
-    keys = [k for k in result["runs"][0] if k not in ("notes", "reason", "target", "contact_sheet")]
+    """One row per run of `motion`, `friction`, then what was found on the way."""
+    keys = [k for k in result["runs"][0] if k not in ("notes", "reason")]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
         table.add_row(*(_cell(row.get(k)) for k in keys))
     out.print(table)
     for row in result["runs"]:
-        if row.get("target"):
-            out.print(f"{row['run']}: {escape(row['target'])}   contact sheet {row['contact_sheet']}", soft_wrap=True)
         for note in [*filter(None, [row.get("reason")]), *row["notes"]]:
             out.print(f"{row['run']}: {escape(note)}")
+
+
+def track(out: Console, result: dict[str, Any]) -> None:
+    """How well each film was measured: a table in px, then film by film what lies behind it."""
+    if not result["runs"]:
+        out.print("no films in this study: its runs are tables")
+        return
+    heads = ("run", "found", "σ / px", "σ / µm", "score", "peak locking / px", "backward / px", "reference / px",
+             "shake / px", "blur / px")  # fmt: skip
+    table = _table(*heads)
+    for row in result["runs"]:
+        table.add_row(*_measured(row))
+    out.print(table)
+    out.print(
+        "σ: standard deviation of a frame; backward: tracked from the end, rms difference; reference: noise of "
+        "something fixed, the live noise floor",
+        style="dim",
+    )
+    for row in result["runs"]:
+        out.print(f"[bold]{escape(row['run'])}[/bold]  {escape(row['target'])}", soft_wrap=True)
+        for line in _behind(row):
+            out.print(f"  {escape(line)}", soft_wrap=True)
+
+
+def _measured(row: dict[str, Any]) -> tuple[str, ...]:
+    """The cells of one film."""
+    locking = (row["peak_locking_px"], row["peak_locking_std_px"])
+    shaking = "none" if row["shake_px"] == 0 else number(row["shake_px"], 2)
+    return (
+        escape(row["run"]),
+        f"{row['found']} of {row['frames']}",
+        *(number(row[key], 3) for key in ("sigma_px", "sigma_um")),
+        number(row["score"], 3),
+        "-" if locking[0] is None else f"{locking[0]:.1g} ± {locking[1]:.1g}",
+        number(row["forward_backward_px"], 2),
+        number(row["noise_floor_px"], 2),
+        shaking,
+        number(row["blur_px"], 2),
+    )
+
+
+def _behind(row: dict[str, Any]) -> list[str]:
+    """What the table has no room for: time base, lost frames, findings, pictures."""
+    audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"])
+    lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
+    pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
+    lines = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *row["notes"], pictures]
+    return [line for line in lines if line]
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:

@@ -13,6 +13,8 @@ from frictrack.calibration import parse_scale
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
+from frictrack.flow.films import overlaid
+from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, with_tables
@@ -85,9 +87,16 @@ class Session:
         self.progress(len(self.runs), len(self.runs), "runs")
         return self.runs
 
-    def measure(self, stage: str) -> dict[str, Any]:
-        """Every run up to `track`, `motion` or `friction`: JSON of those commands."""
-        return {"runs": summary(self.bring_up_to(stage), stage), "output": str(self.study.output)}
+    def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
+        """Every run up to `track`, `motion` or `friction`: JSON of those commands.
+
+        With `overlay` every film is written once more with what was tracked in it.
+        """
+        for work in self.runs if overlay else ():
+            if work.run.video:
+                overlaid(work)
+        works = self.bring_up_to("tracks" if stage == "track" else stage)
+        return {"runs": summary(works, stage), "output": str(self.study.output)}
 
     def fit(self, model: str | None = None, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current: JSON of `fit`.
@@ -265,9 +274,20 @@ def run_results(work: RunWork) -> RunResults:
         track=done.get("track"),
         tracks=done.get("tracks", {}),
         sensors=done["sensors"],
+        quality=_quality(done),
         role=work.run.role,
         group=work.run.group,
         settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},
         hashes={name: work.key(name) for name in work.stages},
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _quality(done: dict[str, Any]) -> dict[str, Any]:
+    """What a film says of its own measurement; nothing for a table."""
+    if "track" not in done:
+        return {}
+    found: dict[str, Any] = plain(
+        quality(done["recording"], done["track"], done["tracks"], done["displacement"].pixel_pitch)
+    )
+    return found

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack import store
-from frictrack.calibration import calibrate, parse_scale, plane_map
+from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
+from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Filtered, Friction, Motion, Run, Track
@@ -28,6 +30,7 @@ from frictrack.study import RunTable, Study, TableData, read_clocked, read_table
 
 if TYPE_CHECKING:
     from frictrack.recording import Recording
+    from frictrack.tracking.measure import Lesson
 
 Progress = Callable[[int, int, str], None]
 
@@ -56,6 +59,8 @@ class RunWork:
         self.path = study.output / f"{run.name}.h5"
         self.stages = FILM if run.video else TABLE
         self._progress = progress
+        self.lesson: Lesson | None = None  # what the film has taught of its target, while it is at hand
+        self._film: Recording | None = None
         self._made: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
 
@@ -70,6 +75,21 @@ class RunWork:
 
         assert self.run.video is not None
         return open_recording(self.run.video, fps=self.run.fps)
+
+    @contextmanager
+    def filmed(self) -> Iterator[Recording]:
+        """The film with random access: a compressed one is decoded once for all that is done inside."""
+        from frictrack.recording import opened  # noqa: PLC0415
+
+        if self._film is not None:
+            yield self._film
+            return
+        with opened(self.recording) as film:
+            self._film = film
+            try:
+                yield film
+            finally:
+                self._film = None
 
     def get(self, name: str) -> Any:
         """The result of a stage, brought up to date; None where the stage has nothing to give."""
@@ -137,18 +157,22 @@ class RunWork:
 
     def _make(self, name: str) -> Any:
         stage = self.stages[name]
-        inputs = [self.get(i) for i in stage.inputs]
-        try:
-            made = stage.make(self, *inputs)
-        except FrictrackError as e:
-            film = self.get("recording") if self.run.video and name != "recording" else None
-            notes = "".join(f" ({note})" for note in film.notes) if film else ""
-            where = f'run "{self.run.name}"'
-            told = str(e).removeprefix(f"{where}: ")
-            raise FrictrackError(f"{where}, {name}: {told}{notes}", usage=e.usage) from e
+        with self.filmed() if name == "tracks" else nullcontext():  # the track may be made on the way
+            made = self._called(stage, [self.get(i) for i in stage.inputs])
         stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
         store.write(self.path, {name: Entry(made, stamp)})
         return made
+
+    def _called(self, stage: Stage, inputs: list[Any]) -> Any:
+        """What a stage makes of its inputs; a failure says in which run and stage, and what is known of the film."""
+        try:
+            return stage.make(self, *inputs)
+        except FrictrackError as e:
+            film = self.get("recording") if self.run.video and stage.name != "recording" else None
+            notes = "".join(f" ({note})" for note in film.notes) if film else ""
+            where = f'run "{self.run.name}"'
+            told = str(e).removeprefix(f"{where}: ")
+            raise FrictrackError(f"{where}, {stage.name}: {told}{notes}", usage=e.usage) from e
 
     def record(self) -> Run:
         """The run as the fit wants it."""
@@ -166,60 +190,6 @@ def _paths(value: Any) -> list[Path]:
     if isinstance(value, dict | list):
         return [path for part in (value.values() if isinstance(value, dict) else value) for path in _paths(part)]
     return [value] if isinstance(value, Path) else []
-
-
-def _film(work: RunWork) -> Film:
-    rec = work.recording
-    return Film(
-        t=rec.t,
-        path=work.settings("recording")["video"],
-        fps=rec.fps,
-        n_frames=rec.n_frames,
-        bit_depth=rec.bit_depth,
-        hash=rec.hash,
-        picture=np.asarray(rec.frame(0)),
-        notes=tuple(rec.notes),
-    )
-
-
-def _track(work: RunWork, film: Film) -> Track:
-    from frictrack.tracking import contact_sheet, track  # noqa: PLC0415
-
-    made = track(work.recording, work.run.target, template=work.run.template or 0, progress=work.progress)
-    contact_sheet(work.recording, made, sheet(work))
-    return made
-
-
-def _tracks(work: RunWork, film: Film) -> dict[str, Track]:
-    """The fixed reference and the further targets."""
-    from frictrack.tracking import track  # noqa: PLC0415
-
-    wanted = dict(work.run.targets)
-    if work.run.reference:
-        wanted["reference"] = work.run.reference
-    return {
-        name: track(work.recording, rectangle, name=name, progress=work.progress) for name, rectangle in wanted.items()
-    }
-
-
-def sheet(work: RunWork) -> Path:
-    """Where the contact sheet of a film lies."""
-    return work.study.output / f"{work.run.name}_track.png"
-
-
-def _calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
-    from frictrack.tracking import aligned  # noqa: PLC0415
-
-    run, anchor = work.run, work.anchor
-    plane = plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
-    return calibrate(
-        aligned(track, anchor.get("track")) if anchor else track,
-        plane,
-        axis=run.axis,
-        origin_px=run.origin_px,
-        x_offset=run.x_offset,
-        reference=tracks.get("reference"),
-    )
 
 
 def _tabled(work: RunWork) -> Displacement:
@@ -313,14 +283,14 @@ def _chain(*head: Stage) -> dict[str, Stage]:
 
 
 FILM = _chain(
-    Stage("recording", (), ("video", "fps"), _film, Film),
-    Stage("track", ("recording",), ("target", "template"), _track, Track),
-    Stage("tracks", ("recording",), ("reference", "targets"), _tracks, dict),
+    Stage("recording", (), ("video", "fps"), recorded, Film),
+    Stage("track", ("recording",), ("target", "template"), tracked, Track),
+    Stage("tracks", ("recording", "track"), ("reference", "targets"), tracked_beside, dict),
     Stage(
         "displacement",
-        ("track", "tracks"),
+        ("tracks", "track"),
         ("scale", "lens", "axis", "origin_px", "x_offset"),
-        _calibrated,
+        lambda work, tracks, track: calibrated(work, track, tracks),
         Displacement,
     ),
 )

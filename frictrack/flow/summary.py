@@ -6,37 +6,45 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.flow.stages import RunWork, sheet
-from frictrack.records import Displacement, Friction, Motion, Track
+from frictrack.errors import FrictrackError
+from frictrack.flow.films import overlay, sheet
+from frictrack.flow.quality import quality
+from frictrack.flow.stages import RunWork
+from frictrack.records import Displacement, Friction, Motion
 from frictrack.results import plain
 
 
 def summary(works: list[RunWork], stage: str) -> list[dict[str, Any]]:
     """The rows of all runs, after they were brought up to the stage; a table has no track and no row there."""
     describe = {"track": _track, "motion": _motion, "friction": _friction}[stage]
-    rows = []
-    for work in works:
-        if stage in work.stages:
-            notes = getattr(work.get("track" if stage == "track" else "displacement"), "notes", ())
-            rows.append({"run": work.run.name, **describe(work), "notes": list(notes)})
-    made: list[dict[str, Any]] = plain(rows)
+    made: list[dict[str, Any]] = plain(
+        [{"run": work.run.name, **describe(work)} for work in works if stage in work.stages]
+    )
     return made
 
 
 def _track(work: RunWork) -> dict[str, Any]:
     from frictrack.tracking import target_line  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    track: Track = work.get("track")
-    found = track.found
+    displacement, notes = _displacement(work)
+    pitch = displacement.pixel_pitch if displacement else None
+    track = work.get("track")
     return {
-        "frames": len(track),
-        "found": int(np.sum(found)),
-        "travel_px": float(np.ptp(track.x_px[found])) if np.any(found) else None,
-        "sigma_px": float(np.median(track.sigma_px[found])) if np.any(found) else None,
-        "score": float(np.median(track.score[found])) if np.any(found) else None,
+        **quality(work.get("recording"), track, work.get("tracks"), pitch),
         "target": target_line(track),
         "contact_sheet": str(sheet(work)),
+        "overlay": str(overlay(work)) if overlay(work).exists() else None,
+        "notes": notes,
     }
+
+
+def _displacement(work: RunWork) -> tuple[Displacement | None, list[str]]:
+    """What was found on the way to metres; a track is shown even where it cannot be calibrated."""
+    try:
+        displacement: Displacement = work.get("displacement")
+    except FrictrackError as e:
+        return None, [*work.get("track").notes, f"not calibrated: {e}"]
+    return displacement, list(displacement.notes)
 
 
 def _motion(work: RunWork) -> dict[str, Any]:
@@ -50,6 +58,7 @@ def _motion(work: RunWork) -> dict[str, Any]:
         "v_max": float(motion.v[np.argmax(np.abs(motion.v))]),
         "sigma_v": float(np.median(motion.sigma_v)),
         "sigma_a": float(np.median(motion.sigma_a)),
+        "notes": list(displacement.notes),
     }
 
 
@@ -65,4 +74,5 @@ def _friction(work: RunWork) -> dict[str, Any]:
         "mean_F_N": float(np.mean(resisting[free])) if len(judged) else None,
         "sigma_F_N": float(np.median(friction.sigma_F[free])) if len(judged) else None,
         "reason": friction.reason,
+        "notes": list(work.get("displacement").notes),
     }

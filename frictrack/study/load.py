@@ -199,6 +199,8 @@ def _run_faults(run: RunTable) -> list[str]:
         faults.append('expected a measured drive beside mass = "fit" but got none; give drive = "drive.csv"')
     if run.template is not None and run.target is None:
         faults.append("expected a target beside template, the frame in which it stands, but got none")
+    if run.template is not None and isinstance(run.target, Path):
+        faults.append("expected no template beside a picture of the target: it is looked for in all frames")
     if run.columns and run.video:
         faults.append("expected columns only beside a table")
     return faults

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -80,11 +81,37 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
     return path
 
 
-def _rectangle(raw: Any) -> Any:
-    numbers = isinstance(raw, list) and len(raw) == 4 and all(isinstance(v, int | float) for v in raw)
-    if not numbers or min(raw[2:]) <= 0:
-        raise ValueError(f"expected a rectangle [x, y, width, height] in px but got {raw!r}")
-    return raw
+def _numbers(raw: Any, count: int) -> bool:
+    return isinstance(raw, list) and len(raw) == count and all(type(v) in (int, float) for v in raw)
+
+
+def _target(raw: Any, info: ValidationInfo) -> Any:
+    """A rectangle, a click or a picture; whether it fits the film is told by `tracking`."""
+    if isinstance(raw, str) and raw:
+        return _path(raw, info)
+    if _numbers(raw, 2) or (_numbers(raw, 4) and min(raw[2:]) > 0):
+        return tuple(raw)
+    raise ValueError(
+        "expected a rectangle [x, y, width, height] in px, a click [x, y] or the path of a picture of it "
+        f"but got {raw!r}"
+    )
+
+
+def _targets(raw: Any, info: ValidationInfo) -> Any:
+    """Further targets by name."""
+    if not isinstance(raw, dict):
+        raise ValueError(f"expected further targets as {{name = [x, y, width, height]}} but got {raw!r}")
+    for name in raw:
+        if name in TAKEN or not NAME.fullmatch(name):
+            taken = ", ".join(TAKEN)
+            raise ValueError(f'expected names of letters, digits, - and _ other than {taken} but got "{name}"')
+    return {name: _target(one, info) for name, one in raw.items()}
+
+
+def _reference(raw: Any) -> Any:
+    if raw in ("auto", "none") or (_numbers(raw, 4) and min(raw[2:]) > 0):
+        return raw if isinstance(raw, str) else tuple(raw)
+    raise ValueError(f'expected "auto", "none" or a rectangle [x, y, width, height] in px but got {raw!r}')
 
 
 def _columns(raw: Any) -> Any:
@@ -135,7 +162,11 @@ def needs_film(scale: Any) -> bool:
 SCALE = (
     "points", "length", "click", "plane", "unit", "target", "board", "squares", "square", "dictionary", "marker",
 )  # fmt: skip
-Rectangle = Annotated[tuple[float, float, float, float], BeforeValidator(_rectangle)]
+TAKEN = ("target", "reference", "backward")  # tracks that every film has
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+Target = Annotated[Any, BeforeValidator(_target)]
+Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
+Reference = Annotated[Any, BeforeValidator(_reference)]
 Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
@@ -182,9 +213,9 @@ class RunTable(Keys):
     fps: Frequency | None = None
     scale: Scale | None = None
     lens: File | None = None  # camera matrix and distortion, calibrated before
-    target: Rectangle | None = None
-    reference: Rectangle | None = None
-    targets: dict[str, Rectangle] = {}
+    target: Target | None = None
+    reference: Reference = "auto"  # the fixed point that camera shake is told by
+    targets: Targets = {}
     clamp_x: Place | None = None
     beam_length: Length | None = None
     template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands

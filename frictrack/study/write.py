@@ -12,7 +12,7 @@ import tomlkit
 from frictrack.errors import FrictrackError
 
 TABLES = (".csv", ".xlsx")
-FILMS = (".avi", ".mp4", ".mov", ".mkv", ".tif", ".tiff", ".mraw", ".cine", ".cihx")
+FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
 INTRO = """A study of frictrack: which runs were filmed, and what is known of them.
@@ -38,7 +38,9 @@ known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100,
 }
 RUN = """Keys that a run may have of its own:
 mass = "0.70 kg"            another mass than [study] says
-target = [410, 232, 96, 64] where the slider is in the first frame, when it is not found by itself (x, y, w, h)
+target = [410, 232, 96, 64] where the slider is in the first frame, when it is not found by itself (x, y, w, h);
+                            or a click on it [x, y], or a picture of it "slider.png"; template = 30: in that frame
+reference = [8, 80, 64, 32] something fixed that camera shake is told by, when the one found is wrong; or "none"
 axis = "track"              +x along the path itself, when the course is not level in the picture; or [dx, dy]
 incline = "22 deg"          the course rises toward +x; negative where it falls
 free = ["0.01 s", "0.2 s"]  the part of the run that is judged, when the one found is wrong
@@ -91,7 +93,20 @@ def _is_recording(path: Path) -> bool:
     if path.is_dir():
         pictures = [p for p in path.iterdir() if p.suffix.lower() in PICTURES]
         return len(pictures) > 1 and not path.name.endswith("_results")
-    return path.suffix.lower() in (*FILMS, *TABLES) and not path.name.startswith(".")
+    if path.name.startswith(".") or path.suffix.lower() not in (*FILMS, *TABLES):
+        return False
+    return path.suffix.lower() not in (".tif", ".tiff") or _many_pages(path)
+
+
+def _many_pages(path: Path) -> bool:
+    """Whether a TIFF may be a film: one page is a picture (of a board, perhaps)."""
+    import tifffile  # noqa: PLC0415 - a study of tables does without
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            return len(file.pages) > 1 or bool((file.imagej_metadata or {}).get("images", 1) > 1)
+    except (OSError, ValueError, tifffile.TiffFileError):
+        return True  # what is wrong with it is said when it is opened
 
 
 def _section(

@@ -1,0 +1,170 @@
+"""The stages that look at a film: recording, track, further tracks, displacement. One decoding serves them all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.calibration import calibrate, plane_map
+from frictrack.errors import FrictrackError
+from frictrack.flow.quality import judged
+from frictrack.records import Displacement, Track
+from frictrack.results import Film
+
+if TYPE_CHECKING:
+    from frictrack.calibration import PlaneMap
+    from frictrack.flow.stages import RunWork
+    from frictrack.recording import Recording
+    from frictrack.tracking.measure import Lesson
+
+BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
+NO_REFERENCE = (
+    "no fixed reference was found in the picture, so that camera shake stays in the displacement; "
+    "reference = [x, y, width, height] names one"
+)
+
+
+def recorded(work: RunWork) -> Film:
+    """What stays of the recording."""
+    rec = work.recording
+    return Film(
+        t=rec.t,
+        path=work.settings("recording")["video"],
+        fps=rec.fps,
+        n_frames=rec.n_frames,
+        bit_depth=rec.bit_depth,
+        hash=rec.hash,
+        picture=np.asarray(rec.frame(0)),
+        notes=tuple(rec.notes),
+        audit=tuple((row.name, row.value, row.verdict) for row in rec.timebase.rows),
+        exposure=rec.exposure,
+        clocked=rec.clocked,
+    )
+
+
+def tracked(work: RunWork, film: Film) -> Track:
+    """The target's track; a calibration that cannot serve is said before the film is gone through."""
+    from frictrack.tracking import learn_target, track  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.tracking.target import resolve  # noqa: PLC0415
+
+    early_plane(work)
+    with work.filmed() as opened:
+        work.progress(0, film.n_frames, "find the target")
+        rectangle, frame = resolve(opened, work.run.target, work.run.template or 0)
+        work.lesson = learn_target(opened, rectangle, template=frame, progress=work.progress)
+        return track(opened, rectangle, template=frame, known=work.lesson, progress=work.progress)
+
+
+def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
+    """The fixed reference, further targets, the target once more backward; and the contact sheet of them all."""
+    from frictrack import tracking  # noqa: PLC0415
+
+    found: dict[str, Track] = {}
+    with work.filmed() as opened:
+        for name, target in work.run.targets.items():
+            found[name] = tracking.track(opened, target, name=name, progress=work.progress)
+        found |= _reference(opened, track, work)
+        tracking.contact_sheet(opened, track, sheet(work), tuple(found.values()))
+        return found | _backward(opened, track, work)
+
+
+def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Track]:
+    """The track of something fixed: what is named, or what is found; nothing where neither is there."""
+    from frictrack.tracking import track  # noqa: PLC0415
+    from frictrack.tracking.reference import find_reference  # noqa: PLC0415
+
+    wanted = work.run.reference
+    if wanted == "none":
+        return {}
+    if wanted != "auto":
+        return {REFERENCE: track(opened, wanted, name=REFERENCE, progress=work.progress)}
+    rectangle = find_reference(opened, target)
+    made = None if rectangle is None else _tried(lambda: track(opened, rectangle, name=REFERENCE))
+    return {} if made is None else {REFERENCE: made}
+
+
+def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Track]:
+    """The target followed from the last frame that shows the whole of it, by what the film has taught."""
+    from frictrack.tracking import learn_target, track  # noqa: PLC0415
+
+    assert forward.target is not None
+    size = np.array(forward.target[2:])
+    corner = np.rint(np.stack([forward.x_px, forward.y_px], axis=1) - (size - 1) / 2)
+    whole = np.all((corner >= 0) & (corner + size <= opened.shape[::-1]), axis=1)
+    if not np.any(whole):
+        return {}
+    last = int(np.flatnonzero(whole)[-1])
+    rectangle = [*corner[last].tolist(), *size.tolist()]
+
+    def followed() -> Track:
+        known: Lesson = work.lesson or learn_target(opened, forward.target, template=forward.template)
+        return track(opened, rectangle, template=last, known=known, name=BACKWARD, progress=work.progress)
+
+    made = _tried(followed)
+    return {} if made is None else {BACKWARD: replace(made, picture=None, notes=())}
+
+
+def _tried(make: Callable[[], Track]) -> Track | None:
+    """What nobody asked for must not end the work."""
+    try:
+        return make()
+    except FrictrackError:
+        return None
+
+
+def early_plane(work: RunWork) -> PlaneMap | None:
+    """The map to the course as far as it needs no track; None where it does, after all else was looked at."""
+    run = work.run
+    several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
+    of_target = [isinstance(one, dict) and "target" in one for one in several]
+    made = [
+        plane_map("1 mm/px" if later else one, lens=run.lens, film=work.recording, axis=run.axis)
+        for one, later in zip(several, of_target, strict=True)
+    ]
+    return made[0] if len(made) == 1 and not any(of_target) else None
+
+
+def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
+    """The displacement, without camera shake and on a true time base."""
+    from frictrack.tracking import aligned  # noqa: PLC0415
+
+    run, anchor = work.run, work.anchor
+    plane = early_plane(work) or plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
+    seen = aligned(track, anchor.get("track")) if anchor else track
+    clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked)
+    unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
+    return calibrate(
+        replace(clean, notes=(*track.notes, *notes, *unseen)),
+        plane,
+        axis=run.axis,
+        origin_px=run.origin_px,
+        x_offset=run.x_offset,
+    )
+
+
+def sheet(work: RunWork) -> Path:
+    """Where the contact sheet of a film lies."""
+    return work.study.output / f"{work.run.name}_track.png"
+
+
+def overlaid(work: RunWork) -> Path:
+    """Write the film with what was tracked in it, and say where."""
+    from frictrack.tracking.overlay import overlay_video  # noqa: PLC0415
+
+    with work.filmed() as opened:
+        track, tracks = work.get("track"), work.get("tracks")
+        return overlay_video(opened, track, overlay(work), others=beside(tracks))
+
+
+def overlay(work: RunWork) -> Path:
+    """Where the overlay video of a film lies, when it was asked for."""
+    return work.study.output / f"{work.run.name}_overlay.avi"
+
+
+def beside(tracks: dict[str, Any]) -> tuple[Track, ...]:
+    """The tracks to be drawn beside the target's."""
+    return tuple(track for name, track in tracks.items() if name != BACKWARD)

@@ -1,0 +1,127 @@
+"""How well a film was measured: its tracks are judged by themselves, in numbers and in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.calibration import shake, steadied
+from frictrack.records import Track
+from frictrack.results import Film
+
+if TYPE_CHECKING:
+    from frictrack.tracking.timing import Slip
+
+DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
+
+
+def judged(track: Track, tracks: dict[str, Track], *, clocked: bool) -> tuple[Track, tuple[str, ...]]:
+    """The track without camera shake and with true times, and what is to be said of the measurement.
+
+    Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
+    that are missing become gaps, doubled ones are left out.
+    """
+    from frictrack.tracking.findings import forward_backward, self_test  # noqa: PLC0415 - tables do without
+
+    clean, notes = steadied(track, tracks.get("reference"))
+    test = self_test(clean)
+    backward = tracks.get("backward")
+    if backward is not None:
+        both = forward_backward(track, backward)
+        notes += (both.words,) if both.only_one or both.in_sigma > DEPENDS else ()
+    told = tuple(note for note in test.notes if "told by the motion" not in note)
+    if clocked:
+        return clean, (*notes, *told)
+    return retimed(clean, test.slips), (*notes, *told, *_corrected(test.slips))
+
+
+def retimed(track: Track, slips: Sequence[Slip]) -> Track:
+    """The track with gaps in time where frames are missing, and without doubled frames.
+
+    A doubled frame in place of a lost one is not found; one that was put in is left out.
+    """
+    from frictrack.tracking.timing import corrected  # noqa: PLC0415
+
+    if not slips:
+        return track
+    interval = float(np.median(np.diff(track.t)))
+    ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
+    right, keep = corrected(ticks, slips)
+    rows = np.setdiff1d(np.arange(len(track)), [s.frame for s in slips if s.frames < 0])
+    lost = ~keep[rows]
+    columns = {f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")}
+    for name in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px"):
+        columns[name][lost] = np.nan
+    columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]
+    columns["reason"] = np.where(lost, "the frame before once more", columns["reason"])
+    return replace(track, **columns)
+
+
+def _corrected(slips: Sequence[Slip]) -> tuple[str, ...]:
+    """The faults of the time base and what was done about them."""
+    from frictrack.tracking.timing import timing_note  # noqa: PLC0415
+
+    doubled = timing_note([s for s in slips if s.doubled])
+    missing = timing_note([s for s in slips if not s.doubled])
+    return (*(f"{note}; left out" for note in doubled), *(f"{note}; left as gaps in time" for note in missing))
+
+
+def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
+    """Numbers on one film's measurement; `pitch` is that of the displacement, m, None where there is none."""
+    from frictrack.tracking.findings import forward_backward, peak_locking, scores  # noqa: PLC0415
+
+    found = track.found
+    um = None if pitch is None else 1e6 * pitch
+    clean, _ = steadied(track, tracks.get("reference"))
+    locking, history = peak_locking(clean), scores(track)
+    both = forward_backward(track, tracks["backward"]) if "backward" in tracks else None
+    sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
+    return {
+        "frames": len(track),
+        "found": int(np.sum(found)),
+        "lost": dict(Counter(_kind(reason) for reason in track.reason if reason)),
+        "travel_px": float(np.ptp(track.x_px[found])) if np.any(found) else None,
+        "sigma_px": sigma,
+        "sigma_um": None if um is None or sigma is None else um * sigma,
+        "score": history.median if history else None,
+        "lowest_score": history.lowest if history else None,
+        "peak_locking_px": locking.amplitude if locking else None,
+        "peak_locking_std_px": locking.error if locking else None,
+        "forward_backward_px": both.rms if both else None,
+        "forward_backward_sigmas": both.in_sigma if both else None,
+        **_reference(tracks.get("reference"), um),
+        "exposure_s": film.exposure,
+        "blur_px": None if film.exposure is None else _fastest(track) * film.exposure,
+        "timebase": [{"what": what, "value": value, "verdict": verdict} for what, value, verdict in film.audit],
+    }
+
+
+def _reference(track: Track | None, um: float | None) -> dict[str, Any]:
+    """The live noise floor: what a fixed reference does beyond camera shake."""
+    if track is None:
+        return dict.fromkeys(("reference", "noise_floor_px", "noise_floor_um", "shake_px", "shake_Hz"))
+    found = shake(track)
+    floor = float(found.floor[0])
+    return {
+        "reference": None if track.target is None else list(track.target),
+        "noise_floor_px": floor,
+        "noise_floor_um": None if um is None else um * floor,
+        "shake_px": float(np.hypot(*found.size)),
+        "shake_Hz": found.frequency,
+    }
+
+
+def _kind(reason: str) -> str:
+    """Reasons that differ only in their number count as one."""
+    return "match score too low" if reason.startswith("match score") else reason
+
+
+def _fastest(track: Track) -> float:
+    """Speed of the target, px/s, that is exceeded in one frame of a hundred."""
+    step = np.hypot(np.diff(track.x_px), np.diff(track.y_px)) / np.diff(track.t)
+    known = step[np.isfinite(step)]
+    return float(np.quantile(known, 0.99)) if len(known) else float("nan")
