@@ -165,8 +165,8 @@ def _strongest(movement: Array, t: Array) -> float:
 def _rests(reference: Track, found: Shake) -> str:
     x, y = found.floor
     return (
-        f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along "
-        f"y (rms), and no frequency stands out of that as white noise (chance {SURE:g}); nothing is subtracted"
+        f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "
+        f"(rms), which is no more than white noise (p > {SURE:g}); nothing is subtracted"
     )
 
 

@@ -220,7 +220,7 @@ def _measured(row: dict[str, Any]) -> tuple[str, ...]:
 
 def _behind(row: dict[str, Any]) -> list[str]:
     """What the table has no room for: time base, lost frames, findings, pictures."""
-    audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"])
+    audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
     lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
     lines = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *row["notes"], pictures]

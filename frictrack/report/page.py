@@ -91,6 +91,7 @@ def render(results: Results) -> str:
         tables=tables,
         formula=formula,
         quantity=quantity,
+        measured=words.measurement(results.runs),
         scale_line=words.scale_line(results),
         scale_error=words.scale_error(results),
     )

@@ -239,22 +239,39 @@ def _at(effect: str, limit: Mapping[str, Any]) -> str:
 
 
 def tracks(runs: Sequence[RunResults]) -> Table:
-    """How well the target was followed."""
+    """Which films were tracked, and on what scale."""
     rows = []
     for run in runs:
         if run.film is None or run.track is None:
             continue
         t, found = run.track, run.track.found
         at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
-        middle = [float(np.median(a[found])) if np.any(found) else None for a in (t.sigma_px, t.score)]
         pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
         rows.append(
-            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", number(middle[0], 2),
-             number(middle[1]), code(at), number(1e6 * pitch if pitch else None, 4), number(error, 2) if error else "")
+            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", code(at),
+             number(1e6 * pitch if pitch else None, 4), number(error, 2) if error else "")
         )  # fmt: skip
-    heads = ("run", "film", "frames per s", "target found in", "sigma / px", "match score", "target",
-             "µm/px", "scale known to / %")  # fmt: skip
-    return table(heads, rows, (2, 3, 4, 5, 7, 8))
+    heads = ("run", "film", "frames per s", "target found in", "target", "µm/px", "scale known to / %")
+    return table(heads, rows, (2, 3, 5, 6))
+
+
+def measurement(runs: Sequence[RunResults]) -> Table:
+    """What each film says of its own measurement."""
+    rows = []
+    for run in runs:
+        if not run.quality:
+            continue
+        q = run.quality
+        locking = quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
+        still = "none" if q["shake_px"] == 0 else number(q["shake_px"], 2)
+        rows.append(
+            (run.name, number(q["sigma_px"], 2), number(q["sigma_um"], 2), number(q["score"]), locking,
+             number(q["forward_backward_px"], 2), number(q["noise_floor_px"], 2), still,
+             number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), number(q["blur_px"], 2))
+        )  # fmt: skip
+    heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
+             "shake / px", "exposure / µs", "blur / px")  # fmt: skip
+    return table(heads, rows, range(1, len(heads)))
 
 
 def settings(results: Results) -> Table:
@@ -271,7 +288,7 @@ def settings(results: Results) -> Table:
                 f"{s['fps']:g} Hz" if "fps" in s else "",
                 _scale(s.get("scale", "")),
                 f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
-                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN),
+                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN and (k, v) != ("reference", "auto")),
             )
         )
     return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
