@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from film import Film
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Header, Recording, opened, spool
@@ -121,3 +122,21 @@ def test_no_room_for_the_film(monkeypatch):
 def test_boxes_outside_the_film(indices, corners, text):
     with pytest.raises(FrictrackError, match=text):
         Slow().cut(indices, corners, (8, 8))
+
+
+def test_gone_through_once_in_little_memory(monkeypatch):
+    """Only the last frames are kept; the decoder waits for its reader and never overwrites what is still wanted."""
+    monkeypatch.setattr(spool, "LAST", 40)
+    frames = np.arange(300, dtype=np.uint8)[:, None, None] * np.ones((16, 24), np.uint8)
+    source = Film(lambda i: frames[i], 300, (16, 24))
+    corners = np.zeros((20, 2), np.int64)
+    with opened(source, once=True) as film:
+        for at in range(0, 300, 20):
+            time.sleep(0.002)  # a slow reader
+            boxes = film.cut(np.arange(at, at + 20), corners, (16, 24))
+            np.testing.assert_array_equal(boxes, frames[at : at + 20])
+            np.testing.assert_array_equal(film.frame(at + 19), frames[at + 19])
+        with pytest.raises(ValueError, match="frame 3 was given up after frame 300"):
+            film.frame(3)
+    with opened(source, once=True) as film:  # leaving early ends the decoder
+        film.frame(0)

@@ -17,12 +17,16 @@ from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 from frictrack.recording.raw import Cutter, Layout, picture_bytes
 
+LAST, BEHIND = 400, 16  # frames kept where each is wanted once, and how many of them may still be looked back at
 IN_MEMORY = 512 << 20  # bytes of decoded film kept in memory; a longer film goes to a temporary file
 
 
 @contextmanager
-def opened(recording: Recording) -> Iterator[Recording]:
+def opened(recording: Recording, *, once: bool = False) -> Iterator[Recording]:
     """Give `recording` itself if it is direct, else a spool that a thread decodes it into, once.
+
+    With `once` the frames are gone through in their order and only the last few hundred of them are kept, where
+    those fit into memory: fresh memory for a whole film costs as much as a quarter of its decoding.
 
     The spool's `cut`, `frame`, `frames` and `pick` wait until the frames are there, and raise what the decoder
     raised; frames after the place where the file breaks off cannot be read. Leaving the context ends the thread
@@ -31,7 +35,7 @@ def opened(recording: Recording) -> Iterator[Recording]:
     if recording.direct:
         yield recording
         return
-    spool = Spool(recording)
+    spool = Spool(recording, _store(recording, once))
     try:
         yield spool
     finally:
@@ -43,11 +47,12 @@ class Spool(Recording):
 
     suffixes: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, source: Recording) -> None:
+    def __init__(self, source: Recording, store: _Memory | _Disk) -> None:
         self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
         self.direct = True
         self._source = source
-        self._store = _store(source)
+        self._store = store
+        self._passed = 0  # frames before this one will not be asked for again
         self._ready, self._done, self._stop = 0, False, False
         self._wanted = source.n_frames  # the first frame that a reader waits for
         self._fault: BaseException | None = None
@@ -63,13 +68,15 @@ class Spool(Recording):
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """See `Recording.cut`; waits for the frames."""
         indices, corners = self._boxes(indices, corners, size)
-        if len(indices) and not self._wait(int(indices.max())):
+        if len(indices) and not self._wait(int(indices.max()), int(indices.min())):
             raise FrictrackError(self._breaks_off(int(indices.max())))
         return self._store.cut(indices, corners, size)
 
     def close(self) -> None:
         """End the decoder and give the memory back."""
-        self._stop = True
+        with self._news:
+            self._stop = True
+            self._news.notify_all()
         self._decoder.join()
         self._store.close()
 
@@ -83,8 +90,15 @@ class Spool(Recording):
                 return
             yield self._store.cut(np.array([index]), corner, self.shape)[0]
 
-    def _wait(self, index: int) -> bool:
-        """Wait for this frame; False where the film breaks off before it."""
+    def _wait(self, index: int, first: int | None = None) -> bool:
+        """Wait for this frame, `first` being the first one wanted; False where the film breaks off before it."""
+        first = index if first is None else first
+        if self._store.kept is not None:
+            if first < self._ready - self._store.kept:
+                raise ValueError(f"frame {first} was given up after frame {self._ready}")
+            with self._news:
+                self._passed = max(self._passed, first - BEHIND)
+                self._news.notify_all()
         if index < self._ready:
             return True
 
@@ -101,7 +115,7 @@ class Spool(Recording):
     def _decode(self) -> None:
         try:
             for i, frame in enumerate(self._source.frames()):
-                if self._stop:
+                if not self._room(i):
                     break
                 self._store.write(i, frame)
                 self._tell(i + 1)
@@ -112,6 +126,14 @@ class Spool(Recording):
                 self._done = True
                 self._news.notify_all()
 
+    def _room(self, i: int) -> bool:
+        """Wait until frame `i` may take the place of an older one; False where nobody wants it any more."""
+        if self._store.kept is not None:
+            kept = self._store.kept
+            with self._news:
+                self._news.wait_for(lambda: self._stop or i - kept < self._passed)
+        return not self._stop
+
     def _tell(self, ready: int) -> None:
         with self._news:
             self._ready = ready
@@ -121,19 +143,20 @@ class Spool(Recording):
 
 
 class _Memory:
-    """Decoded frames in memory."""
+    """Decoded frames in memory: all, or the last ones (`kept`)."""
 
-    def __init__(self, n: int, shape: tuple[int, int], kind: Any) -> None:
-        self._frames: Frame = np.empty((n, *shape), kind)
+    def __init__(self, n: int, shape: tuple[int, int], kind: Any, kept: int | None = None) -> None:
+        self._frames: Frame = np.empty((kept or n, *shape), kind)
+        self.kept = kept
 
     def write(self, i: int, frame: Frame) -> None:
-        self._frames[i] = frame
+        self._frames[i % len(self._frames)] = frame
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
         out: Frame = np.empty((len(indices), *size), self._frames.dtype)
         h, w = size
         for target, i, (x, y) in zip(out, indices.tolist(), corners.tolist(), strict=True):
-            target[...] = self._frames[i, y : y + h, x : x + w]
+            target[...] = self._frames[i % len(self._frames), y : y + h, x : x + w]
         return out
 
     def close(self) -> None:
@@ -142,6 +165,8 @@ class _Memory:
 
 class _Disk:
     """Decoded frames in a temporary file."""
+
+    kept: ClassVar[int | None] = None
 
     def __init__(self, n: int, shape: tuple[int, int], bits: int) -> None:
         self._frame = picture_bytes(shape, bits)
@@ -165,11 +190,15 @@ class _Disk:
         Path(self._file.name).unlink(missing_ok=True)
 
 
-def _store(source: Recording) -> _Memory | _Disk:
+def _store(source: Recording, once: bool = False) -> _Memory | _Disk:
     bits = 8 if source.bit_depth <= 8 else 16
-    total = source.n_frames * picture_bytes(source.shape, bits)
+    kind = np.uint8 if bits == 8 else np.uint16
+    frame = picture_bytes(source.shape, bits)
+    total = source.n_frames * frame
+    if once and source.n_frames > LAST and LAST * frame <= IN_MEMORY:
+        return _Memory(source.n_frames, source.shape, kind, LAST)
     if total <= IN_MEMORY:
-        return _Memory(source.n_frames, source.shape, np.uint8 if bits == 8 else np.uint16)
+        return _Memory(source.n_frames, source.shape, kind)
     free = shutil.disk_usage(tempfile.gettempdir()).free
     if total > free:
         raise FrictrackError(

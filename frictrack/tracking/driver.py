@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
-from frictrack.tracking.measure import MISFITS, Lesson, measure
+from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.target import Target, resolve
 
 Progress = Callable[[int, int, str], None]
@@ -44,14 +44,14 @@ def track(
     the target is not found holds NaN and the reason. Raises `FrictrackError` for a target that does not fit the
     picture, a film without contrast, or one in which nothing moves.
     """
-    with opened(recording) as film:
+    with opened(recording, once=_once(target, template, known)) as film:
         if known is None:
             rectangle, template, followed, lesson = _studied(film, target, template, progress)
             rows = np.flatnonzero(followed.found)
         else:
             rectangle, template, lesson = *_placed(film, target, template, known), known
             followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
-            rows = _doubtful(followed, known)
+            rows = np.flatnonzero(followed.found & (known.view is not None))
         measured = _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
@@ -103,11 +103,10 @@ def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tu
     return rectangle, template
 
 
-def _doubtful(followed: Followed, known: Lesson) -> NDArray[np.int64]:
-    """Frames that a known target does not explain as well as it should."""
-    if known.view is not None:
-        return np.flatnonzero(followed.found)
-    return np.flatnonzero(followed.found & (followed.fine.misfit > MISFITS * known.usual))
+def _once(target: Target, template: int, known: Lesson | None) -> bool:
+    """Whether going through the film once, from its first frame, is enough."""
+    placed = isinstance(target, Sequence) and len(target) == 4 and template == 0
+    return placed and known is not None and known.view is None
 
 
 def _measured(

@@ -40,8 +40,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     columns = 2 if recording.shape[1] > 2 * recording.shape[0] else 3
     figure = _figure(recording, columns)
     panels = np.ravel(figure.subplots(6 // columns, columns))
-    height = figure.get_figheight()
-    figure.subplots_adjust(0.035, 1.0 / height, 0.99, 1 - 0.9 / height, wspace=0.1, hspace=0.3)
+    _spaced(figure, 6 // columns)
     for panel, i in zip(panels, shown, strict=False):
         _frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
         for colour, other in zip(OTHERS, others, strict=False):
@@ -57,8 +56,15 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
 
 def _figure(recording: Recording, columns: int) -> Figure:
     rows = 6 // columns
-    height = rows * 16 / columns * recording.shape[0] / recording.shape[1] + 0.45 * rows + 1.3
-    return Figure(figsize=(16, float(np.clip(height, 5, 16))), dpi=80)  # a layout that is sought takes half the time
+    height = rows * 16 / columns * recording.shape[0] / recording.shape[1] + 0.6 * rows + 1.3
+    return Figure(figsize=(16, float(np.clip(height, 5, 16))), dpi=80)
+
+
+def _spaced(figure: Figure, rows: int) -> None:
+    """Room for titles and labels, in inches; a layout that is sought takes as long as all the rest."""
+    height, gap = figure.get_figheight(), 0.6
+    panel = (height - 1.9 - gap * (rows - 1)) / rows
+    figure.subplots_adjust(0.035, 1.0 / height, 0.99, 1 - 0.9 / height, wspace=0.1, hspace=gap / panel)
 
 
 def _rectangle(track: Track) -> tuple[int, int, int, int]:
