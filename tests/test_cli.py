@@ -12,12 +12,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+import tifffile
+from film import block_film
 
 from frictrack.cli import main
 from frictrack.cli.show import plus_minus
-from frictrack.flow import Session
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, films
 
 
 @pytest.fixture(autouse=True)
@@ -66,6 +70,65 @@ def test_a_person_reads_a_table_and_where_the_results_are(capsys: pytest.Capture
     assert "coulomb.F_c" in out
     assert "±" in out
     assert out.rstrip().endswith("results: study_results/study.h5")
+
+
+def test_fit_says_once_how_well_the_scale_is_known(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    assert answer(capsys, "fit", "study.toml")["scale_error"] == 0.0
+    assert "scale" not in run(capsys, "fit", "study.toml")[1]
+    text = (here / "study.toml").read_text()
+    (here / "study.toml").write_text(text.replace("[[run]]", '[camera]\nscale = "0.500 +/- 0.002 mm/px"\n\n[[run]]', 1))
+    assert answer(capsys, "fit", "study.toml")["scale_error"] == pytest.approx(0.004)
+    out = " ".join(run(capsys, "fit", "study.toml")[1].split())
+    assert out.count("the scale is known to 0.4 %, and so is every force above") == 1
+
+
+@pytest.fixture
+def film_study(here: Path) -> Path:
+    """A study of one small film."""
+    film = block_film(60 + 100 * np.linspace(0, 1, 60) ** 0.8, size=(40, 60), shape=(96, 256))
+    tifffile.imwrite(here / "v3.tif", np.stack([film.frame(i) for i in range(60)]), photometric="minisblack")
+    (here / "film.toml").write_text(
+        '[study]\nmass = 0.35\n[camera]\nfps = 4000\nscale = "0.5 mm/px"\n[[run]]\nname = "v3"\nvideo = "v3.tif"\n'
+    )
+    return here / "film.toml"
+
+
+def test_track_says_how_well_each_film_was_measured(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
+    (row,) = answer(capsys, "track", "film.toml")["runs"]
+    assert row["overlay"] is None
+    assert not (film_study.parent / "film_results" / "v3_overlay.avi").exists()
+    code, out, _ = run(capsys, "track", "film.toml", "--overlay")
+    assert code == 0
+    for words in (
+        "60 of 60",
+        "σ / µm",
+        "peak locking / px",
+        "time base: frame rate, given 4000 fps (used)",
+        "target = [",
+    ):
+        assert words in out
+    assert "no camera shake: the fixed reference" in out
+    assert "film_results/v3_track.png, film_results/v3_overlay.avi" in out
+    assert (film_study.parent / "film_results" / "v3_overlay.avi").stat().st_size > 10_000
+    assert answer(capsys, "track", "film.toml")["runs"][0]["overlay"] == "film_results/v3_overlay.avi"
+
+
+def test_a_track_that_cannot_be_calibrated_is_shown(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
+    film_study.write_text(film_study.read_text().replace('scale = "0.5 mm/px"', 'scale = {target = "40 mm"}'))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("frictrack.flow.films.plane_map", refuse_targets(films.plane_map))
+        (row,) = answer(capsys, "track", "film.toml")["runs"]
+    assert row["sigma_um"] is None
+    assert row["notes"][-1] == 'not calibrated: run "v3", displacement: no outline'
+
+
+def refuse_targets(plane_map: Any) -> Any:
+    def refuse(scale: Any, **given: Any) -> Any:
+        if isinstance(scale, dict):
+            raise FrictrackError("no outline")
+        return plane_map(scale, **given)
+
+    return refuse
 
 
 @pytest.mark.parametrize("stage", ["motion", "friction"])

@@ -158,8 +158,8 @@ def _gain(power: Array, noise: float) -> Array:
 def _strongest(movement: Array, t: Array) -> float:
     """Frequency at which the movement (n, 2) is largest, Hz."""
     n = len(movement)
-    power = np.max(np.abs(np.fft.rfft(movement * np.hanning(n)[:, None], 4 * n, axis=0)), axis=1)
-    return float(np.argmax(power)) / (4 * n * float(np.median(np.diff(t))))
+    power = np.max(np.abs(np.fft.rfft(movement * np.hanning(n)[:, None], 16 * n, axis=0)), axis=1)
+    return float(np.argmax(power)) / (16 * n * float(np.median(np.diff(t))))
 
 
 def _rests(reference: Track, found: Shake) -> str:

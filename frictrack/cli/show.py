@@ -51,6 +51,11 @@ def fit(out: Console, result: dict[str, Any]) -> None:
     for first, second, r in result.get("correlations", []):
         if abs(r) > 0.95:
             out.print(f"{escape(first)} and {escape(second)} are hardly told apart: correlation {r:.3f}")
+    if result.get("scale_error"):
+        out.print(
+            f"the scale is known to {number(100 * result['scale_error'], 2)} %, and so is every force above that was "
+            "told from acceleration: common to all runs of a camera, and not in the ±"
+        )
     out.print(errors([("", result["errors"])]))
 
 

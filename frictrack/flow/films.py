@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from frictrack.tracking.measure import Lesson
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
+COVERED = "the target passes over it"
 NO_REFERENCE = (
     "no fixed reference was found in the picture, so that camera shake stays in the displacement; "
     "reference = [x, y, width, height] names one"
@@ -81,10 +82,33 @@ def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Tra
     if wanted == "none":
         return {}
     if wanted != "auto":
-        return {REFERENCE: track(opened, wanted, name=REFERENCE, progress=work.progress)}
+        made = track(opened, wanted, name=REFERENCE, progress=work.progress)
+        return {REFERENCE: _uncovered(made, target)}
     rectangle = find_reference(opened, target)
-    made = None if rectangle is None else _tried(lambda: track(opened, rectangle, name=REFERENCE))
-    return {} if made is None else {REFERENCE: made}
+    if rectangle is None:
+        return {}
+    found = _tried(lambda: track(opened, rectangle, name=REFERENCE, progress=work.progress))
+    return {} if found is None else {REFERENCE: found}
+
+
+def _uncovered(reference: Track, target: Track) -> Track:
+    """The reference without the frames in which the target passes over it: there it would move with the target."""
+    assert reference.target is not None
+    assert target.target is not None
+    (x, y, w, h), (_, _, width, height) = reference.target, target.target
+    near_x = np.abs(target.x_px - x - (w - 1) / 2) < (w + width) / 2
+    near_y = np.abs(target.y_px - y - (h - 1) / 2) < (h + height) / 2
+    over = near_x & near_y
+    if not np.any(over):
+        return reference
+    gone = np.where(over, np.nan, 0.0)
+    columns = {c: getattr(reference, c) + gone for c in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px")}
+    reason = np.where(over & reference.found, COVERED, reference.reason)
+    note = (
+        f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, which tell nothing of shake; "
+        "choose a rectangle beside its path"
+    )
+    return replace(reference, **columns, reason=reason, notes=(*reference.notes, note))
 
 
 def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Track]:
@@ -138,7 +162,7 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
     clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked)
     unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     return calibrate(
-        replace(clean, notes=(*track.notes, *notes, *unseen)),
+        replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
         plane,
         axis=run.axis,
         origin_px=run.origin_px,

@@ -112,7 +112,12 @@ class Session:
         group, spec = self._first(asked) if not self.tried.groups else self.tried.current()
         if replace(spec, **asked) != spec:
             group, _ = self.tried.append(replace(spec, **asked))
-        return self._summary(group)
+        return {**self._summary(group), "scale_error": self._scale_error()}
+
+    def _scale_error(self) -> float:
+        """Relative standard deviation that the scale adds to every force told from acceleration, all runs alike."""
+        told = [run for run in self.tried.runs if run.drive is None and run.friction_N is None]
+        return max((run.displacement.relative_scale_error for run in told), default=0.0)
 
     def _first(self, asked: dict[str, Any]) -> tuple[str, Spec]:
         """The study file's model comes first, even where another one is asked for."""

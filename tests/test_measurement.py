@@ -1,0 +1,246 @@
+"""From a rendered film to its displacement: camera shake, faults of the time base, and what is said of them."""
+
+from __future__ import annotations
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+from frictrack import recording
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, films, open_study
+from frictrack.flow.quality import retimed
+from frictrack.records import Track
+from frictrack.simulate.scene import film_scene, read_scene
+from frictrack.tracking.timing import Slip
+
+SCENE = """
+name = "one slide"
+mass = 0.35
+format = "tif"
+[law.coulomb]
+F_c = 8.0
+[camera]
+fps = 4000
+width = 320
+height = 96
+{camera}
+[target]
+width = 60
+height = 44
+[[run]]
+name = "v3"
+v = 3.0
+frames = 120
+"""
+SHAKE = "shake_x = {amplitude = 0.5, frequency = 87}\nshake_y = {amplitude = 0.3, frequency = 61}"
+
+
+def filmed(folder, camera=""):
+    """A film and its true displacement, m."""
+    film_scene(read_scene(SCENE.format(camera=camera)), folder)
+    return np.array(json.loads((folder / "truth.json").read_text())["runs"][0]["x_m"])
+
+
+def refilmed(folder, frames):
+    """The same film with its frames in another order."""
+    pictures = tifffile.imread(folder / "v3.tif")[frames]
+    tifffile.imwrite(folder / "v3.tif", pictures, photometric="minisblack")
+
+
+def worked(folder, keys=""):
+    """The run of the study with further keys."""
+    path = folder / "study.toml"
+    path.write_text(path.read_text().split("# further\n")[0] + f"# further\n{keys}\n")
+    return Session(open_study(path)).runs[0]
+
+
+def error_um(displacement, x):
+    """Rms of displacement minus truth, whatever the origin."""
+    off = (displacement.x - x)[displacement.valid]
+    return 1e6 * float(np.std(off))
+
+
+def said(displacement, words):
+    return [note for note in displacement.notes if words in note]
+
+
+# ---- the fixed reference
+
+
+def test_camera_shake_is_found_and_taken_out(tmp_path):
+    """Shake of 175 um is left as less than the noise of the target adds: 1.1 um where a still film has 0.9."""
+    x = filmed(tmp_path, SHAKE)
+    work = worked(tmp_path)
+    d = work.get("displacement")
+    with_shake = worked(tmp_path, 'reference = "none"').get("displacement")
+    assert error_um(with_shake, x) > 100
+    assert error_um(d, x) < 1.6
+    assert np.nanmedian(d.sigma_x) > np.nanmedian(with_shake.sigma_x)
+    (note,) = said(d, "camera shake")
+    assert note.startswith("camera shake of 0.3")
+    assert "strongest at 8" in note
+    assert 'reference = "none"' in note
+    assert not said(with_shake, "shake")
+    with h5py.File(work.path) as file:
+        assert {"reference", "backward"} >= set(file["tracks"])
+
+
+def test_a_still_film_is_as_it_was(tmp_path):
+    x = filmed(tmp_path)
+    d = worked(tmp_path).get("displacement")
+    without = worked(tmp_path, 'reference = "none"').get("displacement")
+    assert error_um(d, x) == pytest.approx(error_um(without, x), rel=0.01)
+    np.testing.assert_allclose(d.sigma_x, without.sigma_x)
+    assert said(d, "no camera shake: the fixed reference [")
+    named = worked(tmp_path, "reference = [264, 10, 48, 40]").get("displacement")
+    assert said(named, "no camera shake: the fixed reference [264, 10, 48, 40]")
+
+
+def test_a_reference_that_the_target_passes_over_does_not_move_with_it(tmp_path):
+    x = filmed(tmp_path)
+    work = worked(tmp_path, "reference = [220, 10, 48, 40]")
+    d = work.get("displacement")
+    reference = work.get("tracks")["reference"]
+    assert reference.reason[-1] == films.COVERED
+    assert 80 < reference.found.sum() < 119
+    assert said(d, f"the target passes over the fixed reference in {120 - reference.found.sum()} frames")
+    assert said(d, "no camera shake")
+    assert error_um(d, x) < 1.6
+    assert d.valid.all()
+
+
+# ---- faults of the time base that no stamp tells of
+
+
+def test_missing_and_doubled_frames_are_told_by_the_motion(tmp_path):
+    x = filmed(tmp_path)
+    frames = [i for i in range(120) if i not in (40, 80, 81)]
+    frames.insert(20, 19)  # frame 20 of the film is frame 19 once more
+    refilmed(tmp_path, frames)
+    d = worked(tmp_path, 'reference = "none"').get("displacement")
+    shown = np.rint(d.t * 4000).astype(int)
+    assert shown.tolist() == [i for i in range(120) if i not in (40, 80, 81)]
+    assert error_um(d, x[shown]) < 1.5
+    assert said(d, "1 frame is doubled, told by the motion: frame 20; left out")
+    assert said(d, "3 frames are missing, told by the motion: before frames 41, 80; left as gaps in time")
+    assert len(worked(tmp_path, 'reference = "none"').get("motion")) == 117
+
+
+def test_a_sound_film_keeps_its_times(tmp_path):
+    x = filmed(tmp_path)
+    d = worked(tmp_path, 'reference = "none"').get("displacement")
+    assert len(d) == len(x)
+    assert not said(d, "told by the motion")
+
+
+def test_the_cameras_own_stamps_are_believed(tmp_path, monkeypatch):
+    filmed(tmp_path)
+    refilmed(tmp_path, [i for i in range(120) if i != 40])
+    work = worked(tmp_path, 'reference = "none"')
+    work.recording.clocked = True
+    assert len(work.get("displacement")) == 119
+    np.testing.assert_allclose(np.diff(work.get("displacement").t), 1 / 4000)
+    assert not said(work.get("displacement"), "told by the motion")
+
+
+def test_times_are_moved_and_frames_left_out():
+    n = 12
+    one = np.ones(n)
+    track = Track(np.arange(n) / 1000, np.arange(n) * 1.0, one, one, one, one, one, np.full(n, ""))
+    made = retimed(track, (Slip(3, 2, 9.0), Slip(6, -1, 9.0), Slip(9, 0, 9.0)))
+    np.testing.assert_allclose(1000 * made.t, [0, 1, 2, 5, 6, 7, 8, 9, 10, 11, 12])
+    assert made.x_px[[5, 6]].tolist() == [5, 7]  # frame 6 was put in
+    assert np.flatnonzero(~made.found).tolist() == [8]
+    assert made.reason[8] == "the frame before once more"
+    assert retimed(track, ()) is track
+
+
+# ---- what is done with the film
+
+
+def test_a_compressed_film_is_decoded_once(tmp_path, monkeypatch):
+    filmed(tmp_path)
+    text = (tmp_path / "study.toml").read_text()
+    (tmp_path / "study.toml").write_text(text.replace("v3.tif", "v3.avi"))
+    from frictrack.simulate.film import write_film  # noqa: PLC0415
+
+    write_film(tifffile.imread(tmp_path / "v3.tif"), tmp_path / "v3.avi", 4000)
+    passes = []
+    read = recording.Video._read
+
+    def counted(film, indices):
+        listed = list(indices)
+        passes.append(len(listed))
+        return read(film, listed)
+
+    monkeypatch.setattr(recording.Video, "_read", counted)
+    Session(open_study(tmp_path / "study.toml")).measure("track", overlay=True)
+    assert [n for n in passes if n > 1] == [120]
+    assert (tmp_path / "study_results" / "v3_overlay.avi").stat().st_size > 10_000
+
+
+def test_a_target_by_a_click_a_rectangle_and_a_picture(tmp_path):
+    import cv2  # noqa: PLC0415
+
+    filmed(tmp_path)
+    found = worked(tmp_path).get("track")
+    x, y, w, h = (int(v) for v in found.target)
+    cv2.imwrite(str(tmp_path / "block.png"), tifffile.imread(tmp_path / "v3.tif")[30][:, : 2 * w])
+    picture = tifffile.imread(tmp_path / "v3.tif")[0][y : y + h, x : x + w]
+    cv2.imwrite(str(tmp_path / "block.png"), picture)
+    keys = {}
+    for text in (f"target = [{x + w // 2}, {y + h // 2}]", f"target = [{x}, {y}, {w}, {h}]", 'target = "block.png"'):
+        work = worked(tmp_path, text)
+        keys[text] = work.key("track")
+        assert np.ptp(work.get("track").x_px) == pytest.approx(np.ptp(found.x_px), abs=0.05)
+    cv2.imwrite(str(tmp_path / "block.png"), picture[2:])
+    keys["another picture"] = worked(tmp_path, 'target = "block.png"').key("track")
+    assert len(set(keys.values())) == 4
+
+
+def test_further_targets_are_shown_and_stored(tmp_path):
+    filmed(tmp_path)
+    work = worked(tmp_path, "targets = {course = [240, 72, 64, 20]}")
+    tracks = work.get("tracks")
+    assert set(tracks) == {"course", "reference", "backward"}
+    assert [t.name for t in films.beside(tracks)] == ["course", "reference"]
+    assert np.nanstd(tracks["course"].x_px) < 0.05
+
+
+def test_a_board_that_is_none_is_said_before_the_film_is_gone_through(tmp_path, monkeypatch):
+    import cv2  # noqa: PLC0415
+
+    filmed(tmp_path)
+    cv2.imwrite(str(tmp_path / "board.png"), np.full((96, 320), 128, np.uint8))
+    text = (tmp_path / "study.toml").read_text()
+    board = 'scale = {board = "board.png", squares = [6, 4], square = "10 mm"}'
+    (tmp_path / "study.toml").write_text(text.replace('scale = "0.5 mm/px"', board))
+    monkeypatch.setattr(recording.Tiff, "cut", lambda *given: pytest.fail("the film was gone through"))
+    with pytest.raises(FrictrackError, match=r'run "v3", track: .*board\.png') as caught:
+        worked(tmp_path).get("track")
+    assert "Traceback" not in str(caught.value)
+
+
+# ---- what is said of it
+
+
+def test_the_row_of_a_film(tmp_path):
+    filmed(tmp_path, SHAKE)
+    path = tmp_path / "study.toml"
+    (row,) = Session(open_study(path)).measure("track")["runs"]
+    assert row["found"] == row["frames"] == 120
+    assert row["lost"] == {}
+    assert row["sigma_um"] == pytest.approx(500 * row["sigma_px"])
+    assert 0.001 < row["sigma_px"] < 0.005
+    assert row["forward_backward_px"] < row["sigma_px"]
+    assert row["shake_Hz"] == pytest.approx(87, abs=3)
+    assert row["shake_px"] == pytest.approx(np.hypot(0.5, 0.3) / np.sqrt(2), rel=0.1)
+    assert 0.002 < row["noise_floor_px"] < 0.03
+    assert len(row["reference"]) == 4
+    assert (row["exposure_s"], row["blur_px"], row["overlay"]) == (None, None, None)
+    assert {"what", "value", "verdict"} == set(row["timebase"][0])
+    json.dumps(row, allow_nan=False)
