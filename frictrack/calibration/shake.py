@@ -60,7 +60,7 @@ def shake(reference: Track) -> Shake:
     movement, variance = np.zeros(at.shape), np.zeros(2)
     if np.count_nonzero(reference.found) >= LEAST:
         for axis in range(2):
-            movement[:, axis], variance[axis] = _told(at[:, axis], stated[axis])
+            movement[:, axis], variance[axis] = _told(at[:, axis], reference.t, stated[axis])
     return Shake(
         movement,
         sigma=np.sqrt(variance),
@@ -102,7 +102,7 @@ def _bridged(at: Array, found: Mask) -> Array:
     return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
 
 
-def _told(x: Array, stated: float) -> tuple[Array, float]:
+def _told(x: Array, t: Array, stated: float) -> tuple[Array, float]:
     """Movement along one axis as far as it is more than noise, px, and its variance, px^2.
 
     The noise is at least a quarter of the variance that the tracker states, or a film without noise would shake.
@@ -110,31 +110,33 @@ def _told(x: Array, stated: float) -> tuple[Array, float]:
     window = np.hanning(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2
     noise = max(float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated**2, 1e-20)
-    tones, count = _tones(x, noise)
+    tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
     spectrum = dct(x - tones, norm="ortho")
     gain = _gain(spectrum**2, noise)
     return tones + idct(gain * spectrum, norm="ortho"), noise * (float(gain.mean()) + 3 * count / len(x))
 
 
-def _tones(x: Array, noise: float) -> tuple[Array, int]:
-    """Sum of the steady tones in x (n,) and their number: the strongest first, all fitted again with each new one."""
+def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
+    """Sum of the steady tones in x (n,) and their number: the strongest first, all fitted again with each new one.
+
+    `time` (n,) is in frames; where frames are missing, it has gaps.
+    """
     n, model = len(x), np.zeros(len(x))
     least = 2 * np.log(n / SURE) + 10  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
     found: list[float] = []
     while len(found) < TONES:
         power = np.abs(np.fft.rfft((x - model) * np.hanning(n), 4 * n))
         power[:6] = 0.0  # less than one and a half periods in the film is no tone but a drift
-        fitted, tried = _fitted(x, np.array([*found, float(np.argmax(power)) / (4 * n)]))
+        fitted, tried = _fitted(x, time, np.array([*found, float(np.argmax(power)) / (4 * n)]))
         if float(np.sum((x - model) ** 2) - np.sum((x - fitted) ** 2)) < least * noise:
             break
         model, found = fitted, tried.tolist()
     return model - model.mean(), len(found)
 
 
-def _fitted(x: Array, cycles: Array) -> tuple[Array, Array]:
+def _fitted(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
     """Tones fitted to x (n,) from first frequencies (k,) in cycles per frame: their sum and the frequencies."""
-    k, time = len(cycles), np.arange(len(x)) - (len(x) - 1) / 2
-    model = np.zeros(len(x))
+    k, model = len(cycles), np.zeros(len(x))
     for _ in range(ROUNDS):
         turn = 2 * np.pi * time[:, None] * cycles
         waves = np.concatenate([np.ones((len(x), 1)), np.cos(turn), np.sin(turn)], axis=1)

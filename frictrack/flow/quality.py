@@ -25,18 +25,50 @@ def judged(track: Track, tracks: dict[str, Track], *, clocked: bool) -> tuple[Tr
     Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
     that are missing become gaps, doubled ones are left out.
     """
-    from frictrack.tracking.findings import forward_backward, self_test  # noqa: PLC0415 - tables do without
+    from frictrack.tracking.findings import self_test  # noqa: PLC0415 - tables do without
 
-    clean, notes = steadied(track, tracks.get("reference"))
+    clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked)
     test = self_test(clean)
-    backward = tracks.get("backward")
-    if backward is not None:
-        both = forward_backward(track, backward)
-        notes += (both.words,) if both.only_one or both.in_sigma > DEPENDS else ()
     told = tuple(note for note in test.notes if "told by the motion" not in note)
-    if clocked:
-        return clean, (*notes, *told)
-    return retimed(clean, test.slips), (*notes, *told, *_corrected(test.slips))
+    timing = _doubted(test.slips) if clocked else _corrected(slips)
+    return clean, (*notes, *_both_ways(track, tracks.get("backward")), *told, *timing)
+
+
+def _clean(track: Track, reference: Track | None, *, clocked: bool) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
+    """The track without shake and with true times, what was done about shake, and the faults of the time base.
+
+    These are sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
+    """
+    from frictrack.tracking.timing import slips  # noqa: PLC0415
+
+    found = () if clocked else slips(_beside(track, reference))
+    right = retimed(track, found)
+    clean, notes = steadied(right, None if reference is None else retimed(reference, found))
+    return clean, notes, found
+
+
+def _beside(track: Track, reference: Track | None) -> Track:
+    """The track less the reference as it was measured, where that shakes."""
+    if reference is None or not shake(reference).seen:
+        return track
+    x, y = (np.nan_to_num(q - np.nanmean(q)) for q in (reference.x_px, reference.y_px))
+    return replace(
+        track,
+        x_px=track.x_px - x,
+        y_px=track.y_px - y,
+        sigma_px=np.hypot(track.sigma_px, np.nanmedian(reference.sigma_px)),
+        sigma_y_px=np.hypot(track.sigma_y_px, np.nanmedian(reference.sigma_y_px)),
+    )
+
+
+def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
+    """What the same film tracked backward says, where the two differ."""
+    from frictrack.tracking.findings import forward_backward  # noqa: PLC0415
+
+    if backward is None:
+        return ()
+    both = forward_backward(forward, backward)
+    return (both.words,) if both.only_one or both.in_sigma > DEPENDS else ()
 
 
 def retimed(track: Track, slips: Sequence[Slip]) -> Track:
@@ -61,6 +93,13 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     return replace(track, **columns)
 
 
+def _doubted(slips: Sequence[Slip]) -> tuple[str, ...]:
+    """The same where the camera's own time stamps say otherwise."""
+    from frictrack.tracking.timing import timing_note  # noqa: PLC0415
+
+    return tuple(f"{note}; the camera's time stamps say otherwise and are believed" for note in timing_note(slips))
+
+
 def _corrected(slips: Sequence[Slip]) -> tuple[str, ...]:
     """The faults of the time base and what was done about them."""
     from frictrack.tracking.timing import timing_note  # noqa: PLC0415
@@ -76,7 +115,7 @@ def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | N
 
     found = track.found
     um = None if pitch is None else 1e6 * pitch
-    clean, _ = steadied(track, tracks.get("reference"))
+    clean, *_ = _clean(track, tracks.get("reference"), clocked=film.clocked)
     locking, history = peak_locking(clean), scores(track)
     both = forward_backward(track, tracks["backward"]) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
