@@ -146,6 +146,8 @@ def _fitted(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
         slope = 2 * np.pi * time[:, None] * (b * np.cos(turn) - a * np.sin(turn))
         step = np.linalg.lstsq(np.concatenate([waves, slope], axis=1), x - model, rcond=1e-9)[0][-k:]
         cycles = np.clip(cycles + np.clip(step, -0.25 / len(x), 0.25 / len(x)), 1 / len(x), 0.5 - 0.5 / len(x))
+        if np.max(np.abs(step)) < 1e-4 / len(x):
+            break
     return model, cycles
 
 

@@ -28,23 +28,21 @@ def judged(track: Track, tracks: dict[str, Track], *, clocked: bool) -> tuple[Tr
     from frictrack.tracking.findings import self_test  # noqa: PLC0415 - tables do without
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked)
-    test = self_test(clean)
-    told = tuple(note for note in test.notes if "told by the motion" not in note)
-    timing = _doubted(test.slips) if clocked else _corrected(slips)
-    return clean, (*notes, *_both_ways(track, tracks.get("backward")), *told, *timing)
+    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
+    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips)))
 
 
 def _clean(track: Track, reference: Track | None, *, clocked: bool) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
-    """The track without shake and with true times, what was done about shake, and the faults of the time base.
+    """The track without shake and with true times, what was done about shake, and what the motion tells of the times.
 
-    These are sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
+    That is sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
     from frictrack.tracking.timing import slips  # noqa: PLC0415
 
-    found = () if clocked else slips(_beside(track, reference))
-    right = retimed(track, found)
-    clean, notes = steadied(right, None if reference is None else retimed(reference, found))
-    return clean, notes, found
+    found = slips(_beside(track, reference))
+    if not clocked:
+        track, reference = retimed(track, found), None if reference is None else retimed(reference, found)
+    return *steadied(track, reference), found
 
 
 def _beside(track: Track, reference: Track | None) -> Track:

@@ -217,9 +217,9 @@ class SelfTest:
     notes: tuple[str, ...]  # only what matters
 
 
-def self_test(track: Track) -> SelfTest:
-    """Peak locking, match scores and faults of the time base, from the track alone."""
-    locking, history, faults = peak_locking(track), scores(track), slips(track)
+def self_test(track: Track, faults: tuple[Slip, ...] | None = None) -> SelfTest:
+    """Peak locking, match scores and faults of the time base (unless they are known), from the track alone."""
+    locking, history, faults = peak_locking(track), scores(track), slips(track) if faults is None else faults
     notes = (*_locking_note(locking, track), *_score_note(history), *timing_note(faults))
     return SelfTest(locking, history, faults, notes)
 
