@@ -268,3 +268,61 @@ def test_formulas_are_set():
 
 def test_commands_in_words_are_set_as_code():
     assert numbers.typed("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
+
+
+# ---- how well the films were measured
+
+
+QUALITY = {
+    "frames": 200, "found": 200, "lost": {}, "sigma_px": 0.002, "sigma_um": 1.0, "score": 0.999, "lowest_score": 0.99,
+    "peak_locking_px": 0.0002, "peak_locking_std_px": 0.0003, "forward_backward_px": 1e-4,
+    "forward_backward_sigmas": 0.05, "reference": [1, 2, 30, 40], "noise_floor_px": 0.01, "noise_floor_um": 5.0,
+    "shake_px": 0.0, "shake_Hz": None, "exposure_s": 5e-5, "blur_px": 0.3,
+    "timebase": [{"what": "frame rate, given", "value": "4000 fps", "verdict": "used"}],
+}  # fmt: skip
+
+
+def measured(**changes):
+    found = results(film=True)
+    runs = [replace(r, quality=QUALITY | (changes if k == 0 else {})) for k, r in enumerate(found.runs)]
+    return replace(found, runs=tuple(runs))
+
+
+def test_a_good_measurement_is_said_in_two_sentences():
+    told = words.measurement(measured().runs)
+    assert [str(s) for s in told] == [
+        "One frame tells the position to 0.0020 px (1.0 µm); something fixed in the same pictures is seen to rest "
+        "within 0.010 px.",
+        "No film speaks against its own measurement.",
+    ]
+    made = tables.measurement(measured().runs)
+    assert made.heads[-2:] == ("exposure / µs", "blur / px")
+    assert made.rows[0][-3:] == ("none", "50.0", "0.30")
+    assert words.measurement(results().runs) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"found": 188}, "the target is lost in 12 of 200 frames"),
+        ({"shake_px": 0.41, "shake_Hz": 87.0}, "the camera shook by 0.41 px at 87.0 Hz, subtracted"),
+        ({"peak_locking_px": 0.002}, "positions are drawn toward a place between the pixels by 0.0020 px"),
+        ({"forward_backward_sigmas": 2.0}, "tracked backward, positions differ by"),
+        ({"blur_px": 1.4}, "it moves 1.4 px while a frame is exposed"),
+        (
+            {"timebase": [{"what": "frame rate, header", "value": "30 fps", "verdict": "disagrees"}]},
+            "frame rate, header: 30 fps, disagrees",
+        ),
+    ],
+)
+def test_the_worst_of_a_measurement_is_said(changes, said, monkeypatch):
+    monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
+    found = measured(**changes)
+    assert said in words.measurement(found.runs)[1]
+    assert said in report.render(found)
+
+
+def test_nothing_fixed_in_the_picture_is_said():
+    found = measured()
+    runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
+    assert "no picture shows something fixed" in words.measurement(runs)[0]
