@@ -78,7 +78,9 @@ def test_a_reference_without_noise_of_its_own():
 
 
 def test_what_is_too_short_is_not_judged():
-    assert not shake(a_track(tone(1.0)[:20])).seen
+    short = a_track(tone(1.0)[:20])
+    assert not shake(short).seen
+    assert "is seen in 20 frames, which are too few to tell camera shake from noise" in steadied(short, short)[1][0]
     with pytest.raises(FrictrackError, match="expected a reference track of 10 frames but got 20"):
         steadied(a_track(np.zeros(10)), a_track(np.zeros(20)))
     assert steadied(a_track(np.zeros(10)), None)[1] == ()

@@ -167,6 +167,11 @@ def _strongest(movement: Array, t: Array) -> float:
 
 
 def _rests(reference: Track, found: Shake) -> str:
+    if np.count_nonzero(reference.found) < LEAST:
+        return (
+            f"the fixed reference {_where(reference)} is seen in {np.count_nonzero(reference.found)} frames, which are "
+            "too few to tell camera shake from noise; nothing is subtracted"
+        )
     x, y = found.floor
     return (
         f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "

@@ -83,12 +83,14 @@ def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Tra
         return {}
     if wanted != "auto":
         made = track(opened, wanted, name=REFERENCE, progress=work.progress)
-        return {REFERENCE: _uncovered(made, target)}
+        return {
+            REFERENCE: _uncovered(replace(made, notes=()), target)
+        }  # what is to be said of the film, the target says
     rectangle = find_reference(opened, target)
     if rectangle is None:
         return {}
     found = _tried(lambda: track(opened, rectangle, name=REFERENCE, progress=work.progress))
-    return {} if found is None else {REFERENCE: found}
+    return {} if found is None else {REFERENCE: replace(found, notes=())}
 
 
 def _uncovered(reference: Track, target: Track) -> Track:
