@@ -14,7 +14,7 @@ from film import Film, block_film, expose, speckle
 
 from frictrack.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
-from frictrack.tracking.find import locate
+from frictrack.tracking.finding.find import locate
 
 
 def error(result, x):

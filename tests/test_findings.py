@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.tracking.findings import forward_backward, key_frames, peak_locking, scores, self_test
+from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
 
 N, SIGMA = 600, 0.002
 K = np.arange(N, dtype=float)

@@ -15,7 +15,7 @@ from frictrack.flow import Session, films, open_study
 from frictrack.flow.quality import retimed
 from frictrack.records import Track
 from frictrack.simulate.scene import film_scene, read_scene
-from frictrack.tracking.timing import Slip
+from frictrack.tracking.checks.timing import Slip
 
 SCENE = """
 name = "one slide"

@@ -10,7 +10,7 @@ from blocks import SHAPE, SLIDE, N, a_film
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import contact_sheet, target_line, track
-from frictrack.tracking.overlay import COLOURS, corners, overlay_video
+from frictrack.tracking.show.overlay import COLOURS, corners, overlay_video
 
 
 def a_track(x, name="target", angle=0.0, lost=()):

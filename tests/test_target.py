@@ -9,8 +9,8 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking.reference import find_reference
-from frictrack.tracking.target import resolve
+from frictrack.tracking.finding.reference import find_reference
+from frictrack.tracking.finding.target import resolve
 
 
 def a_track(x, y=31.5, size=SIZE):

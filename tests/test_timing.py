@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.tracking.timing import corrected, slips, timing_note
+from frictrack.tracking.checks.timing import corrected, slips, timing_note
 
 N = 600
 SIGMA = 0.003

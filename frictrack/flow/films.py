@@ -50,7 +50,7 @@ def recorded(work: RunWork) -> Film:
 def tracked(work: RunWork, film: Film) -> Track:
     """The target's track; a calibration that cannot serve is said before the film is gone through."""
     from frictrack.tracking import learn_target, track  # noqa: PLC0415 - loads OpenCV; tables do without
-    from frictrack.tracking.target import resolve  # noqa: PLC0415
+    from frictrack.tracking.finding import resolve  # noqa: PLC0415
 
     early_plane(work)
     with work.filmed() as opened:
@@ -75,8 +75,7 @@ def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
 
 def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Track]:
     """The track of something fixed: what is named, or what is found; nothing where neither is there."""
-    from frictrack.tracking import track  # noqa: PLC0415
-    from frictrack.tracking.reference import find_reference  # noqa: PLC0415
+    from frictrack.tracking import find_reference, track  # noqa: PLC0415
 
     wanted = work.run.reference
     if wanted == "none":
@@ -179,7 +178,7 @@ def sheet(work: RunWork) -> Path:
 
 def overlaid(work: RunWork) -> Path:
     """Write the film with what was tracked in it, and say where."""
-    from frictrack.tracking.overlay import overlay_video  # noqa: PLC0415
+    from frictrack.tracking import overlay_video  # noqa: PLC0415
 
     with work.filmed() as opened:
         track, tracks = work.get("track"), work.get("tracks")

@@ -14,7 +14,7 @@ from frictrack.records import Track
 from frictrack.results import Film
 
 if TYPE_CHECKING:
-    from frictrack.tracking.timing import Slip
+    from frictrack.tracking.checks.timing import Slip
 
 DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
 
@@ -25,7 +25,7 @@ def judged(track: Track, tracks: dict[str, Track], *, clocked: bool) -> tuple[Tr
     Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
     that are missing become gaps, doubled ones are left out.
     """
-    from frictrack.tracking.findings import self_test  # noqa: PLC0415 - tables do without
+    from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked)
     notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
@@ -37,7 +37,7 @@ def _clean(track: Track, reference: Track | None, *, clocked: bool) -> tuple[Tra
 
     That is sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
-    from frictrack.tracking.timing import slips  # noqa: PLC0415
+    from frictrack.tracking.checks import slips  # noqa: PLC0415
 
     found = slips(_beside(track, reference))
     if not clocked:
@@ -61,7 +61,7 @@ def _beside(track: Track, reference: Track | None) -> Track:
 
 def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
     """What the same film tracked backward says, where the two differ."""
-    from frictrack.tracking.findings import forward_backward  # noqa: PLC0415
+    from frictrack.tracking.checks import forward_backward  # noqa: PLC0415
 
     if backward is None:
         return ()
@@ -74,7 +74,7 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
 
     A doubled frame in place of a lost one is not found; one that was put in is left out.
     """
-    from frictrack.tracking.timing import corrected  # noqa: PLC0415
+    from frictrack.tracking.checks import corrected  # noqa: PLC0415
 
     if not slips:
         return track
@@ -93,14 +93,14 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
 
 def _doubted(slips: Sequence[Slip]) -> tuple[str, ...]:
     """The same where the camera's own time stamps say otherwise."""
-    from frictrack.tracking.timing import timing_note  # noqa: PLC0415
+    from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     return tuple(f"{note}; the camera's time stamps say otherwise and are believed" for note in timing_note(slips))
 
 
 def _corrected(slips: Sequence[Slip]) -> tuple[str, ...]:
     """The faults of the time base and what was done about them."""
-    from frictrack.tracking.timing import timing_note  # noqa: PLC0415
+    from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     doubled = timing_note([s for s in slips if s.doubled])
     missing = timing_note([s for s in slips if not s.doubled])
@@ -109,7 +109,7 @@ def _corrected(slips: Sequence[Slip]) -> tuple[str, ...]:
 
 def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
     """Numbers on one film's measurement; `pitch` is that of the displacement, m, None where there is none."""
-    from frictrack.tracking.findings import forward_backward, peak_locking, scores  # noqa: PLC0415
+    from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
 
     found = track.found
     um = None if pitch is None else 1e6 * pitch

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording, opened
 from frictrack.records import Array, Track
-from frictrack.tracking.findings import key_frames
+from frictrack.tracking.checks import key_frames
+from frictrack.tracking.finding import Target, resolve
 from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
-from frictrack.tracking.target import Target, resolve
 
 Progress = Callable[[int, int, str], None]
 

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.ndimage import shift
 
 from frictrack.records import Array, Track
+from frictrack.tracking.finding.scene import Picture
 from frictrack.tracking.match import correlate
-from frictrack.tracking.scene import Picture
 
 REACH = 0.25  # of the target's sides: the furthest that two rectangles may differ
 SAME_BODY = 0.8  # correlation below which the two bodies are taken for different ones

@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 from scipy.stats import chi2
 
 from frictrack.records import Array, Mask, Track
-from frictrack.tracking.timing import Slip, slips, timing_note
+from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
 SMOOTH = 15  # frames of the local cubic about which residuals are taken
 HARMONICS = 2

@@ -14,7 +14,7 @@ from matplotlib.patches import Polygon, Rectangle
 
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
-from frictrack.tracking.overlay import corners
+from frictrack.tracking.show.overlay import corners
 
 FRAMES = 5  # and one panel for the target itself
 MARK, PATH = "#ff9f1c", "#2ec4ff"

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
-from frictrack.tracking.find import Body, drawn, locate, moving, pursue
+from frictrack.tracking.finding.find import Body, drawn, locate, moving, pursue
+from frictrack.tracking.finding.scene import Scene, sample
 from frictrack.tracking.match import Rectangle, correlate
-from frictrack.tracking.scene import Scene, sample
 
 Target = Sequence[float] | NDArray[Any] | str | Path | None
 

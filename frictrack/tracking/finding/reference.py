@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
+from frictrack.tracking.finding.scene import Picture, Scene, light, read, sample
 from frictrack.tracking.match import Rectangle
-from frictrack.tracking.scene import Picture, Scene, light, read, sample
 
 FRAMES = 9
 SIZES = (  # h, w px; where the body sweeps past, only narrow strips are left

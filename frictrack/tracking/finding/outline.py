@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
+from frictrack.tracking.finding.scene import LOOKS, Picture, Scene, behind_of, read, tidy, window
 from frictrack.tracking.match import Rectangle, correlate, vertex
-from frictrack.tracking.scene import LOOKS, Picture, Scene, behind_of, read, tidy, window
 
 ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
 STEADY = 6  # times the body's own noise variance above which a pixel is not the body's

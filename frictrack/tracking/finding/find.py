@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
+from frictrack.tracking.finding.outline import outline
+from frictrack.tracking.finding.scene import Blob, Picture, Scene, sample, without
 from frictrack.tracking.match import Rectangle, correlate, vertex
-from frictrack.tracking.outline import outline
-from frictrack.tracking.scene import Blob, Picture, Scene, sample, without
 
 LEAST_TRAVEL = 1.5  # px
 MATCH = 0.6

@@ -1,0 +1,6 @@
+"""The track to look at: a contact sheet, a film with the rectangle drawn in."""
+
+from frictrack.tracking.show.overlay import overlay_video
+from frictrack.tracking.show.sheet import contact_sheet, target_line
+
+__all__ = ["contact_sheet", "overlay_video", "target_line"]
