@@ -18,6 +18,7 @@ from frictrack.errors import FrictrackError
 from frictrack.records import Array, Mask, Track
 
 SURE = 1e-3  # probability that noise alone is taken for shake, over all frequencies of an axis
+KNOWN = 5.0  # times its own uncertainty, that shake must be before it is subtracted
 WIDTH = 5  # frequencies over which the spectrum is smoothed; each has one degree of freedom (real cosines)
 LEAST = 32  # frames in which the reference must be found
 TONES = 6  # steady tones fitted at most, along each axis
@@ -45,7 +46,7 @@ class Shake:
 
 
 def shake(reference: Track) -> Shake:
-    """Shake told by the track of something fixed; none where it moves no more than its own noise.
+    """Shake told by the track of something fixed; none where it moves hardly more than its own noise.
 
     For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
     would not make such a one in a thousand films; so do, in what they leave, the cosines (reflecting ends: a drift
@@ -113,7 +114,11 @@ def _told(x: Array, t: Array, stated: float) -> tuple[Array, float]:
     tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
     spectrum = dct(x - tones, norm="ortho")
     gain = _gain(spectrum**2, noise)
-    return tones + idct(gain * spectrum, norm="ortho"), noise * (float(gain.mean()) + 3 * count / len(x))
+    movement = tones + idct(gain * spectrum, norm="ortho")
+    variance = noise * (float(gain.mean()) + 3 * count / len(x))
+    # Shake that is half known, half subtracted, is neither a tone any more nor gone.
+    known = float(np.std(movement)) > KNOWN * np.sqrt(variance)
+    return (movement, variance) if known else (np.zeros(len(x)), 0.0)
 
 
 def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
@@ -175,7 +180,7 @@ def _rests(reference: Track, found: Shake) -> str:
     x, y = found.floor
     return (
         f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "
-        f"(rms), which is no more than white noise (p > {SURE:g}); nothing is subtracted"
+        f"(rms), of which nothing stands out of its noise well enough to be subtracted"
     )
 
 
