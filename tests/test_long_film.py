@@ -25,13 +25,14 @@ EffectiveBit Side : Lower
 File Format : MRaw
 """
 
-TRACKER = """
-import resource, sys
+TRACKER = r"""
+import re, sys
 import numpy as np
 import frictrack as ft
 
 track = ft.track(ft.open_recording(sys.argv[1]), [24, 1012, 44, 28])
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+with open("/proc/self/status") as status:  # the peak of getrusage starts with that of the parent
+    peak = int(re.search(r"VmHWM:\s+(\d+)", status.read())[1]) / 1024
 truth = np.load(sys.argv[2])
 off = track.x_px - truth
 print(int(track.found.sum()), float(np.nanstd(off)), peak)

@@ -84,3 +84,22 @@ def test_what_is_too_short_is_not_judged():
     with pytest.raises(FrictrackError, match="expected a reference track of 10 frames but got 20"):
         steadied(a_track(np.zeros(10)), a_track(np.zeros(20)))
     assert steadied(a_track(np.zeros(10)), None)[1] == ()
+
+
+def test_small_shake_may_be_left_in():
+    """What other films of the study would not show is left to the diagnosis, and said."""
+    reference = a_track(tone(0.02), name="reference", target=(8.0, 9.0, 32.0, 24.0))
+    track = a_track(np.arange(N) * 0.3, sigma=0.001)
+    assert shake(reference).seen
+    steady, notes = steadied(track, reference, least=0.02)
+    assert steady is track
+    assert notes[0].startswith(
+        "camera shake of 0.014 px (rms) is told by the fixed reference [8, 9, 32, 24] and left in"
+    )
+    assert notes[0].endswith("reference = [8, 9, 32, 24] subtracts it")
+
+
+def test_shake_that_is_half_known_is_not_subtracted():
+    for seed in range(20):
+        found = shake(a_track(tone(0.004), seed=seed))
+        assert not found.seen or np.std(found.movement[:, 0]) > 5 * found.sigma[0]

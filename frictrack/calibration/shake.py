@@ -38,6 +38,7 @@ class Shake:
     size: Array
     floor: Array
     frequency: float | None
+    left_in: float = 0.0  # px
 
     @property
     def seen(self) -> bool:
@@ -45,12 +46,13 @@ class Shake:
         return self.frequency is not None
 
 
-def shake(reference: Track) -> Shake:
+def shake(reference: Track, least: float = 0.0) -> Shake:
     """Shake told by the track of something fixed; none where it moves hardly more than its own noise.
 
     For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
     would not make such a one in a thousand films; so do, in what they leave, the cosines (reflecting ends: a drift
     leaks little) whose mean power over five neighbours is above what noise alone reaches. Lost frames are bridged.
+    Shake smaller than `least` px (rms) is none, and its size is told by `left_in`.
     Raises `FrictrackError` for a reference that is found in no frame.
     """
     if not np.any(reference.found):
@@ -58,30 +60,36 @@ def shake(reference: Track) -> Shake:
     at = _bridged(np.stack([reference.x_px, reference.y_px], axis=1), reference.found)
     at = at - at.mean(axis=0)
     stated = [float(np.nanmedian(s)) for s in (reference.sigma_px, reference.sigma_y_px)]
-    movement, variance = np.zeros(at.shape), np.zeros(2)
+    movement, variance, left_in = np.zeros(at.shape), np.zeros(2), 0.0
     if np.count_nonzero(reference.found) >= LEAST:
         for axis in range(2):
-            movement[:, axis], variance[axis] = _told(at[:, axis], reference.t, stated[axis])
+            told, error = _told(at[:, axis], reference.t, stated[axis])
+            if np.std(told) >= least:
+                movement[:, axis], variance[axis] = told, error
+            else:
+                left_in = max(left_in, float(np.std(told)))
     return Shake(
         movement,
         sigma=np.sqrt(variance),
         size=np.std(movement, axis=0),
         floor=np.sqrt(np.mean((at - movement)[reference.found] ** 2, axis=0)),
         frequency=_strongest(movement, reference.t) if np.any(variance) else None,
+        left_in=left_in,
     )
 
 
-def steadied(track: Track, reference: Track | None) -> tuple[Track, tuple[str, ...]]:
+def steadied(track: Track, reference: Track | None, least: float = 0.0) -> tuple[Track, tuple[str, ...]]:
     """The track without the camera's shake, and in words what was done; as it is without a reference.
 
-    The uncertainty that the reference adds goes into sigma. Where shake is subtracted and the reference was lost,
-    the track is unknown. Raises `FrictrackError` where the two are not of one film.
+    Shake smaller than `least` px (rms) is left in. The uncertainty that the reference adds goes into sigma. Where
+    shake is subtracted and the reference was lost, the track is unknown. Raises `FrictrackError` where the two are
+    not of one film.
     """
     if reference is None:
         return track, ()
     if len(reference) != len(track):
         raise FrictrackError(f"expected a reference track of {len(track)} frames but got {len(reference)}")
-    found = shake(reference)
+    found = shake(reference, least)
     if not found.seen:
         return track, (*reference.notes, _rests(reference, found))
     gone = np.where(reference.found, 0.0, np.nan)
@@ -176,6 +184,12 @@ def _rests(reference: Track, found: Shake) -> str:
         return (
             f"the fixed reference {_where(reference)} is seen in {np.count_nonzero(reference.found)} frames, which are "
             "too few to tell camera shake from noise; nothing is subtracted"
+        )
+    if found.left_in:
+        x, y, w, h = (round(v) for v in reference.target or (0, 0, 0, 0))
+        return (
+            f"camera shake of {found.left_in:.2g} px (rms) is told by the fixed reference {_where(reference)} and "
+            f"left in: other films may not show so little; reference = [{x}, {y}, {w}, {h}] subtracts it"
         )
     x, y = found.floor
     return (

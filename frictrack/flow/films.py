@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
 COVERED = "the target passes over it"
+# What every reference that is found by itself shows. Less would be taken out of some films of a study and stay in
+# others, where the diagnosis then could not tell it from a vibration of the course.
+LEAST_SHAKE = 0.02  # px, rms
 NO_REFERENCE = (
     "no fixed reference was found in the picture, so that camera shake stays in the displacement; "
     "reference = [x, y, width, height] names one"
@@ -160,7 +163,8 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
     run, anchor = work.run, work.anchor
     plane = early_plane(work) or plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
     seen = aligned(track, anchor.get("track")) if anchor else track
-    clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked)
+    least = LEAST_SHAKE if run.reference == "auto" else 0.0
+    clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked, least=least)
     unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     return calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),

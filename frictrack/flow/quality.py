@@ -19,20 +19,24 @@ if TYPE_CHECKING:
 DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
 
 
-def judged(track: Track, tracks: dict[str, Track], *, clocked: bool) -> tuple[Track, tuple[str, ...]]:
-    """The track without camera shake and with true times, and what is to be said of the measurement.
+def judged(
+    track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
+) -> tuple[Track, tuple[str, ...]]:
+    """The track without camera shake (of at least `least` px) and with true times, and what is to be said of it.
 
     Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
     that are missing become gaps, doubled ones are left out.
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
-    clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked)
+    clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
     notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
     return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips)))
 
 
-def _clean(track: Track, reference: Track | None, *, clocked: bool) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
+def _clean(
+    track: Track, reference: Track | None, *, clocked: bool, least: float = 0.0
+) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
     """The track without shake and with true times, what was done about shake, and what the motion tells of the times.
 
     That is sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
@@ -42,7 +46,7 @@ def _clean(track: Track, reference: Track | None, *, clocked: bool) -> tuple[Tra
     found = slips(_beside(track, reference))
     if not clocked:
         track, reference = retimed(track, found), None if reference is None else retimed(reference, found)
-    return *steadied(track, reference), found
+    return *steadied(track, reference, least), found
 
 
 def _beside(track: Track, reference: Track | None) -> Track:
