@@ -160,7 +160,7 @@ class Follower:
                 done, calm = self._batch(frames, path, result)
                 i += done
                 batch = int(np.clip(batch * 2 if calm else batch // 2, *BATCH))
-                if done == len(frames):
+                if done:  # what was found foretells the rest better
                     continue
             if not self._covered(int(order[i]), path, result):
                 self._search(int(order[i]), path, result)

@@ -42,9 +42,8 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
         good = _teaches(fine, template)
         if np.count_nonzero(good) < 3:
             break
-        corner, cuts, fine = corner[good], cuts[good], fine[good]
-        share, scene = (None if v is None else v[good] for v in (share, scene))
-        template = learn(_seen(cuts, corner, fine, view), fine, template, scene, share)
+        part = (None if v is None else v[good] for v in (scene, share))
+        template = learn(_seen(cuts[good], corner[good], fine[good], view), fine[good], template, *part)
         fine, share = measure(cuts, corner, fine, Lesson(template, view))
         if view is None and k >= ROUNDS - 1:
             break
