@@ -1,7 +1,13 @@
 """How well displacement is differentiated twice: frictrack and other methods on signals of known truth, side by side.
 
     python pipelines/benchmarks/derivatives [--signals vib,coll] [--noises 2,10,50] [--seeds 8] [--methods WORD,WORD]
-                                            [--json FILE]
+                                            [--json FILE] [--peers-python PATH | --no-peers]
+
+Peers live in an environment of their own; what is not installed is left out. Most take long and run on one record of
+each kind; `own`: settings by PyNumDiff's `optimize` with a band limit fed by hand, `oracle`: with the true derivative.
+
+    python -m venv peers && peers/bin/pip install pynumdiff cvxpy
+    python pipelines/benchmarks/derivatives --peers-python peers/bin/python
 
 Columns: RMS error of the acceleration (m/s^2) over the whole record, ends included; the same over that of the Wiener
 filter that knows the true spectrum; in mid-course, in the first and the last 5 % of the record; within 2 ms of a jump
@@ -21,7 +27,8 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from derivatives import SIGNALS, run  # noqa: E402 - found only now
+from derivatives import SIGNALS, others, run  # noqa: E402 - found only now
+from derivatives.plan import Plan  # noqa: E402
 
 
 def main() -> None:
@@ -30,12 +37,22 @@ def main() -> None:
     parser.add_argument("--noises", default="2,10,50", help="standard deviations of white noise in um")
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--methods", default="", help="only those whose name contains one of these words")
+    parser.add_argument("--peers-python", default=sys.executable, help="python of the environment with the peers")
+    parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--peer-seeds", type=int, default=1)
+    parser.add_argument("--peer-seconds", type=int, default=45, help="CPU seconds of one peer on one record")
     parser.add_argument("--json", type=Path, help="file for all figures")
     args = parser.parse_args()
     noises = [1e-6 * float(noise) for noise in args.noises.split(",")]
-    wanted = [word for word in args.methods.split(",") if word]
+    words = [word for word in args.methods.split(",") if word]
+    python = None if args.no_peers else args.peers_python
+    if python and (absent := others.missing(python)):
+        print(f"not installed and left out: {', '.join(absent)}; see --peers-python")
+        python = None if "pynumdiff" in absent else python
+    plan = Plan(args.signals.split(","), noises, args.seeds, words, python, args.peer_seeds, args.peer_seconds)
     print(*(f"{name} {version}" for name, version in run.machine().items()), sep=", ")
-    results = run.compare(args.signals.split(","), noises, args.seeds, wanted, lambda text: print(text, flush=True))
+    results = run.compare(plan, lambda text: print(text, flush=True))
+    print(run.overview(results))
     if args.json:
         args.json.write_text(json.dumps({"machine": run.machine(), "accuracy": results}, indent=1), encoding="utf-8")
 

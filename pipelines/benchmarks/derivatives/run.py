@@ -7,6 +7,7 @@ import math
 import platform
 import time
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ import numpy as np
 import frictrack as ft
 from frictrack.errors import FrictrackError
 
-from . import ours
+from . import bayes, classics, others, ours
 from .bounds import cramer_rao, wiener
 from .estimate import Estimate, Method
 from .measures import judge, summary
+from .plan import Plan
 from .signals import Array, Signal, signal
 
 Say = Callable[[str], None]
 Rows = dict[str, dict[str, Any]]  # method -> figures
+Results = dict[str, dict[str, Rows]]  # signal -> noise -> method
 WIENER = "Wiener (oracle)"
 COLUMNS = {
     "a": ("a", 1, 4),
@@ -43,7 +46,7 @@ COLUMNS = {
 
 def methods(truth: Signal, noise: float) -> dict[str, Method]:
     """All methods that run here, the oracles fed with the truth."""
-    return {WIENER: wiener(truth, noise)} | ours.methods(noise)
+    return {WIENER: wiener(truth, noise)} | ours.methods(noise) | bayes.methods() | classics.methods(truth)
 
 
 def measured(truth: Signal, noise: float, seed: int) -> Array:
@@ -81,10 +84,10 @@ def bounds(truth: Signal, noise: float) -> Rows:
 def table(name: str, noise: float, rows: Rows) -> str:
     """One signal at one noise, a method per line."""
     shown = {title: c for title, c in COLUMNS.items() if any(math.isfinite(r.get(c[0], np.nan)) for r in rows.values())}
-    lines = [f"\n{name}, {1e6 * noise:g} um\n{'':32}" + " ".join(f"{title:>8}" for title in shown)]
+    lines = [f"\n{name}, {1e6 * noise:g} um\n{'':34}" + " ".join(f"{title:>8}" for title in shown)]
     for method, figures in rows.items():
         cells = (_cell(figures.get(key, np.nan), scale, digits) for key, scale, digits in shown.values())
-        lines.append(f"{method:32}" + figures.get("fault", " ".join(f"{cell:>8}" for cell in cells)))
+        lines.append(f"{method:34}" + figures.get("fault", " ".join(f"{cell:>8}" for cell in cells)))
     return "\n".join(lines)
 
 
@@ -92,22 +95,57 @@ def _cell(value: float, scale: float, digits: int) -> str:
     return f"{value * scale:.{digits}g}" if math.isfinite(value) else "-"
 
 
-def compare(names: Sequence[str], noises: Sequence[float], seeds: int, wanted: Sequence[str], say: Say) -> Any:
-    """Figures signal -> noise -> method; only methods whose name contains a wanted word, and the bounds."""
-    results: dict[str, dict[str, Rows]] = {}
-    for name in names:
+def compare(plan: Plan, say: Say) -> Results:
+    """Figures of all methods wanted and the bounds, on every signal at every noise."""
+    results: Results = {}
+    for name, noise in product(plan.signals, plan.noises):
         truth = signal(name)
-        for noise in noises:
-            rows = bounds(truth, noise)
-            for title, method in methods(truth, noise).items():
-                if title == WIENER or not wanted or any(word.lower() in title.lower() for word in wanted):
-                    rows[title] = row(method, truth, noise, seeds)
-            best = rows[WIENER]["a"]
-            for figures in rows.values():
-                figures["over_wiener"] = figures.get("a", np.nan) / best
-            results.setdefault(name, {})[f"{1e6 * noise:g} um"] = rows
-            say(table(name, noise, rows))
+        rows = bounds(truth, noise) | _here(plan, truth, noise) | _elsewhere(plan, truth, noise)
+        for figures in rows.values():
+            figures["over_wiener"] = figures.get("a", np.nan) / rows[WIENER]["a"]
+        results.setdefault(name, {})[f"{1e6 * noise:g} um"] = rows
+        say(table(name, noise, rows))
     return results
+
+
+def _here(plan: Plan, truth: Signal, noise: float) -> Rows:
+    """Methods of this Python; the Wiener filter is always one of them."""
+    return {
+        title: row(method, truth, noise, plan.seeds)
+        for title, method in methods(truth, noise).items()
+        if title == WIENER or plan.wants(title)
+    }
+
+
+def _elsewhere(plan: Plan, truth: Signal, noise: float) -> Rows:
+    """Peers of the other Python, on few records, because most take long."""
+    rows: Rows = {}
+    records = [measured(truth, noise, seed) for seed in range(min(plan.seeds, plan.peer_seeds))]
+    for method, choice in product(others.METHODS, others.CHOICES) if plan.python else ():
+        title = f"PyNumDiff {method} {choice}"
+        if plan.wants(title):
+            rows[title] = _judge_peer(truth, [others.peer(plan, truth, y, method, choice) for y in records])
+    return rows
+
+
+def _judge_peer(truth: Signal, found: Sequence[tuple[Estimate, float] | str]) -> dict[str, Any]:
+    faults = [one for one in found if isinstance(one, str)]
+    if faults:
+        return {"fault": faults[0]}
+    estimates, seconds = zip(*found, strict=True)
+    return judge(truth, estimates, seconds)
+
+
+def overview(results: Results) -> str:
+    """RMS error of the acceleration of every method on every signal."""
+    cells = {(name, noise): rows for name, noises in results.items() for noise, rows in noises.items()}
+    titles = dict.fromkeys(title for rows in cells.values() for title in rows)
+    head = "".join(f"{name + ' ' + noise.split()[0]:>12}" for name, noise in cells)
+    lines = [f"\n{'RMS error of a, m/s^2; noise um':34}{head}"]
+    for title in titles:
+        values = (_cell(rows.get(title, {}).get("a", np.nan), 1, 3) for rows in cells.values())
+        lines.append(f"{title:34}" + "".join(f"{value:>12}" for value in values))
+    return "\n".join(lines)
 
 
 def machine() -> dict[str, str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ class Signal(NamedTuple):
     v: Array
     a: Array
     events: tuple[float, ...] = ()  # s, where acceleration jumps or kinks
-    parameters: Parameters = {}  # what the parametric model has to find, if it is known
+    parameters: Parameters = MappingProxyType({})  # what the parametric model has to find, if it is known
     model: Callable[[Parameters, Array], Path] | None = None  # the motion at times t for given parameters
 
 
