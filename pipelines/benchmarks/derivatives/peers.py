@@ -28,6 +28,11 @@ METHODS = (
     "rtsdiff",
     "tvrdiff",
 )
+# Their whole search space takes minutes; with this part of it they come back in time.
+NARROWED = {
+    "rtsdiff": {"order": 3, "forwardbackward": False, "log_qr_ratio": [1.0, 5.0, 9.0, 13.0, 17.0]},
+    "tvrdiff": {"order": 3, "huberM": 6.0, "gamma": [1e-2, 1.0, 1e2]},
+}
 
 
 def main() -> None:
@@ -41,10 +46,10 @@ def main() -> None:
     method, record = getattr(pynumdiff, job["method"]), np.load(job["file"])
     interval = float(record["t"][1] - record["t"][0])
     start, made, settings = time.process_time(), record["y"], []
-    passes = []
+    passes, part = [], NARROWED.get(job["method"], {})
     for truth in ("v", "a"):
         hint = {"bandlimit": job["band"]} if job["band"] else {"dxdt_truth": record[truth]}
-        chosen, _ = optimize(method, made, interval, parallel=False, **hint)
+        chosen, _ = optimize(method, made, interval, parallel=False, search_space_updates=part, **hint)
         smooth, made = method(made, interval, **chosen)
         passes.append((smooth, made))
         settings.append({k: v if isinstance(v, str | bool) else float(v) for k, v in chosen.items()})

@@ -26,7 +26,7 @@ LONGEST = 1000  # frames
 # Friction f_c + (f_s - f_c) exp(-v/v_s) + f_v v in N; 5.75 m/s is left after 0.17 s.
 SLIDE = {"x": 0.0, "v": 5.75, "fc": 8.0, "fs": 14.0, "fv": 1.2, "vs": 0.4}
 LINE = {"F0": 2.0, "f0": 60.0, "phase0": 4.0}  # 5.7 m/s^2, 40 um
-PULSE = {"at": 0.08, "J": 0.02, "width": 1.5e-3}  # half a sine, 60 m/s^2 at its peak
+PULSE = {"at": 0.06, "J": 0.02, "width": 1.5e-3}  # half a sine, 60 m/s^2 at its peak
 
 
 class Signal(NamedTuple):
@@ -140,7 +140,7 @@ def _rest(_: float, state: Array) -> float:
 _rest.terminal = True  # type: ignore[attr-defined] - how solve_ivp is told
 
 
-def reversal(name: str, frequency: float = 5.0, amplitude: float = 0.06, dry: float = 3.0) -> Signal:
+def reversal(name: str, frequency: float = 4.97, amplitude: float = 0.06, dry: float = 3.0) -> Signal:
     """Mass on a spring with Coulomb friction `dry` (m/s^2), closed form: cosines about +-dry/omega^2 in turn."""
     t, omega = frames(), 2 * np.pi * frequency
     half = np.floor(2 * frequency * t).astype(int)  # number of the half swing
@@ -154,7 +154,7 @@ def reversal(name: str, frequency: float = 5.0, amplitude: float = 0.06, dry: fl
     return Signal(name, t, x, v, a, turns)
 
 
-def push(name: str, at: float = 0.01, width: float = 0.02, peak: float = 157.5) -> Signal:
+def push(name: str, at: float = 0.01, width: float = 0.02, peak: float = 155.9) -> Signal:
     """Rest, a half-sine push of 20 ms up to 5 m/s, free slide; it breaks away when the push exceeds f_s."""
     t, away = frames(), at + width / np.pi * np.arcsin(SLIDE["fs"] / peak)
 
@@ -166,7 +166,7 @@ def push(name: str, at: float = 0.01, width: float = 0.02, peak: float = 157.5) 
     return Signal(name, *until_slow(path, t), (away, at + width))
 
 
-def incline(name: str, release: float = 0.01, slope: float = 35.0) -> Signal:
+def incline(name: str, release: float = 0.0101, slope: float = 35.0) -> Signal:
     """Held on an incline of 35 degrees and let go: from rest, acceleration jumps by 2.3 m/s^2."""
     p, t = {"fc": 0.8, "fs": 1.16, "fv": 0.25, "vs": 0.15}, frames()
     pull = MASS * GRAVITY * np.sin(np.deg2rad(slope))
