@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -12,6 +13,7 @@ from .estimate import Array, Estimate, Method, lowest
 
 VAGUE = 1e10  # variance of the first state, in units of noise and frames
 RATIOS = 1e-19, 1e2  # process noise over measurement noise per frame, searched
+LENGTHS, SIZES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (1e2, 1e4, 1e6, 1e8, 1e10)  # of the records, of the noise
 
 
 class Chain:
@@ -93,8 +95,8 @@ def gaussian_process(t: Array, y: Array) -> Estimate:
         _, lower, weights = solve(*np.exp(logs))
         return n * math.log(z @ weights) + 2 * float(np.sum(np.log(np.diag(lower))))
 
-    grid = [(math.log(length), math.log(size)) for length in (0.02, 0.05, 0.2) for size in (1e3, 1e6, 1e9)]
-    best = minimize(cost, min(grid, key=cost), method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
+    start = min((np.log(s) for s in product(LENGTHS, SIZES)), key=cost)
+    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
     length, size = np.exp(best.x)
     kernel, lower, weights = solve(length, size)
     u = lag / length

@@ -97,11 +97,12 @@ def frames(n: int = LONGEST) -> Array:
     return np.arange(n) / RATE
 
 
-def until_slow(path: Path, t: Array) -> tuple[Array, ...]:
+def until_slow(path: Path, t: Array) -> tuple[Array, Array, Array, Array]:
     """Frames up to the first that is slower than 0.06 m/s after the fastest."""
     top = int(np.argmax(path[1]))
     n = top + int(np.argmax(path[1][top:] < SLOWEST)) + 1
-    return tuple(column[:n] for column in (t, *path))
+    x, v, a = path
+    return t[:n], x[:n], v[:n], a[:n]
 
 
 def sliding(name: str, **more: float) -> Signal:
@@ -137,7 +138,7 @@ def _rest(_: float, state: Array) -> float:
     return float(state[1])
 
 
-_rest.terminal = True  # type: ignore[attr-defined] - how solve_ivp is told
+setattr(_rest, "terminal", True)  # noqa: B010 - how solve_ivp is told
 
 
 def reversal(name: str, frequency: float = 4.97, amplitude: float = 0.06, dry: float = 3.0) -> Signal:
