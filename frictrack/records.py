@@ -228,3 +228,26 @@ class Curve(Table):
     def residual(self) -> Array:
         """Measured minus modelled displacement, m."""
         return self.x - self.x_model
+
+
+@dataclass(frozen=True, eq=False)
+class Modelled(Table):
+    """The motion of one run that a fitted model itself tells, at the frames that were fitted (or predicted).
+
+    The standard deviations are those of the fit: mass and scale are common to all runs and stand apart.
+    """
+
+    t: Array = column("s")
+    x: Array = column("m")  # of the slider, without what measurement effects add to the picture
+    v: Array = column("m/s")
+    a: Array = column("m/s^2")
+    F: Array = column("N")
+    sigma_x: Array = column("m")
+    sigma_v: Array = column("m/s")
+    sigma_a: Array = column("m/s^2")
+    sigma_F: Array = column("N")
+    blow: Mask = column("", kind=np.bool_)  # frames of a collision too short to be resolved: a, F are not known there
+    segment: NDArray[np.int_] = column("", kind=np.int_)  # number of the stretch that a frame belongs to
+    run: str = "run"
+    role: str = "fit"
+    notes: tuple[str, ...] = ()  # what the bands rest on where the model misses something, in words

@@ -1,0 +1,211 @@
+"""The motion that a fitted law itself tells: x, v, a and F of every run, with bands from the fit alone.
+
+A law that holds has only its few unknowns to be wrong in, so its acceleration is known several times better than
+any smoother can tell it. All unknowns are moved together, each start with them, along independent directions by one
+standard deviation; what moves in x, v, a and F is the band. Exact to first order: x and v by the linear response of
+the motion, F and a by differences along that motion.
+
+What the law misses stands in its residual: to first order, modelled less true displacement is the residual without
+its noise. What is told there from white noise is counted into the bands with its first two derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.fft import dct
+from scipy.special import ndtri
+
+from frictrack.fit.blows import struck
+from frictrack.fit.estimate import _inverse
+from frictrack.fit.problem import Response, _unit_starts
+from frictrack.fit.scatter import restraint_rows
+from frictrack.fit.solve import Solution
+from frictrack.motion import noise_level
+from frictrack.records import Array, Modelled, Run
+
+if TYPE_CHECKING:
+    from frictrack.fit.result import Fit
+
+STEP = 1e-6  # of a standard deviation, for differences
+ALARMS = 1e-3  # chance that white noise of one stretch looks like something that was missed
+SURE = 4.0  # standard deviations of chi-squared per frame beyond which it is clearly above one
+
+
+def modelled(fit: Fit) -> tuple[Modelled, ...]:
+    """The fitted law's own motion with its bands, one table per run, validation runs last.
+
+    A band holds the parameters, the starts and the camera's noise; mass and scale are common to all and stand apart.
+    """
+    told = [_motion(fit.solution, unknowns(fit), i, run) for i, run in enumerate(fit.runs)]
+    for solution, run in zip(fit.predictions, fit.validation, strict=True):
+        told.append(replace(_motion(solution, _predicted(fit, solution), 0, run), role="validation"))
+    return tuple(told)
+
+
+def unknowns(fit: Fit) -> Array:
+    """Covariance (P, P) of the unknowns at the fitted spread of the levels.
+
+    Unlike `covariance_of` it is not widened for a spread known from few runs: that would part each run's level from
+    the coefficient it multiplies, while their product is known as well as the run is.
+    """
+    if fit.found.force is not None:
+        return fit.estimates.covariance
+    solution = fit.solution
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    return _inverse(np.vstack([solution.jac, held]))[0]
+
+
+def _predicted(fit: Fit, solution: Solution) -> Array:
+    """Covariance of the unknowns under which a validation run is predicted: shared ones from the fit, its own free."""
+    theirs, mine = fit.solution.problem.layout.slots, solution.problem.layout.slots
+    shared = {(s.effect, s.parameter): i for i, s in enumerate(theirs) if s.run is None}
+    told = [i for i, s in enumerate(mine) if s.run is None]
+    own = [i for i, s in enumerate(mine) if s.run is not None]
+    at = [shared[mine[i].effect, mine[i].parameter] for i in told]
+    known, jac = unknowns(fit)[np.ix_(at, at)], solution.jac
+    free = np.zeros((len(mine), len(mine)))
+    free[np.ix_(told, told)] = known
+    if own:
+        inverse, _ = _inverse(jac[:, own])
+        follow = -inverse @ jac[:, own].T @ jac[:, told]
+        free[np.ix_(own, told)] = follow @ known
+        free[np.ix_(told, own)] = free[np.ix_(own, told)].T
+        free[np.ix_(own, own)] = inverse + follow @ known @ follow.T
+    return free
+
+
+def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> Modelled:
+    """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
+    parts = [_stretch(solution, covariance, r, run) for r in solution.responses if r.piece.run == index]
+    parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
+    columns = [f.name for f in fields(Modelled) if f.metadata.get("column")]
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
+    once = np.unique(whole["t"], return_index=True)[1]
+    notes = dict.fromkeys(chain.from_iterable(part.notes for part in parts))
+    return replace(parts[0], **{name: column[once] for name, column in whole.items()}, notes=tuple(notes))
+
+
+def _stretch(solution: Solution, covariance: Array, response: Response, run: Run) -> Modelled:
+    piece = response.piece
+    x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
+    force, a = _told(solution, response, solution.p, x, v)
+    sigma = np.array([np.sqrt(np.sum(m**2, axis=1)) for m in _moves(solution, covariance, response, x, v)])
+    lack = lacking(response, run)
+    gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
+    sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
+    return Modelled(
+        t=run.displacement.t[piece.frames],
+        x=x,
+        v=v,
+        a=a,
+        F=force,
+        sigma_x=sigma_x,
+        sigma_v=sigma_v,
+        sigma_a=sigma_a,
+        sigma_F=sigma_F,
+        blow=struck(solution, covariance, piece),
+        segment=np.zeros(len(x), dtype=np.int_),
+        run=run.name,
+        notes=lack.notes,
+    )
+
+
+def _told(solution: Solution, response: Response, p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+    """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,)."""
+    piece, problem = response.piece, solution.problem
+    values, level = problem.layout.values(p, piece.run)
+    force = problem.model.force(piece.at_frames(x, v, level), values)
+    known = np.interp(piece.t, piece.panels.t, piece.known)
+    return force, known - force / piece.mass
+
+
+def _moves(solution: Solution, covariance: Array, response: Response, x: Array, v: Array) -> list[Array]:
+    """Changes of x, v, a and F at the frames, (n, k) each, along k independent moves of one standard deviation.
+
+    The start is least squares for whatever the unknowns are, so it follows them; beside that it has its own error.
+    """
+    piece, active, p = response.piece, response.active, solution.p
+    n = len(active)
+    g = solution.problem._inputs(piece, p, response.motion, active)
+    _, edges = response.linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(n))
+    own = np.linalg.inv(response.upper)
+    half = _root(covariance[np.ix_(active, active)])
+    moves = np.block([[half, np.zeros((n, 2))], [-own @ response.on_start @ half, own]])
+    dx, dv = (edges[piece.at] @ moves).transpose(1, 0, 2)
+    unknown = np.zeros((len(p), n + 2))
+    unknown[active] = moves[:n]
+    changes = []
+    for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
+        after, before = (_told(solution, response, p + h * u, x + h * ex, v + h * ev) for h in (STEP, -STEP))
+        changes.append((np.array(after) - np.array(before)) / (2 * STEP))
+    force, a = np.array(changes).transpose(1, 2, 0)
+    return [dx, dv, a, force]
+
+
+def _root(covariance: Array) -> Array:
+    """A square root (n, n) of a covariance whose unknowns may differ in size by many powers of ten."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / size[:, None] / size)
+    return np.asarray(size[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a residual shows beyond white noise: rms of x (m), v (m/s), a (m/s^2); `factor` on the law's own band."""
+
+    rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    factor: float = 1.0
+    notes: tuple[str, ...] = ()
+
+
+def lacking(response: Response, run: Run) -> Lack:
+    """What one stretch's residual holds beyond the noise.
+
+    Its cosine transform is white where only noise is left; what stands out belongs to motion that the law misses.
+    """
+    piece = response.piece
+    n = len(piece.t)
+    z = dct((piece.y - response.model_y) / piece.sigma, norm="ortho")
+    seen = np.abs(z) > ndtri(1 - ALARMS / (2 * n))
+    power = float(np.mean(z**2))
+    level = noise_level(run.displacement.x, run.displacement.valid)[1]
+    clear = power > 1 + SURE * float(np.sqrt(2 / n + (2 * level) ** 2))
+    if not (clear or np.any(seen)):
+        return Lack()
+    omega = np.pi * np.arange(n) / (piece.t[-1] - piece.t[0]) * (n - 1) / n
+    size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.sigma**2)
+    x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
+    most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
+    return Lack((x, v, a), max(1.0, float(np.sqrt(power))), (_note(x, a, most),))
+
+
+def _note(x: float, a: float, hertz: float) -> str:
+    return (
+        f"the model misses something: its residual shows {1e6 * x:.2g} um beyond the noise, most near {hertz:.0f} Hz, "
+        f"which is {a:.2g} m/s^2; the bands hold only if nothing faster is missing, and are rms values over the run: "
+        "at single places the error may be larger; `frictrack diagnose` names what is missing"
+    )
+
+
+def bands(motion: Modelled, run: Run) -> dict[str, Any]:
+    """Root mean square bands of the modelled motion, and the smoothed acceleration's at the same frames: JSON.
+
+    Frames of a blow that is too short to be resolved are left out of both.
+    """
+    rows = np.searchsorted(run.motion.t, motion.t - 1e-9)[~motion.blow]
+
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    return {
+        "sigma_x_um": 1e6 * rms(motion.sigma_x[~motion.blow]),
+        "sigma_v": rms(motion.sigma_v[~motion.blow]),
+        "sigma_a": rms(motion.sigma_a[~motion.blow]),
+        "sigma_F_N": rms(motion.sigma_F[~motion.blow]),
+        "sigma_a_smoothed": rms(run.motion.sigma_a[rows]),
+        "notes": list(motion.notes),
+    }
