@@ -1,0 +1,354 @@
+"""A sensor's clock against the camera's: by maximum likelihood over delays far below one frame.
+
+    camera's differences = gain * sensor's differences at (t - offset) + bias + what else is known to act + noise
+
+The noise is that of the camera plus gain^2 times that of the sensor, both with their exact covariance (`frames`), so
+every frequency counts by what it is worth: the sensor where the camera's noise drowns the acceleration, the camera
+where the sensor drifts. The sensor stands among the regressors with its noise: its expected share is taken out of
+the normal equations (Fuller 1987, Measurement Error Models, ch. 2), without which the gain would come out too small
+and the offset too certain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array
+
+from frictrack.records import Array, Mask
+from frictrack.sensors.frames import Frames, Whitener
+from frictrack.sensors.series import Series
+
+STEP = 0.5  # of the frame interval (or of the sensor's, if longer), between two offsets that are tried
+FINE = 0.125  # of the same, the grid on which the sensor is laid for that
+EFFORT = 2e7  # numbers that a search may compute: it bounds how far offsets are looked for
+OVERLAP = 0.5  # of the film that the sensor must cover
+ENOUGH = 16  # differences below which nothing can be aligned
+CLEAR = 30.0  # of chi2 that the sensor must explain: at thousands of offsets tried, chance gives 20
+RIVAL = 16.0  # of chi2 within which another offset explains the same
+ROUNDS = 20
+DRIFTS = 4.0  # standard deviations from which on the clocks are said to run at different rates
+LONG = 200  # differences from which on two rates can be told apart
+FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which noises are compared
+LOOSE = 5.0  # standard deviations of chi2 from which on the noises do not explain the residual
+BLOCKS = 24  # parts of the record whose scores are summed up where the residual is not white
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where a sensor's clock and scale stand against the camera's; None where the data do not tell.
+
+    a = gain * sensor(t - offset - rate * (t - middle)) + bias: `offset` (s) is what to add to the sensor's times to
+    have the camera's at `middle` (s), `rate` by how much its clock runs fast, in 1.
+    """
+
+    offset: float
+    sigma_offset: float | None
+    gain: float | None
+    sigma_gain: float | None
+    bias: float | None
+    sigma_bias: float | None
+    rate: float
+    sigma_rate: float | None
+    middle: float
+    reason: str
+    level: float = 1.0  # of the sensor's noise in variance; in the drive's case that of the forces nobody knows
+
+    def lag(self, t: Array) -> Array:
+        """How far the sensor's clock is behind the camera's at camera times t (n,), s."""
+        return np.asarray(self.offset + self.rate * (t - self.middle))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be aligned: the camera's differences, the sensor, what else acts `beside` it (r, p), in m/s^2.
+
+    `sigma` is the white noise of a sample. With `sigma` None it is unknown, as are the forces that act besides (a
+    drive under friction), and is estimated with the rest.
+    """
+
+    frames: Frames
+    series: Series
+    beside: Array
+    sigma: float | None = None
+
+    def rows(self, alignment: Alignment) -> Mask:
+        """Differences (r,) over which the sensor was running."""
+        first, last = self.frames.ends()
+        return self.series.covers(first - alignment.lag(first), last - alignment.lag(last))
+
+    def take(self, rows: Mask) -> Problem:
+        """Only some of the differences."""
+        return replace(self, frames=self.frames.take(rows), beside=self.beside[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """One linearised solution: coefficients, their covariance, the white residual and regressors."""
+
+    theta: Array  # gain, step of the offset, step of the rate or none, then what acts beside
+    covariance: Array
+    residual: Array
+    regressors: Array
+
+
+def start(frames: Frames, offset: float = 0.0, reason: str = "") -> Alignment:
+    """Nothing is known but perhaps the offset."""
+    middle = float(np.mean(frames.t[[0, -1]]))
+    return Alignment(offset, None, None, None, None, None, 0.0, None, middle, reason)
+
+
+def align(problem: Problem, offset: float | None = None) -> Alignment:
+    """Align a sensor with the camera; `offset` (s) is kept where it is given.
+
+    Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
+    """
+    given = offset is not None
+    begun = start(problem.frames, offset or 0.0, "as given" if given else "")
+    fault = _hopeless(problem, begun if given else None)
+    if fault:
+        return replace(begun, reason=f"{begun.reason}, {fault}" if given else f"{fault}; 0 is kept")
+    if not given:
+        begun = search(problem)
+        if begun.gain is None:
+            return begun
+    found = refine(problem, begun, free=not given)
+    return found if given else _doubt(problem, begun, found)
+
+
+def _hopeless(problem: Problem, given: Alignment | None) -> str:
+    """Why nothing can be aligned, if so."""
+    series, t = problem.series, problem.frames.t
+    if len(problem.frames.z) < ENOUGH:
+        return f"expected at least {ENOUGH} neighbouring frames but got {len(problem.frames.z)}"
+    if series.constant:
+        return "it is constant, which looks the same at every offset"
+    if given is not None and np.sum(problem.rows(given)) < ENOUGH:
+        running = f"{series.t[0] + given.offset:.4g} s to {series.t[-1] + given.offset:.4g} s"
+        return f"it was running from {running} but the film lasts from {t[0]:.4g} s to {t[-1]:.4g} s"
+    return ""
+
+
+def lags(problem: Problem) -> Array:
+    """Offsets to be tried: those that leave the sensor over half of the film, as near to 0 as the effort allows."""
+    t, s = problem.frames.t, problem.series.t
+    span = float(t[-1] - t[0])
+    least = min(OVERLAP * span, 0.9 * float(s[-1] - s[0]))
+    low, high = t[0] + least - s[-1], t[-1] - least - s[0]
+    step = STEP * max(problem.frames.interval, problem.series.interval)
+    middle = 0.0 if low <= 0.0 <= high else (low + high) / 2.0
+    reach = EFFORT / len(t) / 2.0 * step
+    low, high = max(low, middle - reach), min(high, middle + reach)
+    return middle + step * np.arange(np.ceil((low - middle) / step), np.floor((high - middle) / step) + 1)
+
+
+def search(problem: Problem) -> Alignment:
+    """The best of many offsets; its gain is None where none stands out."""
+    frames, tried = problem.frames, lags(problem)
+    begun = start(frames)
+    level = noise_level(problem, begun, seen=False)
+    chi2, none, gains = _scan(problem, tried, level)
+    if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
+        level = noise_level(problem, replace(begun, offset=float(tried[np.argmin(chi2)])))
+        chi2, none, gains = _scan(problem, tried, level)
+    lowest = float(np.min(chi2))
+    span = f"{1e3 * tried[0]:.4g} to {1e3 * tried[-1]:.4g} ms"
+    if none - lowest < CLEAR:
+        return replace(begun, reason=f"at no offset from {span} does it explain what the camera saw; 0 is kept")
+    rivals = _minima(chi2, RIVAL + 4.0 * np.sqrt(4.0 * _drowned(problem, level)))  # each offset has its own noise
+    rivals = rivals if len(rivals) else np.array([np.argmin(chi2)])
+    rivals = rivals[np.argsort(np.abs(tried[rivals]))]
+    said = f"best of {span}"
+    if len(rivals) > 1:
+        said = f"nearest to 0 of those that explain the same ({1e3 * tried[rivals[1]]:.4g} ms would do, too)"
+    chosen = rivals[0]
+    return replace(begun, offset=float(tried[chosen]), gain=float(gains[chosen]), level=level, reason=said)
+
+
+def _scan(problem: Problem, tried: Array, level: float) -> tuple[Array, float, Array]:
+    """chi2 (k,) and gain (k,) at every offset, and chi2 without the sensor."""
+    frames = problem.frames
+    white = Whitener(_covariance(problem, 0.0 if problem.sigma is None else float(np.median(tried)), 1.0, level))
+    basis = np.linalg.qr(white(_drifting(problem)))[0]
+    rest = white(frames.z)
+    rest = rest - basis @ (basis.T @ rest)
+    chi2, gains = np.empty(len(tried)), np.empty(len(tried))
+    at, table = frames.t[frames.centre], _table(problem, tried)
+    for part in np.array_split(np.arange(len(tried)), max(len(tried) * len(frames.t) // 2_000_000, 1)):
+        felt = white(np.interp(at[:, None] - tried[part], *table))
+        size = np.sum(felt**2, axis=0)
+        felt -= basis @ (basis.T @ felt)
+        power = np.sum(felt**2, axis=0)
+        gain = np.where(power > 1e-9 * size, rest @ felt / np.maximum(power, 1e-300), 0.0)
+        chi2[part], gains[part] = float(rest @ rest) - gain**2 * power, gain
+    return chi2, float(rest @ rest), gains
+
+
+def _table(problem: Problem, tried: Array) -> tuple[Array, Array]:
+    """The sensor's differences over three frames on a fine grid of its own clock: times and values."""
+    frames, h = problem.frames, problem.frames.interval
+    ends = frames.t[frames.centre[[0, -1]]] - tried[[-1, 0]]
+    count = int((ends[1] - ends[0]) / (FINE * max(h, problem.series.interval))) + 2
+    u = np.linspace(ends[0], ends[1], count)
+    before, here, after = (problem.series.integral(u + k * h, 2) for k in (-1.0, 0.0, 1.0))
+    return u, (before - 2.0 * here + after) / h**2
+
+
+def _drifting(problem: Problem) -> Array:
+    """What acts beside, and a drift: a sensor that creeps shall not be matched by its creep."""
+    t = problem.frames.t[problem.frames.centre]
+    return np.concatenate([problem.beside, (t - np.mean(t))[:, None] / np.std(t)], axis=1)
+
+
+def _drowned(problem: Problem, level: float) -> float:
+    """How many of the differences, at low frequency, are ruled by the sensor's noise and not by the camera's."""
+    covariance = _covariance(problem, 0.0, 1.0, level)
+    camera, whole = _spectrum(problem.frames.camera), _spectrum(covariance)
+    return len(problem.frames.z) * float(np.mean(np.clip(1.0 - camera / whole, 0.0, 1.0)))
+
+
+def _minima(values: Array, within: float) -> NDArray[np.int64]:
+    """Places of the local minima whose lowest point, by a parabola through three values, is near the lowest of all."""
+    left, here, right = values[:-2], values[1:-1], values[2:]
+    bend = left - 2.0 * here + right
+    lowest = here - (right - left) ** 2 / (8.0 * np.where(bend > 0.0, bend, np.inf))
+    lowest = np.where((here <= left) & (here < right), lowest, np.inf)
+    return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
+
+
+def _covariance(problem: Problem, offset: float, gain: float, level: float) -> csr_array:
+    sigma = 1.0 if problem.sigma is None else gain * problem.sigma
+    return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
+
+
+def noise_level(problem: Problem, alignment: Alignment, *, seen: bool = True) -> float:
+    """Variance of the white forces that are in nobody's account, by restricted maximum likelihood; 1 where known."""
+    if problem.sigma is not None:
+        return 1.0
+    frames = problem.frames
+    shape = frames.noise(problem.series, alignment.offset)
+    columns = [problem.beside]
+    if seen:
+        columns.insert(0, frames.felt(problem.series, alignment.lag(frames.t)[:, None]))
+    regressors = np.concatenate(columns, axis=1)
+    usual = float(np.mean(frames.camera.diagonal()) / np.mean(shape.diagonal()))
+
+    def loss(log_level: float) -> float:
+        white = Whitener(frames.camera + float(np.exp(log_level)) * shape)
+        q, r = np.linalg.qr(white(regressors))
+        z = white(frames.z)
+        rest = z - q @ (q.T @ z)
+        size = np.abs(np.diag(r))
+        return white.logdet + float(rest @ rest) + 2.0 * float(np.sum(np.log(size[size > 1e-12 * np.max(size)])))
+
+    bounds = np.log(usual) + np.array([-25.0, 10.0])
+    return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x))
+
+
+def refine(problem: Problem, begun: Alignment, *, free: bool = True) -> Alignment:
+    """Gauss-Newton steps from an offset near the best, with standard deviations; `free` frees the offset."""
+    found = _converged(problem, begun, free, False)
+    if free and len(problem.frames.z) >= LONG and found.sigma_offset is not None:
+        drifting = _converged(problem, found, free, True)
+        if drifting.sigma_rate is not None and abs(drifting.rate) > DRIFTS * drifting.sigma_rate:
+            return drifting
+    return found
+
+
+def _converged(problem: Problem, found: Alignment, free: bool, drift: bool) -> Alignment:
+    widest = STEP * max(problem.frames.interval, problem.series.interval)
+    for _ in range(ROUNDS):
+        fitted = fit(problem.take(problem.rows(found)), found, free, drift)
+        found = _updated(found, fitted, free, drift, widest)
+        if not free or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
+            break
+    if problem.sigma is None:
+        found = replace(found, level=noise_level(problem.take(problem.rows(found)), found))
+    return _updated(found, fit(problem.take(problem.rows(found)), found, free, drift), free, drift, widest)
+
+
+def _updated(found: Alignment, fitted: Fitted, free: bool, drift: bool, widest: float) -> Alignment:
+    spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+    theta, k = fitted.theta, 1 + free + (free and drift)
+    step = float(np.clip(theta[1], -widest, widest)) if free else 0.0
+    return replace(
+        found,
+        offset=found.offset + step,
+        sigma_offset=float(spread[1]) if free else None,
+        rate=found.rate + (float(theta[2]) if k == 3 else 0.0),
+        sigma_rate=float(spread[2]) if k == 3 else None,
+        gain=float(theta[0]),
+        sigma_gain=float(spread[0]),
+        bias=float(theta[-1]),
+        sigma_bias=float(spread[-1]),
+    )
+
+
+def fit(problem: Problem, at: Alignment, free: bool = True, drift: bool = False) -> Fitted:
+    """Linear solution round an alignment. What acts beside ends with the bias."""
+    frames, series = problem.frames, problem.series
+    gain = 1.0 if at.gain is None else at.gain
+    lag = at.lag(frames.t)[:, None]
+    columns = [frames.felt(series, lag)]
+    if free:
+        slope = -gain * frames.felt(series, lag, 1)
+        columns += [slope, slope * (frames.t[frames.centre] - at.middle)[:, None]][: 1 + drift]
+    covariance = _covariance(problem, at.offset, gain, at.level)
+    white = Whitener(covariance)
+    regressors = white(np.concatenate([*columns, problem.beside], axis=1))
+    z = white(frames.z)
+    size = np.sqrt(np.sum(regressors**2, axis=0)) + 1e-300
+    normal = (regressors / size).T @ (regressors / size)
+    share = _noise_share(problem, covariance, at, gain) / size[:2] ** 2
+    corrected = normal.copy()
+    for k in range(1 + free):
+        corrected[k, k] -= min(float(share[k]), 0.5)
+    inverse = np.linalg.pinv(corrected, rcond=1e-10, hermitian=True)
+    theta = inverse @ ((regressors / size).T @ z) / size
+    residual = z - regressors @ theta
+    degrees = max(len(residual) - len(theta), 1)
+    modelled = problem.sigma is not None and np.sum(residual**2) < degrees + LOOSE * np.sqrt(2.0 * degrees)
+    spread = normal if modelled else _scores(regressors / size, residual)
+    return Fitted(theta, inverse @ spread @ inverse / np.outer(size, size), residual, regressors)
+
+
+def _noise_share(problem: Problem, covariance: csr_array, at: Alignment, gain: float) -> Array:
+    """What the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
+    frames = problem.frames
+    sigma = problem.series.sigma if problem.sigma is None else problem.sigma
+    own = sigma**2 * frames.noise(problem.series, at.offset)
+    whole = _spectrum(covariance)
+    ratio = np.maximum(_spectrum(own), 0.0) / np.maximum(whole, 1e-12 * np.max(whole))
+    omega = FREQUENCIES / frames.interval
+    r = len(frames.z)
+    return np.array([r * np.mean(ratio), r * gain**2 * np.mean(ratio * omega**2)])
+
+
+def _spectrum(covariance: csr_array) -> Array:
+    """Power at `FREQUENCIES` of the noise that a covariance describes in its middle."""
+    middle = covariance.shape[0] // 2
+    after = covariance[[middle]].toarray()[0, middle:][: len(FREQUENCIES)]
+    lag = np.arange(1, len(after))
+    return np.asarray(after[0] + 2.0 * np.cos(np.outer(FREQUENCIES, lag)) @ after[1:])
+
+
+def _scores(regressors: Array, residual: Array) -> Array:
+    """Spread of the scores, from parts of the record so long that what is left in them is independent."""
+    parts = np.array_split(np.arange(len(residual)), min(BLOCKS, max(len(residual) // 8, 2)))
+    sums = np.array([regressors[p].T @ residual[p] for p in parts])
+    return np.asarray(sums.T @ sums) * len(parts) / max(len(parts) - 1, 1)
+
+
+def _doubt(problem: Problem, begun: Alignment, found: Alignment) -> Alignment:
+    """The alignment if its offset is worth something, else 0 and why."""
+    assert found.sigma_offset is not None
+    reach = 4.0 * max(problem.frames.interval, problem.series.interval)
+    span = float(problem.frames.t[-1] - problem.frames.t[0])
+    if not 0.0 < found.sigma_offset < 0.1 * span:
+        return replace(start(problem.frames), reason="it looks the same at every offset; 0 is kept")
+    if abs(found.offset - begun.offset) > max(reach, 5.0 * found.sigma_offset):
+        return replace(start(problem.frames), reason="its offset could not be pinned down; 0 is kept")
+    return found

@@ -1,0 +1,58 @@
+"""The kinetic energy at release against that of the blow: a check of scale, frame rate and mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SURE = 3.0  # standard deviations above the stated energy that cannot be
+LITTLE = 0.1  # of the stated energy, below which something must be wrong
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Kinetic energy at release (J), its standard deviation, its share of the stated one, and what that means."""
+
+    kinetic: float
+    sigma: float
+    share: float
+    verdict: str  # "plausible", "impossible", "suspicious"
+    says: str
+
+
+def release_energy(
+    mass: tuple[float, float], speed: tuple[float, float], stated: float, scale_error: float = 0.0
+) -> Energy:
+    """Kinetic energy m v^2 / 2 of a slider when it comes free, against the stated energy (J) of what struck it.
+
+    `mass` (kg) and `speed` (m/s) with their standard deviations; `scale_error` is the relative one of the scale.
+    A speed goes with scale and frame rate, hence the energy with their squares.
+    """
+    (m, sigma_m), (v, sigma_v) = mass, speed
+    kinetic = 0.5 * m * v**2
+    relative = np.sqrt((sigma_m / m) ** 2 + (2.0 * sigma_v / v) ** 2 + (2.0 * scale_error) ** 2) if v else 0.0
+    sigma, share = float(kinetic * relative), float(kinetic / stated)
+    if kinetic - SURE * sigma > stated:
+        return Energy(kinetic, sigma, share, "impossible", _impossible(kinetic, sigma, stated))
+    if share < LITTLE:
+        return Energy(kinetic, sigma, share, "suspicious", _suspicious(kinetic, sigma, stated))
+    return Energy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")
+
+
+def _impossible(kinetic: float, sigma: float, stated: float) -> str:
+    factor = kinetic / stated
+    return (
+        f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is more than the {stated:g} J of the blow: "
+        f"scale or frame rate is too large by a factor of {np.sqrt(factor):.3g} or more, or the mass by {factor:.3g}; "
+        "check these, or impact_energy"
+    )
+
+
+def _suspicious(kinetic: float, sigma: float, stated: float) -> str:
+    factor = stated / max(kinetic, 1e-300)
+    return (
+        f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is less than a tenth of the {stated:g} J "
+        f"of the blow: scale or frame rate too small by a factor of up to {np.sqrt(factor):.3g}, or the mass by "
+        f"{factor:.3g}, would explain it, as would a glancing blow; check these, or impact_energy"
+    )

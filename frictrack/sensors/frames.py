@@ -1,0 +1,133 @@
+"""The camera's side of an alignment: second differences of the displacement, and what noise they carry.
+
+    (x_{i+1} - x_i) / h  -  (x_i - x_{i-1}) / h   =   integral of a(t) over two frame intervals under a triangle
+
+holds exactly, whatever the motion. So the camera and an accelerometer are compared without any filter: the sensor is
+integrated twice and differenced over the same frames, the unknown x0, v0 drop out, and both noises have a known
+covariance, a few diagonals wide: that of the camera's white noise, and that of the sensor's under the triangle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+from scipy.sparse import csr_array
+
+from frictrack.motion.noise import noise_level
+from frictrack.records import Array, Displacement, Mask
+from frictrack.sensors.series import Series
+
+FAR = 4.5  # frame intervals between two frames, beyond which no difference is taken over them
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Second differences `z` (r,) in m/s^2 round the frames `centre` (r,), and the map (r, n) that makes them."""
+
+    t: Array  # of all frames, s
+    z: Array
+    centre: NDArray[np.int64]
+    map: csr_array
+    camera: csr_array  # covariance of the camera's noise in z
+
+    @property
+    def interval(self) -> float:
+        """Frame interval, s."""
+        return float(np.median(np.diff(self.t)))
+
+    def take(self, rows: Mask) -> Frames:
+        """Only some of the rows."""
+        i = np.flatnonzero(rows)
+        return Frames(self.t, self.z[i], self.centre[i], self.map[i], self.camera[i][:, i])
+
+    def ends(self) -> tuple[Array, Array]:
+        """First and last time (r,) that a difference reaches to."""
+        first, last = self.map.indices.reshape(-1, 3)[:, [0, 2]].T
+        return self.t[first], self.t[last]
+
+    def felt(self, series: Series, lags: Array, order: int = 2) -> Array:
+        """The sensor's differences (r, k) when its clock is `lags` (k,) or (n, k) s behind the camera's."""
+        return np.asarray(self.map @ series.integral(self.t[:, None] - lags, order))
+
+    def noise(self, series: Series, offset: float) -> csr_array:
+        """Covariance of the differences for a sensor whose samples have white noise of unit variance.
+
+        The curve between the samples is taken as straight, so each sample acts under a triangle of its own.
+        """
+        d = series.interval
+        first, last = self.ends()
+        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + 2
+        near = np.rint((self.t[self.centre] - offset - series.t[0]) / d)
+        column = near[:, None] + np.arange(-reach, reach + 1)
+        u = (self.t[self.map.indices] - offset - series.t[0]).reshape(-1, 3)
+        weight = self.map.data.reshape(-1, 3)
+        effect = np.sum(weight[:, :, None] * _ramp(u[:, :, None] - column[:, None, :] * d, d), axis=1)
+        column = (column - np.min(column)).astype(np.int64)
+        row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
+        spread = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
+        return csr_array(spread @ spread.T)
+
+
+def second_differences(displacement: Displacement) -> Frames:
+    """Second differences over each three neighbouring valid frames.
+
+    The noise is white, at the level that the displacement itself shows; what sigma_x says counts relatively.
+    """
+    known = displacement.valid & np.isfinite(displacement.x)
+    at, t = np.flatnonzero(known), displacement.t
+    h = np.diff(t[at])
+    rows = np.flatnonzero(np.maximum(h[1:], h[:-1]) < FAR * np.median(np.diff(t))) + 1
+    before, after = h[rows - 1], h[rows]
+    half = (before + after) / 2.0
+    weights = np.stack([1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after], axis=1) / half[:, None]
+    columns = np.stack([at[rows - 1], at[rows], at[rows + 1]], axis=1)
+    place = np.repeat(np.arange(len(rows)), 3)
+    mapping = csr_array((weights.ravel(), (place, columns.ravel())), shape=(len(rows), len(t)))
+    x = np.where(known, displacement.x, 0.0)
+    return Frames(t, mapping @ x, at[rows], mapping, _white(mapping, _sigma(displacement, known)))
+
+
+def _white(mapping: csr_array, sigma: Array) -> csr_array:
+    scaled = mapping.multiply(sigma[None, :])
+    return csr_array(scaled @ scaled.T)
+
+
+def _sigma(displacement: Displacement, known: Mask) -> Array:
+    """White noise of every frame (n,), m."""
+    stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
+    usual = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
+    level = float(noise_level(np.where(known, displacement.x, 0.0), known)[0])
+    relative = np.where(stated, displacement.sigma_x, usual) / usual
+    return np.asarray(relative * (level if level > 0 and np.isfinite(level) else usual))
+
+
+def _ramp(u: Array, d: float) -> Array:
+    """A triangle of height 1 and half width d, integrated twice up to u."""
+    a, b, c = (np.clip(u + k * d, 0.0, None) for k in (1.0, 0.0, -1.0))
+    return np.asarray(np.where(u >= d, d * u, (a**3 - 2.0 * b**3 + c**3) / (6.0 * d)))
+
+
+class Whitener:
+    """Turns the correlated noise of differences into independent noise of variance 1."""
+
+    def __init__(self, covariance: csr_array) -> None:
+        entries = covariance.tocoo()
+        width = int(np.max(np.abs(entries.row - entries.col), initial=0))
+        band = np.zeros((width + 1, covariance.shape[0]))
+        for k in range(width + 1):
+            band[k, : covariance.shape[0] - k] = covariance.diagonal(-k)
+        self._factor = cholesky_banded(band, lower=True)
+
+    @property
+    def logdet(self) -> float:
+        """Logarithm of the determinant of the covariance."""
+        return 2.0 * float(np.sum(np.log(self._factor[0])))
+
+    def __call__(self, columns: Array) -> Array:
+        """White columns (r, k) of columns (r, k); or (r,)."""
+        out, _ = dtbtrs(self._factor, columns.reshape(len(columns), -1), uplo="L")
+        return np.asarray(out).reshape(columns.shape)

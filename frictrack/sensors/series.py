@@ -1,0 +1,154 @@
+"""What a sensor recorded on its own clock: its curve between the samples, its averages, its noise, where it failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from frictrack.errors import FrictrackError
+from frictrack.motion.noise import noise_level
+from frictrack.records import Array, Mask
+
+GAP = 2.5  # sample intervals without a sample, from which on the sensor was not running
+CLIPPED = 3  # equal samples at the extreme in a row
+HELD = 0.05  # of all samples equal to the one before: a coarse or held record, of which clipping cannot be told
+FEW = 0.2  # of the record: an extreme taken by more samples is a level, not clipping
+SMALLEST = 2  # samples of a record
+MOST_LOST = 0.5  # of the samples
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A sensor's samples: `t` (m,) in s on its own clock, `values` (m,) in SI units, NaN where it gave none.
+
+    Raises FrictrackError for fewer than two samples, time that does not rise, more than half without a value,
+    and a record of other length than its clock.
+    """
+
+    t: Array
+    values: Array
+    name: str = "sensor"
+
+    def __post_init__(self) -> None:
+        if fault := _fault(self.t, self.values):
+            raise FrictrackError(f"{self.name}: {fault}")
+
+    @cached_property
+    def interval(self) -> float:
+        """Usual time between two samples, s."""
+        return float(np.median(np.diff(self.t)))
+
+    @cached_property
+    def clipped(self) -> Mask:
+        """Samples (m,) at the end of the sensor's range: some in a row that are equal to the largest or smallest."""
+        v = self.values
+        out = np.zeros(len(v), dtype=bool)
+        for extreme in (np.nanmax(v), np.nanmin(v)):
+            at = v == extreme
+            if extreme != 0.0 and np.mean(at) < FEW and np.mean(np.diff(v[~at]) == 0.0) < HELD:
+                out |= _runs(at, CLIPPED)
+        return out
+
+    @cached_property
+    def known(self) -> Mask:
+        """Samples (m,) that say what the sensor felt."""
+        return np.asarray(np.isfinite(self.values) & ~self.clipped)
+
+    @cached_property
+    def constant(self) -> bool:
+        """Whether all samples are the same."""
+        return bool(np.ptp(self.values[self.known]) == 0.0)
+
+    @cached_property
+    def sigma(self) -> float:
+        """White noise of a sample: from third differences, at least that of the last digit."""
+        v = self.values[self.known]
+        steps = np.abs(np.diff(v))
+        rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
+        sigma = float(np.nan_to_num(noise_level(self.values, self.known)[0]))
+        return max(sigma, rounding) if np.isfinite(rounding) and np.mean(steps == 0.0) > HELD else sigma
+
+    @cached_property
+    def density(self) -> float:
+        """Spectral density of the white noise, (unit)^2 s: the variance of an average is this over its time."""
+        return self.sigma**2 * self.interval
+
+    @cached_property
+    def curves(self) -> tuple[BSpline, BSpline, BSpline]:
+        """The curve through the samples, gaps bridged, and its first and second integral over `t` - t[0]."""
+        known = self.known
+        degree = 3 if np.sum(known) > 3 else 1
+        curve = make_interp_spline(self.t[known] - self.t[0], self.values[known], k=degree)
+        return curve, curve.antiderivative(1), curve.antiderivative(2)
+
+    def integral(self, at: Array, order: int) -> Array:
+        """The curve (order 0) or its first or second integral at times on the sensor's clock.
+
+        Before the first and after the last sample the curve keeps its last value.
+        """
+        end = float(self.t[-1] - self.t[0])
+        u = at - self.t[0]
+        inside = np.clip(u, 0.0, end)
+        beyond = u - inside
+        held = [curve(inside) for curve in self.curves[: order + 1]]
+        return np.asarray(sum(held[order - k] * beyond**k / max(k, 1) for k in range(order + 1)))
+
+    def average(self, at: Array, width: float) -> Array:
+        """Mean over `width` (s) round every time; the curve itself where the samples are further apart.
+
+        What is faster than the frames is averaged away instead of being folded down. NaN where the sensor was not
+        running, had a gap or was clipped over any part of the width; half of it (or half a sample) may lack.
+        """
+        whole = self.covers(at - width / 2.0, at + width / 2.0)
+        if self.interval >= width:
+            return np.where(whole, self.integral(at, 0), np.nan)
+        last = np.clip(at + width / 2.0, self.t[0], self.t[-1])
+        first = np.clip(at - width / 2.0, self.t[0], self.t[-1])
+        span = np.where(last > first, last - first, 1.0)
+        mean = (self.integral(last, 1) - self.integral(first, 1)) / span
+        return np.where(whole & (last > first), mean, np.nan)
+
+    def covers(self, start: Array, end: Array) -> Mask:
+        """Whether the sensor was running all the time from `start` (k,) to `end` (k,), on its own clock."""
+        slack = 0.5 * np.maximum(end - start, self.interval) * (1.0 + 1e-9)
+        inside = (start >= self.t[0] - slack) & (end <= self.t[-1] + slack)
+        lost = np.diff(self.t) > GAP * self.interval
+        lost |= ~self.known[1:] | ~self.known[:-1]
+        count = np.concatenate(([0], np.cumsum(lost)))
+        tiny = 1e-6 * self.interval
+        first = np.clip(np.searchsorted(self.t, start + tiny, side="right") - 1, 0, len(count) - 1)
+        last = np.clip(np.searchsorted(self.t, end - tiny, side="left"), 0, len(count) - 1)
+        return np.asarray(inside & (count[np.maximum(last, first)] == count[first]))
+
+    def changed(self, law: Callable[[Array], Array]) -> Series:
+        """The same samples in another unit or sign."""
+        return Series(self.t, law(self.values), self.name)
+
+
+def _fault(t: Array, values: Array) -> str:
+    """What is wrong with a record, in words; nothing when it is sound."""
+    if np.shape(t) != np.shape(values) or np.ndim(t) != 1:
+        return f"expected one value per time but got {np.shape(values)} values at {np.shape(t)} times"
+    back = np.flatnonzero(~(np.diff(t) > 0))
+    if len(back):
+        i = int(back[0])
+        return f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}; mend its clock"
+    if len(t) < SMALLEST:
+        return f"expected at least {SMALLEST} samples but got {len(t)}"
+    lost = int(np.sum(~np.isfinite(values)))
+    if lost > MOST_LOST * len(t):
+        return f"expected numbers but {lost} of {len(t)} samples are none; leave the sensor out, or mend the record"
+    return ""
+
+
+def _runs(mask: Mask, least: int) -> Mask:
+    """The same mask without stretches shorter than `least`."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    out = np.zeros(len(mask), dtype=bool)
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        out[a:b] = b - a >= least
+    return out

@@ -1,0 +1,212 @@
+"""Whether a sensor beside the camera tells the same motion, and if not, what is most likely wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import dct
+from scipy.stats import chi2
+
+from frictrack.motion.known import KnownAcceleration
+from frictrack.records import GRAVITY, Array
+from frictrack.sensors.align import Alignment, Fitted, Problem, align, fit
+from frictrack.sensors.frames import Whitener
+from frictrack.sensors.series import Series
+
+ALPHA = 1e-3  # of a disagreement that noise alone would show
+SURE = 3.0  # standard deviations from which on a gain or a bias is spoken of
+GAIN = 0.05  # how far a sensor's sensitivity is commonly off
+LATE = 4.0  # standard deviations by which a given offset may be off
+FIRST = 8  # coefficients in the lowest band
+SHARE = 0.5  # of an excess that one line, or one moment, must hold to be named
+MOMENTS = 12  # parts of the record of which one may be to blame
+WINDOWS = 24  # means by which the difference is quoted
+UNITS = {
+    -1.0: 'its axis points the other way: flip its sign with columns = {a = "-a (m/s^2)"}',
+    GRAVITY: 'it is in units of gravity: say so with columns = {a = "a (g)"}',
+    -GRAVITY: 'it is in units of gravity and its axis points the other way: columns = {a = "-a (g)"}',
+    1e-3: 'it is in mm/s^2: say so with columns = {a = "a (mm/s^2)"}',
+}  # gain -> what explains it
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The camera and a sensor side by side.
+
+    `verdict` is "consistent", "disagrees" or "not compared"; `says` one sentence on each thing found, the cause of
+    a disagreement first. `rms_difference` and what both noises explain of it, `rms_expected` (m/s^2), are of means
+    over `window` (s), as well as both noises together let them be told. `p` is that of the worst octave of the
+    difference, times the number of octaves.
+    """
+
+    verdict: str
+    says: tuple[str, ...] = ()
+    p: float | None = None
+    reduced_chi2: float | None = None
+    rms_difference: float | None = None
+    rms_expected: float | None = None
+    window: float | None = None
+
+
+def compare(problem: Problem, alignment: Alignment, scale_error: float = 0.0) -> Comparison:
+    """Compare an accelerometer with the camera once it is aligned; `scale_error` is the relative one of the scale."""
+    if alignment.gain is None or alignment.sigma_gain is None:
+        return Comparison("not compared", (f"not compared with the camera: {alignment.reason}",))
+    free = alignment.sigma_offset is not None
+    kept = problem.take(problem.rows(alignment))
+    fitted = fit(kept, alignment, free, alignment.sigma_rate is not None)
+    p, excess = _worst(kept, fitted)
+    faults = [_off_gain(alignment, scale_error), _off_bias(alignment), "" if free else _off_delay(problem, alignment)]
+    if p < ALPHA:
+        faults.append(_misfit(kept, fitted, excess))
+    faults = [fault for fault in faults if fault]
+    difference, expected, window = _differences(kept, alignment)
+    return Comparison(
+        verdict="disagrees" if faults else "consistent",
+        says=(*faults, *_findings(problem.series, alignment, scale_error)),
+        p=p,
+        reduced_chi2=float(np.sum(fitted.residual**2)) / max(len(fitted.residual) - fitted.regressors.shape[1], 1),
+        rms_difference=difference,
+        rms_expected=expected,
+        window=window,
+    )
+
+
+def known_acceleration(series: Series, alignment: Alignment, t: Array) -> KnownAcceleration:
+    """What an aligned accelerometer says at the camera's frames t (n,): delay, gain and bias taken out.
+
+    Means over one frame interval. A sensor slower than the camera says the same for several frames; its noise is
+    given so that, taken as independent from frame to frame, they weigh together what they are worth.
+    """
+    assert alignment.gain is not None
+    assert alignment.bias is not None
+    h = float(np.median(np.diff(t)))
+    a = alignment.gain * series.average(t - alignment.lag(t), h) + alignment.bias
+    return KnownAcceleration(a, abs(alignment.gain) * float(np.sqrt(series.density / h)))
+
+
+def _off_gain(alignment: Alignment, scale_error: float) -> str:
+    """A gain beyond what sensors are commonly off by, and what would explain it."""
+    gain, sigma = alignment.gain, alignment.sigma_gain
+    assert gain is not None
+    assert sigma is not None
+    if abs(gain - 1.0) <= GAIN + SURE * np.hypot(sigma, scale_error):
+        return ""
+    said = f"its gain is {gain:.4g} +/- {sigma:.2g} instead of 1"
+    if abs(gain) < SURE * sigma:
+        return f"{said}: it does not follow what the camera sees; check that it belongs to this run"
+    for unit, why in UNITS.items():
+        if abs(gain / unit - 1.0) < GAIN + SURE * sigma / abs(unit):
+            return f"{said}: {why}"
+    frames = f", or the frame rate by {np.sqrt(gain):.4g}" if gain > 0 else ""
+    return (
+        f"{said}: the scale is too large by this factor{frames}, or the sensor's sensitivity is off; check the scale "
+        "and the frame rate first, forces go with both"
+    )
+
+
+def _off_bias(alignment: Alignment) -> str:
+    bias, sigma = alignment.bias, alignment.sigma_bias
+    assert bias is not None
+    assert sigma is not None
+    if abs(bias) <= GRAVITY + SURE * sigma:
+        return ""
+    return (
+        f"its zero is off by {bias:.3g} m/s^2, more than any tilt could do ({GRAVITY:.3g}): "
+        "zero it, or check its unit and the range of its amplifier"
+    )
+
+
+def _off_delay(problem: Problem, alignment: Alignment) -> str:
+    """Whether a given offset is refuted by the data."""
+    kept = problem.take(problem.rows(alignment))
+    fitted = fit(kept, alignment)
+    if fitted.theta[1] ** 2 < LATE**2 * fitted.covariance[1, 1]:
+        return ""
+    better = align(problem)
+    if better.sigma_offset is None:
+        return ""
+    found = f"{1e3 * better.offset:.4g} +/- {1e3 * better.sigma_offset:.2g} ms"
+    return (
+        f"the offset of {1e3 * alignment.offset:.4g} ms is wrong, the data say {found}: correct it, or leave it to "
+        'the data with offset = "auto"'
+    )
+
+
+def _worst(problem: Problem, fitted: Fitted) -> tuple[float, Array]:
+    """Find the p of the loudest octave of the white residual, and its cosine spectrum less the 1 expected."""
+    spectrum = np.asarray(dct(fitted.residual, norm="ortho"))
+    basis = dct(np.linalg.qr(fitted.regressors)[0], axis=0, norm="ortho")
+    free = 1.0 - np.sum(basis**2, axis=1)
+    n = len(spectrum)
+    edges = [0, *(FIRST * 2**k for k in range(32) if FIRST * 2**k < 0.75 * n), n]
+    power = [float(np.sum(spectrum[i:j] ** 2)) for i, j in pairwise(edges)]
+    degrees = [max(float(np.sum(free[i:j])), 0.5) for i, j in pairwise(edges)]
+    p = float(np.min(chi2.sf(power, degrees)))
+    return min(1.0, p * len(power)), spectrum**2 - free
+
+
+def _misfit(problem: Problem, fitted: Fitted, excess: Array) -> str:
+    """What the difference looks like that the noises do not explain."""
+    frames, n = problem.frames, len(excess)
+    total = float(np.sum(excess[excess > 0]))
+    line = int(np.argmax(excess))
+    frequency = line / (2.0 * n * frames.interval)
+    near = float(np.sum(np.clip(excess[max(line - 2, 0) : line + 3], 0.0, None)))
+    if near > SHARE * total and line >= FIRST:
+        return (
+            f"they differ by a line at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
+            "or the tracked target shakes; fix both to the slider"
+        )
+    moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, MOMENTS)])
+    loud = int(np.argmax(moments))
+    if moments[loud] > SHARE * float(np.sum(np.clip(moments, 0.0, None))) and moments[loud] > 0:
+        at = np.array_split(frames.t[frames.centre], MOMENTS)[loud]
+        return (
+            f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: a blow beyond the sensor's range or bandwidth, "
+            "a mounting that gives, or a target lost; look at these frames"
+        )
+    if float(np.sum(np.clip(excess[: 2 * FIRST], 0.0, None))) > SHARE * total:
+        return (
+            "they differ slowly: a sensor that drifts, does not go down to 0 Hz, or tilts on its way; or a scale that "
+            "changes along the course; check the sensor's lowest frequency"
+        )
+    return (
+        "they differ by more than their noises explain, at no one frequency and no one moment: the sensor feels more "
+        "than the slider's motion along the course; check its axis and its mounting"
+    )
+
+
+def _findings(series: Series, alignment: Alignment, scale_error: float) -> list[str]:
+    """What is worth saying of a sensor though it is no disagreement."""
+    found = []
+    gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
+    if SURE * np.hypot(sigma, scale_error) < abs(gain - 1.0) <= GAIN + SURE * np.hypot(sigma, scale_error):
+        found.append(f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says; taken out as its sensitivity")
+    if SURE * (alignment.sigma_bias or 0.0) < abs(bias) <= GRAVITY:
+        tilt = np.degrees(np.arcsin(abs(bias) / GRAVITY))
+        found.append(f"its zero is off by {bias:.3g} m/s^2 (as a tilt of {tilt:.2g} deg would do); taken out")
+    if alignment.sigma_rate is not None:
+        ppm, spread = 1e6 * alignment.rate, 1e6 * alignment.sigma_rate
+        found.append(f"its clock runs {ppm:.3g} +/- {spread:.2g} ppm fast against the camera's; taken out")
+    if count := int(np.sum(series.clipped)):
+        top = float(np.max(np.abs(series.values[series.clipped])))
+        found.append(f"{count} of its samples are clipped at {top:.4g}: they are left out; take a wider range")
+    return found
+
+
+def _differences(problem: Problem, alignment: Alignment) -> tuple[float, float, float]:
+    """Rms of the difference's means as both noises let them be told, what these explain of it, and a mean's time."""
+    frames, series = problem.frames, problem.series
+    gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
+    rest = frames.z - gain * frames.felt(series, alignment.lag(frames.t)[:, None])[:, 0] - bias
+    white = Whitener(frames.camera + (gain * series.sigma) ** 2 * frames.noise(series, alignment.offset))
+    count = min(WINDOWS, len(rest) // 2)
+    means = (np.arange(len(rest)) * count // len(rest))[:, None] == np.arange(count)
+    columns = white(means.astype(float))
+    covariance = np.linalg.inv(columns.T @ columns)
+    difference = covariance @ (columns.T @ white(rest))
+    window = len(rest) / count * frames.interval
+    return float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.mean(np.diag(covariance)))), window
