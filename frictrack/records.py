@@ -234,7 +234,8 @@ class Curve(Table):
 class Modelled(Table):
     """The motion of one run that a fitted model itself tells, at the frames that were fitted (or predicted).
 
-    The standard deviations are those of the fit: mass and scale are common to all runs and stand apart.
+    The standard deviations are those of the fit: mass and scale are common to all runs and stand apart. NaN: a law
+    too far off to be linearised.
     """
 
     t: Array = column("s")
@@ -242,10 +243,10 @@ class Modelled(Table):
     v: Array = column("m/s")
     a: Array = column("m/s^2")
     F: Array = column("N")
-    sigma_x: Array = column("m")
-    sigma_v: Array = column("m/s")
-    sigma_a: Array = column("m/s^2")
-    sigma_F: Array = column("N")
+    sigma_x: Array = column("m", nan=True)
+    sigma_v: Array = column("m/s", nan=True)
+    sigma_a: Array = column("m/s^2", nan=True)
+    sigma_F: Array = column("N", nan=True)
     blow: Mask = column("", kind=np.bool_)  # frames of a collision too short to be resolved: a, F are not known there
     segment: NDArray[np.int_] = column("", kind=np.int_)  # number of the stretch that a frame belongs to
     run: str = "run"

@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.fit.result import Fit, errors_of
 from frictrack.models import Model
-from frictrack.records import Curve, Run
+from frictrack.records import Curve, Modelled, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,11 @@ class GroupFits:
     def curves(self) -> tuple[Curve, ...]:
         """Measurement beside model, group by group."""
         return tuple(chain.from_iterable(f.curves for f in self.fits.values()))
+
+    @property
+    def motion(self) -> tuple[Modelled, ...]:
+        """The laws' own motion with their bands, group by group."""
+        return tuple(chain.from_iterable(f.motion for f in self.fits.values()))
 
     @property
     def errors(self) -> dict[str, Any]:
@@ -61,6 +66,7 @@ class GroupFits:
             "correlations": [[f"{a}[{g}]", f"{b}[{g}]", r] for g, s in each.items() for a, b, r in s["correlations"]],
             "errors": self.errors,
             "per_run": [row | {"group": g} for g, s in each.items() for row in s["per_run"]],
+            "collisions": [told | {"group": g} for g, s in each.items() for told in s["collisions"]],
         }
 
 

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from frictrack.fit import routes
+from frictrack.fit.blows import collisions
 from frictrack.fit.estimate import Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
+from frictrack.fit.modelled import bands, modelled
 from frictrack.fit.problem import Reference, Response
 from frictrack.fit.routes import Found, Route
 from frictrack.fit.scatter import MIN_RUNS
 from frictrack.fit.solve import Solution
 from frictrack.models import Model
-from frictrack.records import Array, Curve, Run
+from frictrack.records import Array, Curve, Modelled, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,16 @@ class Fit:
         )
 
     @cached_property
+    def motion(self) -> tuple[Modelled, ...]:
+        """The law's own x, v, a and F with their bands, one table per run, validation runs last."""
+        return modelled(self)
+
+    @cached_property
+    def collisions(self) -> list[dict[str, Any]]:
+        """Impulse of every collision of the law, and what is known of how short it was: JSON."""
+        return collisions(self)
+
+    @cached_property
     def errors(self) -> dict[str, Any]:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
@@ -122,6 +134,7 @@ class Fit:
             "correlations": [list(c) for c in self.estimates.correlations],
             "errors": self.errors,
             "per_run": self._per_run(),
+            "collisions": self.collisions,
         } | ({"optima": self._optima()} if len(self.found.optima) else {})
 
     def _optima(self) -> list[dict[str, Any]]:
@@ -134,9 +147,11 @@ class Fit:
 
     def _per_run(self) -> list[dict[str, Any]]:
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.runs)]
-        return rows + [
+        rows += [
             _row(s, 0, run, "validation", self.curves) for s, run in zip(self.predictions, self.validation, strict=True)
         ]
+        told = zip(rows, self.motion, self.runs + self.validation, strict=True)
+        return [row | {"motion": bands(motion, run)} for row, motion, run in told]
 
 
 def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:

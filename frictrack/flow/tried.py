@@ -13,7 +13,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
-from frictrack.records import Curve, Run
+from frictrack.records import Curve, Modelled, Run
 from frictrack.results import ModelResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import EffectTable, Study
@@ -199,11 +199,13 @@ class Tried:
         inside = group if group == "papers" else f"models/{group}"
         held = store.read(self.path, inside)
         curves = store.names(self.path, f"{inside}/curves")
+        motion = store.names(self.path, f"{inside}/motion")
         return ModelResults(
             name=group,
             equation=held["equation"],
             summary=json.loads(held["summary"]),
             curves=tuple(store.read(self.path, f"{inside}/curves/{name}", Curve) for name in curves),
+            motion=tuple(store.read(self.path, f"{inside}/motion/{name}", Modelled) for name in motion),
             current=bool(held["current"]),
             diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
             figures=held.get("diagnosis", {}).get("figures", {}),
@@ -219,5 +221,6 @@ class Tried:
             "summary": json.dumps(plain(fitted.summary())),
             "state": state(fitted),
             "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
+            "motion": {told.run: told for told in fitted.motion},
         }
         return Entry(content, Stamp(self.key(spec), self.input_hash, spec.json()))
