@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
-from derivatives import SIGNALS, classics, run, signal
+from derivatives import SIGNALS, classics, ours, run, signal
 from derivatives.bayes import gaussian_process, kalman
 from derivatives.bounds import cramer_rao, wiener
 from derivatives.estimate import Estimate
@@ -195,16 +195,25 @@ def test_a_method_that_refuses_leaves_its_reason(signals, monkeypatch):
 def test_the_command_prints_a_table_and_writes_all_figures(tmp_path):
     file = tmp_path / "figures.json"
     command = [sys.executable, str(BENCHMARKS / "derivatives"), "--signals", "vib", "--noises", "10", "--seeds", "1"]
-    command += ["--methods", "frictrack,100 Hz", "--no-peers", "--json", str(file)]
+    command += ["--methods", "jerk,100 Hz", "--no-peers", "--json", str(file)]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "vib, 10 um" in text
     assert "RMS error of a" in text
     rows = json.loads(file.read_text())["accuracy"]["vib"]["10 um"]
-    assert {"Cramer-Rao", run.WIENER, "frictrack", "Butterworth 100 Hz + differences"} <= set(rows)
-    assert "Savitzky-Golay GCV" not in rows
-    assert rows[run.WIENER]["a"] < rows["frictrack"]["a"] < rows["Butterworth 100 Hz + differences"]["a"]
-    for title in ("frictrack", "Cramer-Rao"):
-        assert any(line.startswith(title) for line in text.splitlines())
+    jerk, practice = "Kalman, white jerk, ML", "Butterworth 100 Hz + differences"
+    assert set(rows) == {"Cramer-Rao", run.WIENER, jerk, practice}
+    assert rows["Cramer-Rao"]["a"] < rows[run.WIENER]["a"] < rows[jerk]["a"] < rows[practice]["a"]
+    for title in rows:
+        assert sum(line.startswith(title) for line in text.splitlines()) == 2  # table and overview
+
+
+def test_frictrack_is_asked_through_its_public_stages(signals):
+    truth = signals["vib"]
+    assert "frictrack" in ours.methods(1e-5)
+    found = ours.frictrack(1e-5)(truth.t, run.measured(truth, 1e-5, 0))
+    figures = judge(truth, [found], [0.0])
+    assert 0.1 < figures["a"] < 1.0
+    assert 0.7 < figures["z_x"] < 1.3
 
 
 def test_words_choose_methods():

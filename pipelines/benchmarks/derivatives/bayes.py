@@ -11,20 +11,21 @@ from scipy.optimize import minimize
 
 from .estimate import Array, Estimate, Method, lowest
 
-VAGUE = 1e10  # variance of the first state, in units of noise and frames
-RATIOS = 1e-19, 1e2  # process noise over measurement noise per frame, searched
+VAGUE = 1e10 * 100.0 ** np.arange(4)  # variances of the first state, in units of noise and record
+RATIOS = 1e-4, 1e22  # process noise over measurement noise, in units of the record, searched
 LENGTHS, SIZES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (1e2, 1e4, 1e6, 1e8, 1e10)  # of the records, of the noise
 
 
 class Chain:
-    """x and its n - 1 derivatives, the n-th is white noise; time in frames, variances in units of the noise."""
+    """x and its n - 1 derivatives, the n-th is white noise; time in units of the record, variances of the noise."""
 
-    def __init__(self, order: int, ratio: float) -> None:
+    def __init__(self, order: int, ratio: float, interval: float) -> None:
         i, j = np.indices((order, order))
         factorial = np.vectorize(math.factorial)
-        self.step = np.where(j >= i, 1.0 / factorial(np.maximum(j - i, 0)), 0.0)
+        self.step = np.where(j >= i, interval ** np.maximum(j - i, 0) / factorial(np.maximum(j - i, 0)), 0.0)
         power = 2 * order - 1 - i - j
-        self.process = ratio / (power * factorial(order - 1 - i) * factorial(order - 1 - j))
+        size = power * factorial(order - 1 - i) * factorial(order - 1 - j)
+        self.process = ratio * interval**power / size
         self.order = order
 
     def forward(self, y: Array) -> tuple[float, float, list[tuple[Array, Array, Array, Array]]]:
@@ -32,7 +33,7 @@ class Chain:
 
         The first frames, which a vague start fits whatever they are, do not count.
         """
-        mean, spread = np.zeros(self.order), VAGUE * np.eye(self.order)
+        mean, spread = np.zeros(self.order), np.diag(VAGUE[: self.order])
         squares, logs, kept = 0.0, 0.0, []
         for k, value in enumerate(y):
             if k:
@@ -40,11 +41,11 @@ class Chain:
             variance = spread[0, 0] + 1.0
             gain, surprise = spread[:, 0] / variance, value - mean[0]
             after = mean + gain * surprise
-            narrow = spread - np.outer(gain, spread[0])
+            narrow = spread - variance * np.outer(gain, gain)
             kept.append((mean, spread, after, narrow))
             if k >= self.order:
                 squares, logs = squares + surprise**2 / variance, logs + math.log(variance)
-            mean, spread = after, 0.5 * (narrow + narrow.T)
+            mean, spread = after, narrow
         degrees = len(y) - self.order
         return degrees * math.log(squares) + logs, squares / degrees, kept
 
@@ -66,11 +67,11 @@ def kalman(order: int) -> Method:
     """Rauch-Tung-Striebel smoother, process noise by maximum likelihood."""
 
     def estimate(t: Array, y: Array) -> Estimate:
-        interval, unit = (t[-1] - t[0]) / (len(t) - 1), float(np.std(np.diff(y, 4))) / math.sqrt(70)
-        z = (y - y[0]) / unit
-        ratio = lowest(lambda q: Chain(order, q).forward(z)[0], *RATIOS, 11, 0.05)
-        means, deviations = Chain(order, ratio).smooth(z)
-        scale = unit / interval ** np.arange(order)
+        span, unit = t[-1] - t[0], float(np.std(np.diff(y, 4))) / math.sqrt(70)
+        z, interval = (y - y[0]) / unit, 1.0 / (len(t) - 1)
+        ratio = lowest(lambda q: Chain(order, q, interval).forward(z)[0], *RATIOS, 14, 0.05)
+        means, deviations = Chain(order, ratio, interval).smooth(z)
+        scale = unit / span ** np.arange(order)
         (x, v, a), sigmas = (means * scale).T[:3], (deviations * scale).T[:3]
         return Estimate(x + y[0], v, a, *sigmas)
 
