@@ -20,6 +20,8 @@ CERTAIN = 5.0  # |v| over sigma_v that a stretch of moving frames must reach to 
 PUSHED = 0.8  # of the highest speed: a record that begins slower shows the push
 IMPACT_TIME = 4e-3  # s, within which an impact takes half of the speed
 IMPACT_FACTOR = 5.0  # deceleration of an impact over the usual one
+EVENT_REACH = 3  # frames beyond an event that a difference may still see it
+EVENT_NEAR = 8  # frames that an event may lie from what it is
 MIN_FREE = 8  # frames, fewer cannot be judged
 
 
@@ -164,7 +166,7 @@ def _stretches(mask: Mask) -> list[slice]:
 
 def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
     """First free frame, frame of release, and why."""
-    t, guard = run.motion.t, run.motion.guard
+    t, smear = run.motion.t, _smear(run)
     speed = np.where(run.displacement.valid, np.abs(run.motion.v), 0.0)[start : stop + 1]
     fastest = int(np.argmax(speed))
     before = speed[: fastest + 1]
@@ -176,31 +178,46 @@ def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
         release, event = start + fastest, f"the highest speed at {t[start + fastest]:.4g} s"
     if not rested:
         return start, start, f"the first frame at {t[start]:.4g} s, which moves freely already"
-    quiet = [b for b in run.motion.breaks if b > release]
-    if quiet:  # the push was filtered apart: nothing of it is smeared into what follows
-        return min(quiet[0], stop), release, f"{event}, after the push at {t[min(quiet[0], stop)]:.4g} s,"
-    return min(release + guard, stop), release, f"{event} and {guard} frames for the filter"
+    push = _event(run, release)
+    if push:  # it was followed as an event: nothing of it is smeared into what follows
+        first = min(push[1] + EVENT_REACH, release + smear, stop)
+        return first, release, f"{event}, after the push at {t[first]:.4g} s,"
+    return min(release + smear, stop), release, f"{event} and {smear} frames for the filter"
 
 
 def _end(run: Run, first: int, stop: int) -> tuple[int, str]:
     """Last free frame, and why."""
-    t, guard = run.motion.t, run.motion.guard
+    t, smear = run.motion.t, _smear(run)
     impact = _impact(run, first, stop)
-    violent = [b for b in run.motion.breaks if impact is not None and first < b <= impact + 2]
-    if impact is not None and violent:  # filtered apart from the slide
-        return min(violent[-1] - 1, stop), f"an impact at {t[impact]:.4g} s"
+    violent = None if impact is None else _event(run, impact)
+    if impact is not None and violent and violent[0] - EVENT_REACH > first:  # nothing of it is smeared into the slide
+        return min(violent[0] - EVENT_REACH, stop), f"an impact at {t[impact]:.4g} s"
     if impact is not None:
-        return max(impact - guard, first), f"an impact at {t[impact]:.4g} s less {guard} frames for the filter"
+        return max(impact - smear, first), f"an impact at {t[impact]:.4g} s less {smear} frames for the filter"
     if stop == np.flatnonzero(run.displacement.valid)[-1]:
         return stop, f"the last valid frame at {t[stop]:.4g} s"
     return stop, f"the last moving frame at {t[stop]:.4g} s"
+
+
+def _smear(run: Run) -> int:
+    """Frames over which a low-pass would smear something abrupt: half a period of its cut-off, where that is known."""
+    if not np.isfinite(run.motion.cutoff):
+        return run.motion.guard
+    period = 1.0 / (run.motion.cutoff * float(np.median(np.diff(run.motion.t))))
+    return int(min(np.ceil(period / 2.0), len(run.motion) // 8))
+
+
+def _event(run: Run, row: int) -> tuple[int, int] | None:
+    """First and last row of the event at a row, if the smoother has seen one there."""
+    near = [e for e in run.motion.events if e[0] - EVENT_NEAR <= row <= e[1] + EVENT_NEAR]
+    return min(near, key=lambda e: max(e[0] - row, row - e[1])) if near else None
 
 
 def _impact(run: Run, first: int, stop: int) -> int | None:
     """Frame in which the first impact begins: half of the speed lost at once, far faster than in the slide."""
     v, a = run.motion.v, np.abs(run.motion.a)
     interval = float(np.median(np.diff(run.motion.t)))
-    window = max(round(IMPACT_TIME / interval), 2 * run.motion.guard)
+    window = max(round(IMPACT_TIME / interval), 2 * _smear(run))
     i = np.arange(first, min(stop + 1, len(v) - 1))
     j = np.minimum(i + window, len(v) - 1)
     far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))

@@ -142,7 +142,7 @@ class TestSearch:
     @pytest.mark.parametrize(
         ("search", "close"),
         [
-            ("ga", 1.5),
+            ("ga", 15.0),
             pytest.param("mga", 1.5, marks=pytest.mark.slow),
             ("sga", 1.1),
             pytest.param("sa", 1.1, marks=pytest.mark.slow),

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgbtrf, dgbtrs
 from scipy.sparse import csr_array
 from scipy.stats import t as student
 
@@ -22,9 +21,11 @@ from frictrack.fit.estimate import Estimate, Estimates, _correlations, _inverse,
 from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response
 from frictrack.fit.scatter import MIN_RUNS, restraint_rows
 from frictrack.fit.solve import Solution, refine, settle_scatter
-from frictrack.motion.derivative import NODES, _stencils
+from frictrack.motion.filter import weights
 from frictrack.motion.grid import frame_grid
-from frictrack.motion.smoother import BAND, _equations, deviations, penalty, weights
+from frictrack.motion.stencil import NODES, stencils
+from frictrack.motion.structure import Structure
+from frictrack.motion.system import Data, Factor
 from frictrack.records import Array, Mask, Run
 
 CERTAIN = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
@@ -39,8 +40,7 @@ class Chain:
 
     rows: NDArray[np.int64]  # place of every frame on the regular grid of N frames
     weight: Array  # of the smoother, (N,), 0 where a frame is missing
-    lu: Array  # factors of the smoother's equations
-    pivots: Array
+    factor: Factor  # the smoother
     second: csr_array  # second derivative at the compared frames, (m, N)
     sigma_a: Array  # noise of the accelerations, (m,)
     kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
@@ -50,25 +50,18 @@ class Chain:
         """Accelerations (m, k) of displacements (n, k)."""
         full = np.zeros((len(self.weight), columns.shape[1]))
         full[self.rows] = columns
-        out: Array = self.second @ self._solve(self.weight[:, None] * full)
+        out: Array = self.second @ self.factor.smooth(full)
         return out
 
     def transposed(self, columns: Array) -> Array:
         """K' times columns (m, k), shape (n, k)."""
-        out: Array = (self.weight[:, None] * self._solve(self.second.T @ columns))[self.rows]
+        out: Array = (self.weight[:, None] * self.factor.answer(self.second.T @ columns))[self.rows]
         return out
 
     def only(self, rows: Mask) -> Chain:
         """The same chain, compared only at the marked frames (n,) of the piece."""
         use = rows[self.kept]
         return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
-
-    def _solve(self, right: Array) -> Array:
-        """(W + lambda D'D)^-1 times columns, through the smoother's own equations."""
-        both = np.zeros((2 * len(self.weight), right.shape[1]))
-        both[0::2] = right
-        out: Array = dgbtrs(self.lu, BAND, BAND, both, self.pivots)[0][0::2]
-        return out
 
 
 def chain_of(run: Run, piece: Piece) -> Chain:
@@ -79,16 +72,15 @@ def chain_of(run: Run, piece: Piece) -> Chain:
     inside = np.arange(guard, n - guard)
     kept = grid.frames[inside]
     weight = grid.spread(weights(piece.sigma, np.ones(n, dtype=bool)))
-    lam = penalty(run.motion.cutoff, grid.interval)
-    start, stencils = _stencils(grid)
+    smoother = Structure.low_pass(run.motion.cutoff, grid.interval).factored(Data(np.zeros(grid.n), weight))
+    start, table = stencils(grid.n, grid.interval)
     noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
-    spread = noise * deviations(weight, lam, 0.0, start, stencils[2:])[0]
+    spread = noise * np.sqrt(smoother.passed(start, table[2:]))[0]
     columns = (start[kept, None] + np.arange(NODES)).ravel()
     second = csr_array(
-        (stencils[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
+        (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
     )
-    lu, pivots, _ = dgbtrf(_equations(weight, lam), BAND, BAND)
-    return Chain(grid.frames, weight, lu, pivots, second, spread[kept], inside, run.motion.cutoff)
+    return Chain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Displacement -> low-pass -> displacement, velocity and acceleration with their standard deviations."""
 
-from frictrack.motion.derivative import differentiate
+from frictrack.motion.derivative import covariance, differentiate
 from frictrack.motion.filter import low_pass
+from frictrack.motion.known import KnownAcceleration
 from frictrack.motion.noise import lag1, noise_level
 
-__all__ = ["differentiate", "lag1", "low_pass", "noise_level"]
+__all__ = ["KnownAcceleration", "covariance", "differentiate", "lag1", "low_pass", "noise_level"]

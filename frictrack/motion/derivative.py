@@ -1,97 +1,188 @@
-"""The stage low-passed displacement -> velocity and acceleration, with standard deviations."""
+"""The stage low-passed displacement -> velocity and acceleration, with standard deviations and covariances."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.errors import FrictrackError
+from frictrack.motion.filter import MISSING, Smoother, cubic, sensor_weights, weights
 from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.smoother import MISSING, deviations, lost_share, penalty, smooth, weights
-from frictrack.records import Array, Filtered, Motion
+from frictrack.motion.methods import Method, bridged
+from frictrack.motion.stencil import NODES, REACH, derived, stencils
+from frictrack.motion.structure import Structure
+from frictrack.motion.system import Data, Factor
+from frictrack.records import Array, Filtered, Mask, Motion
 
-NODES = 6  # frames a derivative stencil may take
+CHUNK = 256  # columns at once
+QUANTITIES = ("x", "v", "a")
 
 
 def differentiate(filtered: Filtered) -> Motion:
     """Velocity and acceleration of a low-passed displacement by central differences.
 
-    Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout.
-    The standard deviations are those of the stencils under the covariance of the smoother: the noise that it
-    lets through, and the signal that it takes away on average over the record. `guard`
-    is half a period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in
-    which sigma_a exceeds twice its median, if these are more; never more than an eighth of the record.
+    Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout. The
+    standard deviations are those of the stencils under the covariance of the smoother: the noise that it lets through,
+    and the signal that it takes away. Where the acceleration jumps between two frames it is known to lie between its
+    values on both sides only, and sigma_a says so. `guard` is half a period of the cut-off, in which an abrupt event
+    is smeared down to a fifth, or the end frames in which sigma_a exceeds twice its median, if these are more; never
+    more than an eighth of the record.
     """
-    bounds = [*filtered.breaks, len(filtered)]
-    cutoffs = filtered.cutoffs or (filtered.cutoff,)
-    cutoffs_y = filtered.cutoffs_y or (filtered.cutoff_y,)
-    stretches = [slice(i, j) for i, j in pairwise(bounds)]
-    made = [_stretch(filtered, s, f, f_y) for s, f, f_y in zip(stretches, cutoffs, cutoffs_y, strict=True)]
-    x, v, a, a_y = np.concatenate(made, axis=2)
-    slide = stretches[cutoffs.index(filtered.cutoff)]
-    period = 1.0 / (filtered.cutoff * frame_grid(filtered.t).interval)
+    along = Derived.along(filtered)
+    values, sigma = along.values(), along.deviations()
+    sigma[2] = np.hypot(sigma[2], _jumps(values[2], filtered.events))
+    a_y = sigma_a_y = np.full(len(filtered), np.nan)
+    if np.isfinite(filtered.cutoff_y):
+        across = Derived.across(filtered)
+        a_y, sigma_a_y = across.values()[2], across.deviations()[2]
+    period = 1.0 / (filtered.cutoff * along.grid.interval)
     return Motion(
         t=filtered.t,
-        x=x[0],
-        v=v[0],
-        a=a[0],
-        a_y=a_y[0],
-        sigma_x=x[1],
-        sigma_v=v[1],
-        sigma_a=a[1],
-        sigma_a_y=a_y[1],
-        guard=_guard(a[1][slide][filtered.sigma_x[slide] < MISSING], period),
+        x=values[0],
+        v=values[1],
+        a=values[2],
+        a_y=a_y,
+        sigma_x=sigma[0],
+        sigma_v=sigma[1],
+        sigma_a=sigma[2],
+        sigma_a_y=sigma_a_y,
+        guard=_guard(sigma[2][filtered.sigma_x < MISSING], period),
         cutoff=filtered.cutoff,
-        breaks=filtered.breaks,
+        events=filtered.events,
+        lines=filtered.lines,
     )
 
 
-def _stretch(filtered: Filtered, s: slice, cutoff: float, cutoff_y: float) -> Array:
-    """x, v, a and a_y of one stretch with their standard deviations, (4, 2, n)."""
-    grid = frame_grid(filtered.t[s])
-    along = _derive(filtered.x[s], filtered.sigma_x[s], cutoff, grid)
-    across = np.full((1, 2, along.shape[2]), np.nan)
-    if np.isfinite(cutoff_y):
-        across = _derive(filtered.y[s], filtered.sigma_y[s], cutoff_y, grid)[2:]
-    return np.concatenate([along, across])
+def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = None) -> Array:
+    """Covariance (m, m) of x, v or a among some rows (m,), all by default: smoothing colours the noise.
+
+    In m^2, m^2/s^2 or m^2/s^4. What a mean or a slope of the friction force is worth follows from it, not from the
+    standard deviations frame by frame. Raises FrictrackError for another quantity.
+    """
+    if of not in QUANTITIES:
+        raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
+    chosen = np.arange(len(filtered)) if rows is None else np.asarray(rows, dtype=np.int64)
+    return Derived.along(filtered).covariance(QUANTITIES.index(of), chosen)
 
 
-def _derive(x: Array, sigma: Array, cutoff: float, grid: Grid) -> Array:
-    """Derivatives of order 0, 1, 2 of the rows, with their standard deviations (3, 2, n)."""
-    known = sigma < MISSING
-    w = grid.spread(weights(sigma, known))
-    noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)  # of a frame of weight 1
-    lam, whole = penalty(cutoff, grid.interval), _whole(x, grid)
-    start, stencils = _stencils(grid)
-    values = np.sum(stencils * whole[start[:, None] + np.arange(NODES)], axis=-1)
-    spread = noise * deviations(w, lam, lost_share(whole, lam, noise**2), start, stencils)
-    return np.stack([values, spread], axis=1)[:, :, grid.frames]
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """Derivatives of one low-passed coordinate, and what they are worth."""
+
+    grid: Grid
+    x: Array  # low-passed rows
+    known: Mask
+    w: Array  # weights on the grid
+    noise: float  # m, of a frame of weight 1
+    smoother: Smoother
+    worth: Array | None = None  # weights of the second differences that a sensor knew
+    measured: Array | None = None  # the unfiltered series on the grid, where a method derives from that
+
+    @classmethod
+    def along(cls, filtered: Filtered) -> Derived:
+        """x."""
+        made = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
+        if filtered.sigma_sensor is None or made.smoother.method:
+            return made
+        sigma = made.grid.spread(filtered.sigma_sensor, MISSING)[1:-1]
+        worth = sensor_weights(sigma, made.grid.interval**2, made.noise)
+        return replace(made, worth=worth)
+
+    @classmethod
+    def across(cls, filtered: Filtered) -> Derived:
+        """y."""
+        return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
+
+    @classmethod
+    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derived:
+        x, sigma, smoother, measured = columns
+        grid = frame_grid(filtered.t)
+        known = sigma < MISSING
+        noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
+        raw = None if measured is None else grid.spread(np.nan_to_num(measured))
+        w = grid.spread(weights(sigma, known))
+        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
+
+    def values(self) -> Array:
+        """Derivatives of order 0, 1, 2 of the rows (3, n)."""
+        if self.measured is not None and self.smoother.method is not None:
+            return self._by(self.smoother.method, bridged(self.measured, self.w > 0))[:, self.grid.frames]
+        return derived(self._whole(), self.grid.interval)[:, self.grid.frames]
+
+    def _by(self, method: Method, y: Array) -> Array:
+        """Derivatives (3, N, ...) of columns (N, ...) by a method."""
+        return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
+
+    def deviations(self) -> Array:
+        """Standard deviations of the same (3, n)."""
+        start, table = stencils(self.grid.n, self.grid.interval)
+        if self.smoother.method is None:
+            spread = self.noise * np.sqrt(self._factor().variances(start, table))
+        else:
+            spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
+        return spread[:, self.grid.frames]
+
+    def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
+        """Covariance (m, m) of the derivative of an order among rows (m,)."""
+        if self.smoother.method is not None:
+            passed = [b[order, self.grid.frames[rows]] * s for b, s in self._columns(self.smoother.method)]
+            every = np.concatenate(passed, axis=1)
+            return every @ every.T
+        start, table = stencils(self.grid.n, self.grid.interval)
+        frames = self.grid.frames[rows]
+        nodes = start[frames][:, None] + np.arange(NODES)
+        use, place = np.unique(nodes, return_inverse=True)
+        pick = np.zeros((len(rows), len(use)))
+        np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
+        out: Array = self.noise**2 * pick @ self._factor().covariance(use)[use] @ pick.T
+        return out
+
+    def _factor(self) -> Factor:
+        assert self.smoother.structure is not None
+        return self.smoother.structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth))
+
+    def _whole(self) -> Array:
+        """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""
+        if self.grid.n == len(self.x):
+            return self.x
+        w = self.grid.spread(np.full(len(self.x), 1e6))  # so much that the rows, smooth as they are, stay in place
+        y = self.grid.spread(self.x)
+        trend = cubic(y, w)
+        return trend + Structure((0.0,)).factored(Data(y - trend, w)).smooth(np.where(w > 0, y - trend, 0.0))
+
+    def _columns(self, method: Method) -> Iterator[tuple[Array, Array]]:
+        """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""
+        frames = np.flatnonzero(self.w > 0)
+        for part in np.array_split(frames, -(-len(frames) // CHUNK)):
+            unit = np.zeros((self.grid.n, len(part)))
+            unit[part, np.arange(len(part))] = 1.0
+            yield self._by(method, bridged(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
+
+    def _passed_noise(self, method: Method) -> Array:
+        """Variance of the derivatives (3, N) by the noise that passes."""
+        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self._columns(method)], axis=0)
+        return out
+
+    def _lost(self, method: Method) -> Array:
+        """Signal that was taken from the derivatives (3, N), as filtering once more shows it, over a period round."""
+        whole = self._whole()
+        assert self.measured is not None
+        taken = self._by(method, bridged(self.measured, self.w > 0)) - self._by(method, whole)
+        reach = min(max(int(1 / method.cutoff), 1) | 1, (self.grid.n - 1) | 1)
+        padded = np.pad(taken**2, ((0, 0), (reach // 2, reach // 2)), mode="reflect")
+        return np.sqrt(np.stack([np.convolve(row, np.full(reach, 1 / reach), "valid") for row in padded]))
 
 
-def _whole(x: Array, grid: Grid) -> Array:
-    """Smoothed rows on the grid; frames without a row are bridged with the least third differences."""
-    if grid.n == len(x):
-        return x
-    w = grid.spread(np.full(len(x), 1e6))  # so much that the rows, smooth as they are, stay in place
-    return smooth(grid.spread(x), w, 1.0)
-
-
-def _stencils(grid: Grid) -> tuple[NDArray[np.int64], Array]:
-    """First frame (n,) and weights (3, n, NODES) of the stencils of order 0, 1, 2 of every frame of the grid."""
-    frame = np.arange(grid.n)
-    start = np.clip(frame - 2, 0, grid.n - NODES)
-    place = frame - start
-    table = np.array([[_stencil(p, order) for p in range(NODES)] for order in range(3)])
-    return start, table[:, place] / grid.interval ** np.arange(3.0)[:, None, None]
-
-
-def _stencil(place: int, order: int) -> Array:
-    """Weights (NODES,) of the derivative at node `place`; five nodes where these lie symmetric about it."""
-    m = NODES - 1 if place == 2 else NODES
-    powers = np.vander(np.arange(m) - float(place), increasing=True).T
-    wanted = np.array([1.0, 1.0, 2.0])[order] * (np.arange(m) == order)
-    return np.pad(np.linalg.solve(powers, wanted), (0, NODES - m))
+def _jumps(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
+    """Standard deviation (n,) of an acceleration that jumps somewhere between its neighbours, 0 outside events."""
+    change = np.abs(np.roll(a, -REACH) - np.roll(a, REACH)) / np.sqrt(12.0)
+    inside = np.zeros(len(a), dtype=bool)
+    for first, last in events:
+        inside[max(first - REACH, REACH) : min(last + REACH + 1, len(a) - REACH)] = True
+    return np.where(inside, change, 0.0)
 
 
 def _guard(sigma_a: Array, period: float) -> int:

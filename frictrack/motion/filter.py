@@ -2,135 +2,228 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import json
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.smoother import MISSING, best_cutoff, noise_variance, penalty, smooth, weights
+from frictrack.motion.known import KnownAcceleration
+from frictrack.motion.methods import METHODS, Method, bridged
+from frictrack.motion.structure import Event, Growth, Structure
+from frictrack.motion.system import ORDER, Data, Factor, cutoff_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
+MISSING = float("inf")  # m, standard deviation of a frame that was not measured
 TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses more than the deviations say
-VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
-MOVING = 0.05  # of the highest speed
-SHORTEST = 16  # valid frames of a stretch that is filtered apart
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
+STRUCTURAL, KALMAN = "structural", "kalman"
+ALL = (STRUCTURAL, KALMAN, *METHODS)
 
 
-def low_pass(displacement: Displacement, cutoff: float | None = None) -> Filtered:
+@dataclass(frozen=True, eq=False)
+class Smoother:
+    """What low-passed a coordinate: a structure, or another method; written as JSON."""
+
+    structure: Structure | None = None
+    method: Method | None = None
+
+    def __str__(self) -> str:
+        if self.method:
+            return json.dumps({"method": self.method.name, **vars(self.method)})
+        return json.dumps({"method": STRUCTURAL, **asdict(self.structure)}) if self.structure else ""
+
+    @classmethod
+    def read(cls, text: str) -> Smoother:
+        """The smoother that was written."""
+        settings = json.loads(text)
+        name = settings.pop("method")
+        if name != STRUCTURAL:
+            return cls(method=METHODS[name](**settings))
+        events = tuple(Event(**e) for e in settings["events"])
+        lines = tuple((float(f), float(m)) for f, m in settings["lines"])
+        return cls(Structure(tuple(settings["stiffness"]), lines, events))
+
+
+def low_pass(
+    displacement: Displacement,
+    cutoff: float | None = None,
+    *,
+    method: str = STRUCTURAL,
+    acceleration: KnownAcceleration | None = None,
+) -> Filtered:
     """Low-pass a displacement and bridge its missing frames.
 
-    `cutoff` (Hz) is where a sine keeps half of its amplitude. Without it, x and y each get the cut-off of
-    the highest restricted likelihood. The noise level is estimated along with it; the standard deviations
-    that come with the displacement count relative to each other.
+    By default x and y are each parted into a trend, lines and events of the highest restricted likelihood (`structure`),
+    and the noise level is estimated along with them; the standard deviations that come with the displacement count
+    relative to each other. `cutoff` (Hz) asks for a plain low-pass instead, where a sine keeps half of its amplitude.
+    Other methods: "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth" (residual
+    analysis), "savitzky-golay" (cross-validation), "gaussian-process" (noise known, maximum likelihood).
+    An `acceleration` that a sensor knew is taken into x, by default and with "kalman".
 
-    Raises FrictrackError for too few valid frames, a position that never changes, uneven time stamps, and a
-    cut-off that is not between 0 and half the frame rate.
+    Raises FrictrackError for too few valid frames, a position that never changes, uneven time stamps, an unknown
+    method, and a cut-off that is not between 0 and half the frame rate.
     """
     grid = frame_grid(displacement.t)
     known = displacement.valid & np.isfinite(displacement.x)
     _check_position(displacement.x[known], len(known))
     _check_cutoff(cutoff, grid)
-    first, _, best, _ = _low_pass_one(displacement.x, displacement.sigma_x, known, grid, (None, None))
-    stretches, main = quiet_stretches(displacement.t, first, known, best)
-    parts = [_low_pass_stretch(displacement, s, cutoff, best if len(stretches) == 1 else None) for s in stretches]
-    slide = parts[main]
-    sigma_x = [_like(slide.sigma_x, p.sigma_x) for p in parts]  # a short violent stretch cannot tell its noise
+    _check_method(method, cutoff)
+    along = _Coordinate(displacement.x, displacement.sigma_x, known, grid)
+    x = along.low_passed(cutoff, method, acceleration)
+    y = _Passed.nothing(len(known))
+    known_y = displacement.valid & np.isfinite(displacement.y)
+    if np.sum(known_y) >= MIN_FRAMES:
+        y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(cutoff, method, None)
     return Filtered(
         t=displacement.t,
-        x=np.concatenate([p.x for p in parts]),
-        y=np.concatenate([p.y for p in parts]),
-        sigma_x=np.concatenate(sigma_x),
-        sigma_y=np.concatenate([p.sigma_y for p in parts]),
-        cutoff=slide.cutoff,
-        cutoff_y=slide.cutoff_y,
-        reason=slide.reason,
-        breaks=tuple(s.start for s in stretches),
-        cutoffs=tuple(p.cutoff for p in parts),
-        cutoffs_y=tuple(p.cutoff_y for p in parts),
+        x=x.x,
+        y=y.x,
+        sigma_x=x.sigma,
+        sigma_y=y.sigma,
+        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
+        cutoff=x.cutoff,
+        cutoff_y=y.cutoff,
+        x_measured=x.measured,
+        y_measured=y.measured,
+        smoother=x.smoother,
+        smoother_y=y.smoother,
+        reason=x.reason,
+        events=tuple(_rows(e, grid) for e in x.events),
+        lines=x.lines,
     )
 
 
-def _low_pass_stretch(displacement: Displacement, s: slice, cutoff: float | None, best: float | None) -> Filtered:
-    """Low-pass the rows of one stretch by themselves; `best` is x's cut-off of the highest likelihood, if known."""
-    t, valid = displacement.t[s], displacement.valid[s]
-    grid = frame_grid(t)
-    known = valid & np.isfinite(displacement.x[s])
-    x, sigma_x, cutoff_x, reason = _low_pass_one(
-        displacement.x[s], displacement.sigma_x[s], known, grid, (cutoff, best)
-    )
-    y = sigma_y = np.full(len(x), np.nan)
-    cutoff_y = float("nan")
-    known = valid & np.isfinite(displacement.y[s])
-    if np.sum(known) >= MIN_FRAMES:
-        across = displacement.y[s], displacement.sigma_y[s]
-        y, sigma_y, cutoff_y, _ = _low_pass_one(*across, known, grid, (cutoff, None))
-    return Filtered(t, x, y, sigma_x, sigma_y, cutoff_x, cutoff_y, reason)
+def _rows(e: Event, grid: Grid) -> tuple[int, int]:
+    """First and last row of an event: those in the middle of its differences."""
+    first, last = np.searchsorted(grid.frames, [e.first + ORDER // 2, e.last + ORDER // 2])
+    most = len(grid.frames) - 1
+    return min(int(first), most), min(int(last), most)
 
 
-def _like(slide: Array, own: Array) -> Array:
-    """Noise of a stretch at the level of the slide's, missing frames kept missing."""
-    usual = float(np.median(slide[slide < MISSING]))
-    here = own < MISSING
-    level = float(np.median(own[here])) if here.any() else 1.0
-    return np.where(here, own * usual / level, MISSING)
+@dataclass(frozen=True, eq=False)
+class _Passed:
+    """One coordinate, low-passed: rows, noise of each row, cut-off, and how."""
+
+    x: Array
+    sigma: Array
+    cutoff: float
+    smoother: str = ""
+    reason: str = ""
+    events: tuple[Event, ...] = ()
+    lines: tuple[float, ...] = ()
+    measured: Array | None = None
+
+    @classmethod
+    def nothing(cls, n: int) -> _Passed:
+        """Of a coordinate that was not measured."""
+        return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
 
 
-def quiet_stretches(t: Array, smoothed: Array, known: Mask, cutoff: float) -> tuple[list[slice], int]:
-    """Rows of a record cut where something violent begins and ends, and which stretch is the longest quiet one.
+class _Coordinate:
+    """One coordinate on its grid."""
 
-    A push or an impact accelerates the mass far more than the slide does and would drag the cut-off of the whole
-    record up with it, and its smear into the slide. Violent is what exceeds `VIOLENT` times the median
-    acceleration of the moving frames after a first low-pass at `cutoff` (Hz), and half a
-    period of that filter round it.
-    """
-    v = np.gradient(smoothed, t)
-    a = np.abs(np.gradient(v, t))
-    moving = known & (np.abs(v) > MOVING * np.max(np.abs(v[known])))
-    violent = known & (a > VIOLENT * np.median(a[moving]))
-    reach = int(np.ceil(0.5 / (cutoff * float(np.median(np.diff(t)))))) + 1
-    violent = np.convolve(violent, np.ones(2 * reach + 1), mode="same") > 0
-    cuts = [int(c) + 1 for c in np.flatnonzero(np.diff(violent))]
-    bounds = _long_enough([0, *cuts, len(t)], known)
-    stretches = [slice(i, j) for i, j in pairwise(bounds)]
-    quiet = [int(np.sum(known[s] & ~violent[s])) for s in stretches]
-    return stretches, int(np.argmax(quiet))
+    def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid) -> None:
+        self.grid, self.known = grid, known
+        self.w = grid.spread(weights(sigma, known))
+        self.trend = cubic(grid.spread(np.where(known, y, 0.0)), self.w)
+        self.y = np.where(self.w > 0, grid.spread(np.where(known, y, 0.0)) - self.trend, 0.0)
+
+    def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _Passed:
+        """By a method, at a cut-off where one is asked for."""
+        interval = self.grid.interval
+        plain = Growth(Data(self.y, self.w)).stiff()
+        level = float(np.sqrt(plain.factored(Data(self.y, self.w)).judged()[1]))
+        best = cutoff_of(float(np.exp(plain.stiffness[0])), interval)
+        if method in METHODS:
+            return self._by(METHODS[method].settled(bridged(self.y, self.w > 0), level), level)
+        data = self._data(acceleration, level)
+        if cutoff is not None:
+            structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
+        else:
+            structure = plain if method == KALMAN else Growth(data).grown()
+            reason = described(structure, len(self.y), interval)
+        factor = structure.factored(data)
+        _, variance, unknowns = factor.judged()
+        if cutoff is None:
+            level = float(np.sqrt(variance))
+        return replace(
+            self._passed(factor.signal(unknowns), level, cutoff or best),
+            smoother=str(Smoother(structure)),
+            reason=reason,
+            events=structure.events,
+            lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
+        )
+
+    def _by(self, method: Method, level: float) -> _Passed:
+        cutoff = method.cutoff / self.grid.interval
+        passed = self._passed(method.derived(bridged(self.y, self.w > 0), 0), level, cutoff)
+        measured = (self.y + self.trend)[self.grid.frames]
+        reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
+        return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
+
+    def _passed(self, smooth: Array, level: float, cutoff: float) -> _Passed:
+        frames = self.grid.frames
+        sigma = np.full(len(frames), MISSING)
+        sigma[self.known] = level / np.sqrt(self.w[frames][self.known])
+        return _Passed((smooth + self.trend)[frames], sigma, cutoff)
+
+    def _data(self, acceleration: KnownAcceleration | None, level: float) -> Data:
+        """With what a sensor knew, as second differences of what is left beside the cubic."""
+        if acceleration is None:
+            return Data(self.y, self.w)
+        square = self.grid.interval**2
+        bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
+        sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
+        return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level))
 
 
-def _long_enough(bounds: list[int], known: Mask) -> list[int]:
-    """The same bounds without those that would leave fewer than `SHORTEST` valid frames in a stretch."""
-    kept = [0]
-    for b in bounds[1:-1]:
-        if np.sum(known[kept[-1] : b]) >= SHORTEST:
-            kept.append(b)
-    while len(kept) > 1 and np.sum(known[kept[-1] :]) < SHORTEST:
-        kept.pop()
-    return [*kept, bounds[-1]]
+def sensor_weights(sigma: Array, square: float, level: float) -> Array:
+    """Weights of second differences whose accelerations have deviations sigma (inf: unknown), over that of a frame."""
+    return np.asarray((level / (sigma * square)) ** 2)
 
 
-def _low_pass_one(
-    y: Array, sigma: Array, known: Mask, grid: Grid, asked: tuple[float | None, float | None]
-) -> tuple[Array, Array, float, str]:
-    """Low-pass one coordinate: smoothed rows, the noise of each row, the cut-off and why it is this.
-
-    `asked` is the cut-off that is wanted, and the one of the highest likelihood where that is known already.
-    """
-    cutoff, best = asked
-    w = grid.spread(weights(sigma, known))
-    full = grid.spread(np.where(known, y, 0.0))
-    best = best or best_cutoff(full, w, grid.interval)
-    level = np.sqrt(noise_variance(full, w, penalty(best, grid.interval)))  # whatever cut-off is given
-    sigma_rows = np.full(len(y), MISSING)
-    sigma_rows[known] = level / np.sqrt(w[grid.frames][known])
-    used = best if cutoff is None else cutoff
-    x = smooth(full, w, penalty(used, grid.interval))[grid.frames]
-    return x, sigma_rows, used, _reason(used, best)
+def _sensor_sigma(acceleration: KnownAcceleration, n: int) -> Array:
+    return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING)
 
 
-def _reason(used: float, best: float) -> str:
-    if used == best:
-        return f"cut-off {used:.3g} Hz by maximum likelihood"
+def weights(sigma: Array, known: Mask) -> Array:
+    """Weights (n,) of mean 1 over the known frames, 0 elsewhere; frames of unknown sigma get the usual one."""
+    stated = known & np.isfinite(sigma) & (sigma > 0)
+    usual = float(np.median(sigma[stated])) if np.any(stated) else 1.0
+    w = np.where(known, np.where(stated, sigma, usual), np.inf) ** -2.0
+    return np.asarray(w / np.mean(w[known]))
+
+
+def cubic(y: Array, w: Array) -> Array:
+    """Weighted cubic (n,) through y: every smoother leaves it as it is, but it would cost digits."""
+    u, known = np.linspace(-1.0, 1.0, len(y)), w > 0
+    return np.asarray(Polynomial.fit(u[known], y[known], ORDER - 1, domain=[-1, 1], w=np.sqrt(w[known]))(u))
+
+
+def smoothed(factor: Factor, y: Array) -> Array:
+    """A series (n,) through a smoother, the cubic apart."""
+    trend = cubic(y, factor.data.w)
+    return factor.smooth(y - trend) + trend
+
+
+def described(structure: Structure, n: int, interval: float) -> str:
+    """In words what a record was parted into."""
+    cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
+    low, high = min(cutoffs), max(cutoffs)
+    span = f"{low:.3g} Hz" if high < 1.1 * low else f"{low:.3g} to {high:.3g} Hz"
+    parts = [f"a trend cut off at {span}"]
+    parts += [f"a line at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
+    centres = [1e3 * interval * 0.5 * (e.first + e.last + ORDER) for e in structure.events]
+    if centres:
+        parts.append("events at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
+    return ", ".join(parts) + ", by maximum likelihood"
+
+
+def given(used: float, best: float) -> str:
+    """In words why a cut-off that was asked for may be too low."""
     reason = f"cut-off {used:.3g} Hz as given"
     if used < TOO_LOW * best:
         reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
@@ -156,4 +249,13 @@ def _check_cutoff(cutoff: float | None, grid: Grid) -> None:
         raise FrictrackError(
             f"cutoff: expected a frequency between 0 and half the frame rate, {nyquist:g} Hz, but got "
             f"{cutoff:g} Hz; leave it out to have it chosen from the data"
+        )
+
+
+def _check_method(method: str, cutoff: float | None) -> None:
+    if method not in ALL:
+        raise FrictrackError(f'method: expected one of {", ".join(ALL)} but got "{method}"')
+    if cutoff is not None and method != STRUCTURAL:
+        raise FrictrackError(
+            f"cutoff: expected none with the method {method}, which chooses its own; leave one of them out"
         )

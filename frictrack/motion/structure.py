@@ -1,0 +1,263 @@
+"""What a displacement is made of: a trend as stiff as the data say, lines, events; grown while the likelihood gains.
+
+The stiffness of the trend (log lambda) runs through knots over the record, so that it may be smooth in the middle of a
+slide and bend where it stops; in an event (a push, an impact, a stop) it is softer. A line is a vibration whose
+amplitude and phase may wander. All numbers are of the highest restricted likelihood; one more line, event or set of
+knots is taken when it gains more than its numbers would by chance (Schwarz 1978, Ann. Stat. 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from frictrack.motion.system import ORDER, Data, Factor, Lines, factored, penalty
+from frictrack.records import Array
+
+LOWEST = 0.3  # periods of the cut-off over the record: a stiffer trend is a cubic
+SCAN = 24  # cut-offs that are tried first
+KNOTS = (1, 3, 5, 9, 17)  # of the stiffness
+FRAMES_PER_KNOT = 60
+KNOT_SPREAD = 4.0  # standard deviation of the change of log lambda from knot to knot, beforehand
+MOST_LINES, MOST_EVENTS = 4, 40
+STIFF_LINE = 40.0  # log mu of a sine that does not wander
+HOPE = 10.0  # that a trial may still gain when its numbers are refined
+FEW_STEPS, STEPS = 6, 15  # of the refinement, on the way and at the end
+STIFFER = (0.0, 4.0, 8.0, 14.0)  # log of what the rest of the trend may win
+BOOSTS = (2.0, 6.0)  # log of how much softer the trend may be in an event, to begin with
+WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take, to begin with
+RAYLEIGH = 0.1  # of 2 pi / n: step of a frequency
+LEAST_CYCLES = 2.0  # of a line over the record
+STEP = 0.02  # of the numbers, for slopes
+
+
+@dataclass(frozen=True)
+class Event:
+    """Differences first to last (inclusive) in which the trend is softer, by exp(boost)."""
+
+    first: int
+    last: int
+    boost: float
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Stiffness log lambda at equally spaced knots; lines as (radians per frame, log mu); events."""
+
+    stiffness: tuple[float, ...]
+    lines: tuple[tuple[float, float], ...] = ()
+    events: tuple[Event, ...] = ()
+
+    @classmethod
+    def low_pass(cls, cutoff: float, interval: float) -> Structure:
+        """A plain low-pass."""
+        return cls((float(np.log(penalty(cutoff, interval))),))
+
+    def log_lambda(self, n: int) -> Array:
+        """Stiffness of every difference of n frames."""
+        place = np.linspace(0.0, 1.0, n - ORDER)
+        out = np.interp(place, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
+        for e in self.events:
+            out[e.first : e.last + 1] -= e.boost
+        return np.asarray(out)
+
+    def _knots(self) -> tuple[float, ...]:
+        return self.stiffness * 2 if len(self.stiffness) == 1 else self.stiffness
+
+    def factored(self, data: Data) -> Factor:
+        """The smoother of some data."""
+        omega, log_mu = np.array(self.lines).reshape(-1, 2).T
+        return factored(data, np.exp(self.log_lambda(len(data.w))), Lines(omega, np.exp(log_mu)))
+
+    def numbers(self) -> Array:
+        """All that likelihood settles, in one vector."""
+        return np.array([*self.stiffness, *(v for line in self.lines for v in line), *(e.boost for e in self.events)])
+
+    def with_numbers(self, numbers: Array) -> Structure:
+        """The same structure with other numbers."""
+        values = [float(v) for v in numbers]
+        s, k = len(self.stiffness), len(self.lines)
+        lines = tuple(zip(values[s : s + 2 * k : 2], values[s + 1 : s + 2 * k : 2], strict=True))
+        events = tuple(replace(e, boost=b) for e, b in zip(self.events, values[s + 2 * k :], strict=True))
+        return Structure(tuple(values[:s]), lines, events)
+
+    def with_knots(self, count: int) -> Structure:
+        """The same stiffness through another number of knots."""
+        place = np.linspace(0.0, 1.0, max(len(self.stiffness), 2))
+        return replace(self, stiffness=tuple(np.interp(np.linspace(0, 1, count), place, self._knots()).tolist()))
+
+
+@dataclass
+class Grown:
+    """A structure and how badly it explains the data: twice the negative log-likelihood, and what it costs."""
+
+    structure: Structure
+    loss: float
+
+
+class Growth:
+    """Builds the structure of some data up, one part at a time; a cubic was taken out of them."""
+
+    def __init__(self, data: Data) -> None:
+        self.data, self.n = data, len(data.w)
+        self.lowest = float(np.log(penalty(0.49, 1.0)))
+        self.highest = float(np.log(penalty(max(LOWEST / self.n, 1e-5), 1.0)))
+        self.cost = float(np.log(data.count))  # of one number
+
+    def loss(self, structure: Structure) -> float:
+        """Twice the negative log-likelihood, with what is known of the stiffness beforehand."""
+        steps = np.diff(structure.stiffness) / KNOT_SPREAD
+        return structure.factored(self.data).judged()[0] + float(steps @ steps)
+
+    def stiff(self) -> Structure:
+        """A trend of one stiffness."""
+        scan = np.linspace(self.lowest, self.highest, SCAN)
+        best = min((Structure((float(s),)) for s in scan), key=self.loss)
+        return self.refined(Grown(best, self.loss(best))).structure
+
+    def grown(self) -> Structure:
+        """Add what gains most, again and again, until nothing gains more than it costs."""
+        state = self.refined(self._best(self._knotted(self.stiff())), FEW_STEPS)
+        while True:
+            kinds = (self._knotted, self._lined, self._softened, self._both, self._narrowed, self._fewer)
+            trials = [self._best(kind(state.structure)) for kind in kinds]
+            for trial in sorted(trials, key=self._priced):
+                if self._priced(trial) > self._priced(state) + HOPE:
+                    return self.refined(state).structure
+                better = self.refined(trial, FEW_STEPS)
+                if self._priced(better) < self._priced(state):
+                    state = better
+                    break
+            else:
+                return self.refined(state).structure
+
+    def _priced(self, g: Grown) -> float:
+        return g.loss + self._price(g.structure)
+
+    def _price(self, s: Structure) -> float:
+        """What the numbers of a structure would gain by chance; an event is also sought in place and width."""
+        return self.cost * (len(s.stiffness) + 2 * len(s.lines) + 3 * len(s.events))
+
+    def _best(self, trials: Iterator[Structure]) -> Grown:
+        found = [Grown(t, self.loss(t)) for t in trials]
+        return min(found, key=lambda g: g.loss, default=Grown(Structure((self.lowest,)), np.inf))
+
+    def _knotted(self, s: Structure) -> Iterator[Structure]:
+        """More knots, the ends of the record softer or stiffer."""
+        more = [k for k in KNOTS if k > len(s.stiffness)]
+        if not more or more[0] * FRAMES_PER_KNOT > self.n:
+            return
+        knots = s.with_knots(more[0])
+        for end in (0, -1):
+            for change in (-4.0, -8.0):
+                values = np.array(knots.stiffness)
+                values[end] += change
+                yield replace(knots, stiffness=tuple(values.tolist()))
+
+    def _lined(self, s: Structure) -> Iterator[Structure]:
+        """One line more, the trend as stiff as it was or stiffer."""
+        if len(s.lines) < MOST_LINES:
+            for stiffer in STIFFER:
+                trend = self._stiffer(s, stiffer)
+                peak = self._peak(trend)
+                for log_mu in (12.0, 20.0):
+                    yield replace(trend, lines=(*s.lines, (peak, log_mu)))
+
+    def _softened(self, s: Structure) -> Iterator[Structure]:
+        """One event more, the rest of the trend as stiff as it was or stiffer."""
+        if len(s.events) < MOST_EVENTS:
+            for stiffer in STIFFER:
+                yield from self._events(self._stiffer(s, stiffer), stiffer)
+
+    def _both(self, s: Structure) -> Iterator[Structure]:
+        """A line and an event, each of which hides the other."""
+        if len(s.lines) < MOST_LINES and len(s.events) < MOST_EVENTS:
+            for trial in list(self._lined(s))[3::2]:
+                stiffer = trial.stiffness[0] - s.stiffness[0]
+                yield from self._events(trial, stiffer)
+
+    def _narrowed(self, s: Structure) -> Iterator[Structure]:
+        """The last event in less room."""
+        if not s.events:
+            return
+        *others, e = s.events
+        for width in (w for w in WIDTHS if w <= e.last - e.first):
+            step = max(1, width // 2, (e.last - e.first) // 16)
+            for first in range(e.first, e.last - width + 2, step):
+                yield replace(s, events=(*others, Event(first, first + width - 1, e.boost + 3.0)))
+
+    def _fewer(self, s: Structure) -> Iterator[Structure]:
+        """One event less, its place taken by the stiffness of the trend or by another one."""
+        for e in s.events:
+            rest = replace(s, events=tuple(o for o in s.events if o is not e))
+            yield rest
+            half = 0.5 * (e.first + e.last) / (self.n - ORDER)
+            nearest = round(half * (len(s.stiffness) - 1))
+            knots = np.array(s.stiffness)
+            knots[nearest] = max(knots[nearest] - e.boost, self.lowest)
+            yield replace(rest, stiffness=tuple(knots.tolist()))
+
+    def _stiffer(self, s: Structure, by: float) -> Structure:
+        return replace(s, stiffness=tuple(min(v + by, self.highest) for v in s.stiffness))
+
+    def _peak(self, s: Structure) -> float:
+        """Frequency at which the residual has most, beside what the trend takes away, radians per frame."""
+        factor, d = s.factored(self.data), self.data
+        left = np.where(d.w > 0, d.y - factor.signal(factor.unknowns()), 0.0)
+        m = 16 * self.n
+        omega = 2 * np.pi * np.arange(m // 2 + 1) / m
+        power = np.abs(np.fft.rfft(left, m)) ** 2
+        lam = np.exp(np.median(s.log_lambda(self.n)))
+        kept = 1.0 / (1.0 + 1.0 / (lam * (2.0 * np.sin(omega / 2)) ** (2 * ORDER) + 1e-300))
+        kept[: int(16 * LEAST_CYCLES)] = np.inf
+        kept[-32:] = np.inf
+        return float(omega[np.argmax(power / np.maximum(kept, 1e-3))])
+
+    def _events(self, s: Structure, stiffer: float) -> Iterator[Structure]:
+        """One event more, where the differences are largest."""
+        factor = s.factored(self.data)
+        shocks = factor.unknowns()[factor.system.multiplier[0]] ** 2
+        for width in WIDTHS:
+            if 4 * width > self.n:
+                break
+            total = np.convolve(shocks, np.ones(width), mode="valid")
+            first = int(np.argmax(total))
+            for boost in BOOSTS:
+                yield replace(s, events=(*s.events, Event(first, first + width - 1, boost + stiffer)))
+
+    def refined(self, g: Grown, steps: int = STEPS) -> Grown:
+        """All numbers at the highest likelihood near where they are."""
+        if not np.isfinite(g.loss):
+            return g
+        s = g.structure
+        scale = np.concatenate(
+            [
+                np.full(len(s.stiffness), 1.0),
+                np.tile([RAYLEIGH * 2 * np.pi / self.n, 2.0], len(s.lines)),
+                np.full(len(s.events), 1.0),
+            ]
+        )
+        start = s.numbers()
+        box = self._box(s)
+
+        def loss(step: Array) -> float:
+            return self.loss(s.with_numbers(np.clip(start + step * scale, *box)))
+
+        bounds = list(zip((box[0] - start) / scale, (box[1] - start) / scale, strict=True))
+        found = minimize(
+            loss,
+            np.zeros(len(start)),
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"eps": STEP, "ftol": 3e-6, "maxiter": steps},
+        )
+        return Grown(s.with_numbers(np.clip(start + found.x * scale, *box)), float(found.fun))
+
+    def _box(self, s: Structure) -> tuple[Array, Array]:
+        k, e = len(s.lines), len(s.events)
+        low = [self.lowest] * len(s.stiffness) + [LEAST_CYCLES * 2 * np.pi / self.n, 0.0] * k + [0.0] * e
+        high = [self.highest] * len(s.stiffness) + [3.1, STIFF_LINE] * k + [40.0] * e
+        return np.array(low), np.array(high)
