@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from frictrack.errors import FrictrackError
+from frictrack.records import Modelled
 from frictrack.results import Results, RunResults
 
 if TYPE_CHECKING:
@@ -20,7 +23,8 @@ def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
     Returns the files. Raises `FrictrackError` where Excel is asked for and openpyxl is not installed, or the
     folder cannot be written.
     """
-    tables = {_safe(run.name): _run(run) for run in results.runs}
+    own = {told.run: told for told in results.current.motion} if results.current else {}
+    tables = {_safe(run.name): _run(run, own.get(run.name)) for run in results.runs}
     tables |= {"parameters": _parameters(results), "errors": _errors(results)}
     if to == "csv":
         folder = results.output / "csv"
@@ -49,17 +53,30 @@ def _safe(name: str) -> str:
     return f"run {name}" if name in ("parameters", "errors") else name
 
 
-def _run(run: RunResults) -> pd.DataFrame:
-    """Displacement, motion and friction of one run, a row per frame, the unit in every header."""
+def _run(run: RunResults, own: Modelled | None) -> pd.DataFrame:
+    """Displacement, motion and friction of one run, and the current model's own motion beside them.
+
+    A row per frame, the unit in every header; frames that were not fitted have no motion of the model.
+    """
     import pandas as pd  # noqa: PLC0415
 
     columns: dict[str, Any] = {"t_s": run.displacement.t, "x_measured_m": run.displacement.x}
     for record in (run.motion, run.friction):
         for f in fields(record) if record is not None else ():
             if f.metadata.get("column") and f.name != "t":
-                unit = re.sub(r"[/^]", "", f.metadata["unit"])
-                columns[f"{f.name}_{unit}" if unit else f.name] = getattr(record, f.name)
-    return pd.DataFrame(columns)
+                columns[_head(f.name, f)] = getattr(record, f.name)
+    table = pd.DataFrame(columns)
+    if own is not None:
+        rows = np.searchsorted(run.displacement.t, own.t - 1e-9)
+        for f in fields(own):
+            if f.metadata.get("unit") and f.name != "t":
+                table.loc[rows, _head(f"{f.name}_model", f)] = getattr(own, f.name)
+    return table
+
+
+def _head(name: str, field: Field[Any]) -> str:
+    unit = re.sub(r"[/^]", "", field.metadata["unit"])
+    return f"{name}_{unit}" if unit else name
 
 
 def _parameters(results: Results) -> pd.DataFrame:

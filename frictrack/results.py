@@ -84,10 +84,10 @@ class ModelResults:
     equation: str  # the printed model
     summary: dict[str, Any]  # JSON of `frictrack fit`
     curves: tuple[Curve, ...]
-    motion: tuple[Modelled, ...] = ()  # the model's own, one per run; none of a model stored before there was such
     current: bool = False
     diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, where it was asked
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
+    motion: tuple[Modelled, ...] = ()  # the model's own, one per run; none of a model stored before there was such
 
 
 @dataclass(frozen=True, eq=False)

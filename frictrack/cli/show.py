@@ -56,7 +56,23 @@ def fit(out: Console, result: dict[str, Any]) -> None:
             f"the scale is known to {number(100 * result['scale_error'], 2)} %, and so is every force above that was "
             "told from acceleration: common to all runs of a camera, and not in the ±"
         )
+    own_motion(out, result)
     out.print(errors([("", result["errors"])]))
+
+
+def own_motion(out: Console, result: dict[str, Any]) -> None:
+    """How well the model itself tells each run, and its collisions by their impulse."""
+    for row in result["per_run"]:
+        told = row.get("motion")
+        if told:
+            own, smooth = number(told["sigma_a"], 2), number(told["sigma_a_smoothed"], 2)
+            out.print(f"{escape(row['run'])}: the model tells a to ± {own} m/s², smoothing to ± {smooth} m/s²")
+            for note in told["notes"]:
+                out.print(f"  {escape(note)}")
+    for c in result.get("collisions", []):
+        share = None if c["relative_std"] is None else 100 * c["relative_std"]
+        impulse = f"impulse {plus_minus(c['impulse_N_s'], c['std'])} N s ({number(share, 2)} %)"
+        out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
 
 
 def parameters(values: dict[str, Any]) -> Table:

@@ -77,6 +77,7 @@ def _told(fit: Fit, effect: Effect, index: int, run: str) -> dict[str, Any]:
         "width_s": width,
         "width_std": std,
         "width_at_most_s": longest(width, std),
+        "resolved": resolved,
         "words": "its width is resolved" if resolved else _unresolved(width, std),
     }
 

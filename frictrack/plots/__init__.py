@@ -6,6 +6,7 @@ plots.motion(run).savefig("v3.pdf")
 from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
+from frictrack.plots.modelled import modelled
 from frictrack.plots.style import number, plain_name, png, svg, unit
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "history",
     "limited",
     "limits",
+    "modelled",
     "motion",
     "noise_um",
     "number",

@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, number, plain_name, styled
-from frictrack.records import Array
+from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
@@ -45,12 +45,12 @@ def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
     panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
     by_name = {run.name: run for run in runs}
     for k, name in enumerate(shown):
-        force, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
-        _force(force, model, by_name[name])
+        above, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
+        _force(above, model, by_name[name])
         _dots(left, residuals(model, by_name[name]))
-        force.set_title(_panel_title(model, name), fontweight="normal")
-        force.sharex(left)
-        force.tick_params(labelbottom=False)
+        above.set_title(_panel_title(model, name), fontweight="normal")
+        above.sharex(left)
+        above.tick_params(labelbottom=False)
     _share_y(panels[1::2])
     _label_grid(panels, ("friction force F / N", axis("residual", residual_unit(model))), len(shown))
     figure.align_ylabels(panels[:, 0])
@@ -110,7 +110,7 @@ def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figu
         (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
     ):
         for k, curve in enumerate(c for c in model.curves if c.run == run.name):
-            ax.plot(1e3 * curve.t, curve.F_model, lw=2.0, **(look if k == 0 else look | {"label": None}))
+            ax.plot(1e3 * curve.t, force(model, curve), lw=2.0, **(look if k == 0 else look | {"label": None}))
     ax.set(xlabel=axis("time t", "ms"), ylabel="friction force F / N")
     figure.legend(loc="outside lower left", ncols=3)
     return figure
@@ -199,7 +199,13 @@ def _force(ax: Axes, model: ModelResults, run: RunResults) -> None:
     _measured(ax, run)
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(1e3 * c.t, c.F_model, color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
+            ax.plot(1e3 * c.t, force(model, c), color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
+
+
+def force(model: ModelResults, curve: Curve) -> Array:
+    """The model's force, NaN in a blow too short to be resolved: its impulse is known, its peak is not."""
+    own = next((told for told in model.motion if told.run == curve.run), None)
+    return curve.F_model if own is None else style.broken(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
 
 
 def _measured(ax: Axes, run: RunResults) -> None:

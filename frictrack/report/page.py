@@ -83,6 +83,8 @@ def render(results: Results) -> str:
         motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
         friction=draw(plots.friction(results.runs)) if _forces(results) else None,
         fits=[draw(plots.fit(m, results.runs)) for m in _drawn(results)],
+        own=_own(results, draw),
+        told=words.own_motion(results.current) if results.current else [],
         trials=[_trial(m, results, draw) for m in _failed(results)],
         history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
@@ -132,6 +134,12 @@ def _failed(results: Results) -> list[ModelResults]:
 def _drawn(results: Results) -> list[ModelResults]:
     """The model in force."""
     return [results.current] if results.current is not None else []
+
+
+def _own(results: Results, draw: _Draw) -> Markup:
+    """The motion that the model in force tells, on the smoothed one."""
+    model = results.current
+    return draw(plots.modelled(model, results.runs)) if model is not None and model.motion else Markup("")
 
 
 def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:

@@ -50,8 +50,14 @@ def code(text: str) -> Markup:
 
 def parameters(model: ModelResults, scale_error: float = 0.0) -> Table:
     """Shared parameters: value ± standard deviation, what the scale's relative error adds, and what is to be said."""
+    blows = {f"{c['effect']}.width" for c in model.summary.get("collisions", []) if not c["resolved"]}
     rows = [
-        (code(name), quantity(p["value"], p["std"], p["unit"]), _of_scale(p, scale_error), _remark(p))
+        (
+            code(name),
+            quantity(p["value"], p["std"], p["unit"]),
+            _of_scale(p, scale_error),
+            _remark(p, unresolved=name in blows),
+        )
         for name, p in model.summary["parameters"].items()
         if not PER_RUN.match(name)
     ]
@@ -66,9 +72,11 @@ def _of_scale(p: Mapping[str, Any], scale_error: float) -> str:
     return size(abs(value) * scale_error, p["unit"])
 
 
-def _remark(p: Mapping[str, Any]) -> str:
+def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
     if p.get("reason"):
         return str(p["reason"])
+    if unresolved:
+        return "not resolved: the impulse is known, a peak force is not"
     return "at its bound: the true value may lie beyond" if p.get("at_bound") else ""
 
 

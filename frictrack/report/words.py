@@ -132,6 +132,41 @@ def _px(value: float | None) -> str:
     return f"{number(value, 2)} px"
 
 
+def own_motion(model: ModelResults) -> list[Markup]:
+    """How well the model itself tells the motion, where it misses something, and what it says of collisions."""
+    rows = [row for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
+    if not rows:
+        return []
+    told = [Markup("<b>{}</b>: {}.").format(row["run"], note) for row in rows for note in row["motion"]["notes"]]
+    return [_how_well([row["motion"] for row in rows], held=not told), *told, *_blows(model)]
+
+
+def _how_well(bands: Sequence[Mapping[str, Any]], *, held: bool) -> Markup:
+    own, smooth = ([band[key] for band in bands if band[key] is not None] for key in ("sigma_a", "sigma_a_smoothed"))
+    if not (own and smooth):
+        return Markup("This law is too far off for a band on its motion.")
+    force = [band["sigma_F_N"] for band in bands if band["sigma_F_N"] is not None]
+    why = "a law that holds has only its few parameters to be wrong in" if held else "the law misses something"
+    return Markup(
+        "The model's own acceleration is known to {} m/s² and its friction force to {} N (rms over a run); smoothing "
+        "tells the acceleration to {} m/s²: {}."
+    ).format(_range(own), _range(force), _range(smooth), why)
+
+
+def _blows(model: ModelResults) -> Iterator[Markup]:
+    """Collisions by their impulse; a peak force is never told."""
+    for c in model.summary.get("collisions", []):
+        if c["impulse_N_s"] is not None and c["relative_std"] is not None:
+            yield Markup("<b>{}</b>, {} at {} ms after release: impulse {}, known to {} %; {}.").format(
+                c["run"],
+                c["effect"],
+                number(1e3 * c["time_s"]) if c["time_s"] is not None else "an unknown time",
+                quantity(c["impulse_N_s"], c["std"], "N s"),
+                number(100 * c["relative_std"], 2),
+                c["words"],
+            )
+
+
 def listed(words: Sequence[str], last: str = "and") -> str:
     """Words joined as in a sentence: ``a, b and c``."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""

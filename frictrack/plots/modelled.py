@@ -1,0 +1,157 @@
+"""The motion that a fitted model itself tells, on the smoothed one: acceleration and force, each with its band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.plots import style
+from frictrack.plots.model import worst_runs
+from frictrack.plots.style import axis, band, blank, number, plain_name, styled
+from frictrack.records import Array, Mask, Modelled
+from frictrack.results import ModelResults, RunResults
+
+MOST_PANELS = 6  # runs drawn; of more, those that fit worst
+SMOOTHED: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
+BAND: dict[str, Any] = {"facecolor": style.ORANGE, "edgecolor": style.MODEL, "alpha": 0.4, "hatch": "////"}
+LINE: dict[str, Any] = {"color": style.MODEL, "lw": 1.6, "ls": (0, (4, 1.2))}
+
+
+@styled
+def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
+    """Per run: acceleration, smoothed less modelled acceleration, and friction force, both with their bands.
+
+    Frames of a blow that is too short to be resolved are hatched and left out of the model's lines: its impulse stands
+    there instead. Raises ValueError for a model without a motion of its own.
+    """
+    own = {told.run: told for told in model.motion}
+    shown = [name for name in worst_runs(model, runs) if name in own][:MOST_PANELS]
+    if not shown:
+        raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
+    by_name = {run.name: run for run in runs}
+    columns = style.across(len(shown))
+    rows = -(-len(shown) // columns)
+    figure = blank(5.4 * rows + 0.8, modelled_title(model))
+    panels: Any = figure.subplots(3 * rows, columns, squeeze=False, sharex="col" if rows == 1 else False)
+    for k in range(rows * columns):
+        cell = panels[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
+        if k >= len(shown):
+            for ax in cell:
+                ax.set_axis_off()
+            continue
+        _run(cell, own[shown[k]], by_name[shown[k]], _impulses(model, shown[k]))
+        if k % columns == 0:
+            _label(cell)
+    figure.align_ylabels(panels[:, 0])
+    figure.legend(handles=_handles(any(np.any(told.blow) for told in own.values())), loc="outside lower left", ncols=5)
+    return figure
+
+
+def modelled_title(model: ModelResults) -> str:
+    """The finding in words: how well the model tells the acceleration, and how well smoothing does."""
+    rows = [row["motion"] for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
+    if not rows:
+        return f"{plain_name(model.name)}: its own motion on the smoothed one"
+    own, smooth = (_rms([row[key] for row in rows]) for key in ("sigma_a", "sigma_a_smoothed"))
+    told = f"{plain_name(model.name)} tells a to {number(own, 2)} m/s², smoothing to {number(smooth, 2)} m/s²"
+    return f"{told}; it misses something" if any(row["notes"] for row in rows) else told
+
+
+def _rms(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+
+def _run(cell: Sequence[Axes], told: Modelled, run: RunResults, impulses: str) -> None:
+    """One run in its three panels."""
+    a, left, force = cell
+    m, rows = run.motion, np.searchsorted(run.motion.t, told.t - 1e-9)
+    t, at = 1e3 * told.t, 1e3 * m.t[rows]
+    judged = _judged(run, rows)
+    band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED)
+    a.plot(at, m.a[rows], color=style.MEASURED, lw=1.0)
+    _own(a, told, told.a, told.sigma_a)
+    band(left, at, m.a[rows] - told.a, m.sigma_a[rows], **SMOOTHED)
+    left.plot(at, m.a[rows] - told.a, color=style.MEASURED, lw=1.0)
+    _own(left, told, np.zeros(len(told)), told.sigma_a)
+    if run.friction is not None:
+        f = run.friction
+        band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED)
+        force.plot(at, f.F[rows], color=style.MEASURED, lw=1.0)
+    _own(force, told, told.F, told.sigma_F)
+    for ax, smooth, own, sigma in (
+        (a, m.a[rows], told.a, told.sigma_a),
+        (left, m.a[rows] - told.a, np.zeros(len(told)), np.hypot(told.sigma_a, np.median(m.sigma_a[rows]))),
+        (force, told.F, told.F, told.sigma_F),
+    ):
+        _limit(ax, smooth[judged & ~told.blow], (own[~told.blow], sigma[~told.blow]))
+    for ax in cell:
+        _hatch(ax, t, told.blow)
+        ax.set_xlim(t[0], t[-1])
+    a.set_title(told.run + (", not fitted" if told.role == "validation" else ""), fontweight="normal")
+    if impulses and np.any(told.blow):
+        middle = float(np.mean(t[told.blow]))
+        a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
+            {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
+        )
+    cell[-1].set_xlabel(axis("time t", "ms"))
+
+
+def _limit(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
+    """Show the model's band, and of the smoothed line all but what a filter smears of a blow."""
+    middle, sigma = own
+    reach = np.quantile(smooth, [0.02, 0.98]), middle - 2 * sigma, middle + 2 * sigma
+    style.robust(ax, reach)
+
+
+def _judged(run: RunResults, rows: Any) -> Mask:
+    """Frames whose smoothed motion is not smeared by the filter; all, where none is."""
+    inside = np.zeros(len(run.motion), dtype=bool)
+    inside[run.motion.guard : len(run.motion) - run.motion.guard] = True
+    kept: Mask = inside[rows]
+    return kept if np.any(kept) else ~kept
+
+
+def _own(ax: Axes, told: Modelled, values: Array, sigma: Array) -> None:
+    """The model's line with its band, stretch by stretch, open where a blow is not resolved."""
+    for k in np.unique(told.segment):
+        at = told.segment == k
+        shown = style.broken(values, ~told.blow)[at]
+        band(ax, 1e3 * told.t[at], shown, sigma[at], **BAND, zorder=2.5)
+        ax.plot(1e3 * told.t[at], shown, zorder=3, **LINE)
+
+
+def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], blow, [False]))))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        ax.axvspan(t[first], t[last - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
+
+
+def _impulses(model: ModelResults, run: str) -> str:
+    """Impulses of a run's collisions in a few words."""
+    told = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
+    return ", ".join(f"J = {number(1e3 * c['impulse_N_s'])} ± {number(1e3 * c['std'], 1)} mN s" for c in told)
+
+
+def _label(cell: Sequence[Axes]) -> None:
+    labels = (axis("a", "m/s^2"), axis("a − model", "m/s^2"), axis("friction F", "N"))
+    for ax, label in zip(cell, labels, strict=True):
+        ax.set_ylabel(label)
+
+
+def _handles(blow: bool) -> list[Any]:
+    handles: list[Any] = [
+        Line2D([], [], color=style.MEASURED, lw=1.0, label="smoothed"),
+        Patch(label=f"± {style.SIGMAS:g} std", **SMOOTHED),
+        Line2D([], [], label="model", **LINE),
+        Patch(label=f"± {style.SIGMAS:g} std", **BAND),
+    ]
+    if blow:
+        handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to be resolved"))
+    return handles
