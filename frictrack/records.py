@@ -118,12 +118,16 @@ class Filtered(Table):
     y: Array = column("m", nan=True)
     sigma_x: Array = column("m", nan=True)  # of the unfiltered input, inf where a frame was missing (it was filled)
     sigma_y: Array = column("m", nan=True)
-    cutoff: float = scalar("Hz", default=float("nan"))
+    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
+    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where the method derives from that
+    y_measured: Array | None = column("m", nan=True, default=None)
+    cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; see `reason` for what was done
     cutoff_y: float = scalar("Hz", default=float("nan"))
-    reason: str = ""  # why this cut-off
-    breaks: tuple[int, ...] = (0,)  # first row of every stretch that was filtered apart (a push, the slide, an impact)
-    cutoffs: tuple[float, ...] = ()  # Hz, of every stretch; empty: the one above
-    cutoffs_y: tuple[float, ...] = ()
+    smoother: str = ""  # JSON: what low-passed x
+    smoother_y: str = ""
+    reason: str = ""  # what x was parted into and why
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide: an impact
+    lines: tuple[float, ...] = ()  # Hz, vibrations that were followed apart from the trend
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +145,8 @@ class Motion(Table):
     sigma_a_y: Array = column("m/s^2", nan=True)
     guard: int = 0  # frames at either end, and round a jump, that the filter smears
     cutoff: float = scalar("Hz", default=float("nan"))
-    breaks: tuple[int, ...] = (0,)  # first row of every stretch that was derived apart
+    events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide
+    lines: tuple[float, ...] = ()  # Hz, vibrations
 
 
 @dataclass(frozen=True, eq=False)
