@@ -46,12 +46,16 @@ class Film(Table):
 
 @dataclass(frozen=True, eq=False)
 class Sensors(Table):
-    """What was measured beside the motion, resampled to the frames of the displacement."""
+    """What was measured beside the motion, on the camera's clock at the frames of the displacement."""
 
     t: Array = column("s")
     drive: Array | None = column("N", default=None)
-    a: Array | None = column("m/s^2", default=None)
+    a: Array | None = column("m/s^2", nan=True, default=None)  # as the accelerometer has it, NaN where it did not run
     friction_N: Array | None = column("N", default=None)
+    known_a: Array | None = column("m/s^2", nan=True, default=None)  # `a` without its gain and bias, if consistent
+    sigma_known_a: float | None = scalar("m/s^2", default=None)  # its white noise
+    clocks: dict[str, Any] = field(default_factory=dict)  # drive, a, friction_N -> offset_s, gain, verdict, ...
+    notes: tuple[str, ...] = ()  # what was found of clocks and agreement, in words
 
 
 @dataclass(frozen=True, eq=False)

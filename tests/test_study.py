@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from frictrack.errors import FrictrackError
-from frictrack.study import find_recordings, load, read_clocked, read_table, resample, write_study
+from frictrack.study import find_recordings, load, read_clocked, read_table, write_study
 
 CAMERA = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
 RUN = '[[run]]\nname = "v3"\nvideo = "v3.avi"\n'
@@ -336,13 +336,73 @@ def test_a_film_is_no_table(folder: Path) -> None:
         read_table(folder / "film.csv")
 
 
-def test_a_sensor_with_its_own_clock_is_resampled(folder: Path) -> None:
-    data = read_clocked(table(folder, "t_s,drive_N\n0,0\n1,10\n2,20\n"), ("drive",))
-    assert data.drive is not None
-    np.testing.assert_allclose(resample(np.array([0.0, 0.25, 1.5]), data.t, data.drive, "drive.csv"), [0, 2.5, 15])
-    with pytest.raises(
-        FrictrackError, match=r"drive\.csv: expected values over 0 to 3 s, as long as the run, but got 0 to 2 s"
-    ):
-        resample(np.array([0.0, 1.5, 3.0]), data.t, data.drive, "drive.csv")
+def test_a_sensor_with_its_own_clock_is_read(folder: Path) -> None:
+    data = read_clocked(table(folder, "t_s,drive_N\n0,0\n1,\n2,20\n"), ("drive",))
+    np.testing.assert_array_equal(data.drive, [0, np.nan, 20])  # an empty cell is a sample that was not taken
     with pytest.raises(FrictrackError, match="expected a column a_m_s2 or friction_N beside t_s but got none"):
         read_clocked(folder / "run.csv", ("a", "friction"))
+    with pytest.raises(FrictrackError, match='expected numbers in "drive_N" but got off in row 2'):
+        read_clocked(table(folder, "t_s,drive_N\n0,0\n1,off\n2,20\n"), ("drive",))
+
+
+def test_a_sensors_headers_carry_units(folder: Path) -> None:
+    path = table(folder, "Time (ms),acc (g),p (bar)\n0,1,2\n1,2,3\n")
+    data = read_clocked(path, ("a",), {"t": "Time (ms)", "a": "-acc (g)"})
+    np.testing.assert_allclose(data.t, [0, 1e-3])
+    np.testing.assert_allclose(data.a, [-9.80665, -2 * 9.80665])
+    data = read_clocked(path, ("pressure",), {"t": "Time (ms)", "pressure": "p (bar)"})
+    np.testing.assert_allclose(data.pressure, [2e5, 3e5])
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ('drive = "2.5 N"', 2.5),
+        ("drive = 3", 3.0),
+        ('drive = "-1 kN"', -1000.0),
+        ('drive = "none"', None),
+        ('drive = {force = "2 N", until = "release"}', {"force": 2.0, "until": "release"}),
+        ('drive = {force = "2 N", until = "80 ms"}', {"force": 2.0, "until": 0.08}),
+    ],
+)
+def test_a_drive_is_a_constant_or_none(folder: Path, text: str, value: object) -> None:
+    assert load(written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{text}\n")).runs[0].drive == value
+
+
+def test_a_drive_is_a_pressure_times_an_area(folder: Path) -> None:
+    text = 'drive = {table = "drive.csv", area = "3.14 cm^2", columns = {t = "Time (ms)", pressure = "p (bar)"},'
+    text += ' until = "release", offset = "1.2 ms"}\nsensor = {table = "drive.csv", columns = {a = "a (g)"}}\n'
+    run = load(written(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{text}")).runs[0]
+    assert run.drive["table"] == folder / "drive.csv"
+    assert run.drive["area"] == pytest.approx(3.14e-4)
+    assert (run.drive["until"], run.drive["offset"]) == ("release", pytest.approx(1.2e-3))
+    assert run.drive["columns"] == {"t": "Time (ms)", "pressure": "p (bar)"}
+    assert run.sensor == {"table": folder / "drive.csv", "columns": {"a": "a (g)"}}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('drive = "drvie.csv"', 'expected a file "drvie.csv" but there is none; did you mean "drive.csv"?'),
+        ('drive = "2.5 m"', 'expected drive as a quantity in N but got "m"'),
+        ("drive = true", 'expected a drive as "drive.csv" (t_s, drive_N), a constant "2.5 N", "none"'),
+        ("drive = {area = 3}", 'expected table = "drive.csv" or force = "2.5 N" but got neither'),
+        ('drive = {table = "drive.csv", force = 1}', "but got both"),
+        ('drive = {force = 1, offset = "auto"}', "expected no offset beside a constant force: it belongs to a table"),
+        ('drive = {tabel = "drive.csv"}', 'but got "tabel"; did you mean "table"?'),
+        ('drive = {table = "drive.csv", area = "-1 cm^2"}', "expected area above 0 m^2 but got '-1 cm^2'"),
+        ('drive = {table = "drive.csv", until = "relaese"}', 'expected until as "release" or a time like "1.2 ms"'),
+        ('drive = {table = "drive.csv", offset = "2 mm"}', 'expected offset as "auto" or a time like "1.2 ms"'),
+        (
+            'drive = {table = "drive.csv", area = 1, columns = {drive = "F"}}',
+            'expected one of t, pressure in columns but got "drive"',
+        ),
+        ('drive = {table = "drive.csv", columns = "F"}', "expected columns = {t = \"Time (ms)\", drive = \"...\"}"),
+        ("sensor = 3", 'expected a sensor as "acc.csv" (t_s, a_m_s2) or {table = "acc.csv"'),
+        ("sensor = {}", 'expected table = "acc.csv" but got none'),
+        ('sensor = {table = "drive.csv", area = 1}', 'expected one of table, columns, offset but got "area"'),
+        ("sensor = 'v33.avi'", 'did you mean "v3.avi"?'),
+    ],
+)
+def test_every_fault_of_a_drive_or_a_sensor_is_said(folder: Path, text: str, expected: str) -> None:
+    assert expected in sentence(folder, f"[study]\nmass = 1\n{CAMERA}{RUN}{text}\n")

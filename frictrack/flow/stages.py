@@ -20,13 +20,14 @@ import numpy as np
 from frictrack import store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
+from frictrack.flow.beside import own_table, sensed
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Filtered, Friction, Motion, Run, Track
 from frictrack.results import Film, Sensors, plain
 from frictrack.store import Entry, Stamp
-from frictrack.study import RunTable, Study, TableData, read_clocked, read_table, resample
+from frictrack.study import RunTable, Study
 
 if TYPE_CHECKING:
     from frictrack.recording import Recording
@@ -194,7 +195,7 @@ def _paths(value: Any) -> list[Path]:
 
 def _tabled(work: RunWork) -> Displacement:
     """A table is a displacement already; what it does not hold is NaN."""
-    data = _table(work.run)
+    data = own_table(work.run)
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
@@ -211,32 +212,12 @@ def _tabled(work: RunWork) -> Displacement:
     )
 
 
-def _table(run: RunTable) -> TableData:
-    assert run.table is not None
-    return read_table(run.table, run.columns)
-
-
 def _table_sigma(x: Array) -> Array:
     """White noise of a displacement whose table states none; at least that of its last digit."""
     steps = np.abs(np.diff(x))
     rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
     sigma = float(noise_level(x, np.ones(len(x), dtype=bool))[0])
     return np.full(len(x), sigma if sigma > 0 else rounding)
-
-
-def _sensors(work: RunWork, displacement: Displacement) -> Sensors:
-    """Drive, acceleration and friction that were measured, at the frames of the displacement."""
-    run, t = work.run, displacement.t
-    found: dict[str, Array] = {}
-    if run.table:
-        data = _table(run)
-        found = {k: v for k in ("drive", "a", "friction") if (v := getattr(data, k)) is not None}
-    for path, wanted in ((run.drive, ("drive",)), (run.sensor, ("a", "friction"))):
-        if path:
-            data = read_clocked(path, wanted)
-            values = {k: v for k in wanted if (v := getattr(data, k)) is not None}
-            found |= {k: resample(t, data.t, v, path.name) for k, v in values.items()}
-    return Sensors(t, drive=found.get("drive"), a=found.get("a"), friction_N=found.get("friction"))
 
 
 def _friction(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
@@ -268,7 +249,7 @@ def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sen
 def _chain(*head: Stage) -> dict[str, Stage]:
     """A table of stages: the head, and what every run goes through after its displacement."""
     tail = (
-        Stage("sensors", ("displacement",), ("drive", "sensor"), _sensors, Sensors),
+        Stage("sensors", ("displacement",), ("drive", "sensor"), lambda work, d: sensed(work.run, d), Sensors),
         Stage("filtered", ("displacement",), ("cutoff",), lambda work, d: low_pass(d, work.run.cutoff), Filtered),
         Stage("motion", ("filtered",), (), lambda work, filtered: differentiate(filtered), Motion),
         Stage(

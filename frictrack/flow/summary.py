@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.flow.beside import sensor_rows
 from frictrack.flow.films import overlay, sheet
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import RunWork
@@ -58,7 +59,7 @@ def _motion(work: RunWork) -> dict[str, Any]:
         "v_max": float(motion.v[np.argmax(np.abs(motion.v))]),
         "sigma_v": float(np.median(motion.sigma_v)),
         "sigma_a": float(np.median(motion.sigma_a)),
-        "notes": list(displacement.notes),
+        **_beside(work),
     }
 
 
@@ -74,5 +75,12 @@ def _friction(work: RunWork) -> dict[str, Any]:
         "mean_F_N": float(np.mean(resisting[free])) if len(judged) else None,
         "sigma_F_N": float(np.median(friction.sigma_F[free])) if len(judged) else None,
         "reason": friction.reason,
-        "notes": list(work.get("displacement").notes),
+        **_beside(work),
     }
+
+
+def _beside(work: RunWork) -> dict[str, Any]:
+    """What sensors and the blow say of the run, and all findings in words; no keys where there is nothing."""
+    rows = sensor_rows(work)
+    notes = [*work.get("displacement").notes, *rows.pop("notes")]
+    return {key: row for key, row in rows.items() if row} | {"notes": notes}

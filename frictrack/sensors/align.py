@@ -12,11 +12,14 @@ and the offset too certain.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
+from scipy.stats import chi2
 
 from frictrack.records import Array, Mask
 from frictrack.sensors.frames import Frames, Whitener
@@ -31,9 +34,12 @@ CLEAR = 30.0  # of chi2 that the sensor must explain: at thousands of offsets tr
 RIVAL = 16.0  # of chi2 within which another offset explains the same
 ROUNDS = 20
 DRIFTS = 4.0  # standard deviations from which on the clocks are said to run at different rates
+FASTEST = 0.05  # relative, beyond which it is no clock
 LONG = 200  # differences from which on two rates can be told apart
+GAINS = (1.0, 1e-3)  # at which the sensor's noise counts while offsets are tried: its unit may be another
 FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which noises are compared
-LOOSE = 5.0  # standard deviations of chi2 from which on the noises do not explain the residual
+ALPHA = 1e-3  # chance that noise alone would show, below which the residual holds more
+FIRST = 8  # coefficients in the lowest band of the residual's spectrum
 BLOCKS = 24  # parts of the record whose scores are summed up where the residual is not white
 
 
@@ -41,7 +47,7 @@ BLOCKS = 24  # parts of the record whose scores are summed up where the residual
 class Alignment:
     """Where a sensor's clock and scale stand against the camera's; None where the data do not tell.
 
-    a = gain * sensor(t - offset - rate * (t - middle)) + bias: `offset` (s) is what to add to the sensor's times to
+    a = gain * sensor(t - offset + rate * (t - middle)) + bias: `offset` (s) is what to add to the sensor's times to
     have the camera's at `middle` (s), `rate` by how much its clock runs fast, in 1.
     """
 
@@ -59,7 +65,7 @@ class Alignment:
 
     def lag(self, t: Array) -> Array:
         """How far the sensor's clock is behind the camera's at camera times t (n,), s."""
-        return np.asarray(self.offset + self.rate * (t - self.middle))
+        return np.asarray(self.offset - self.rate * (t - self.middle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,12 @@ def align(problem: Problem, offset: float | None = None) -> Alignment:
         if begun.gain is None:
             return begun
     found = refine(problem, begun, free=not given)
-    return found if given else _doubt(problem, begun, found)
+    if given:
+        return found
+    sure = _doubt(problem, begun, found)
+    if sure.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
+        sure = _doubt(problem, begun, refine(replace(problem, beside=_drifting(problem)), begun))
+    return sure
 
 
 def _hopeless(problem: Problem, given: Alignment | None) -> str:
@@ -147,19 +158,30 @@ def lags(problem: Problem) -> Array:
 
 def search(problem: Problem) -> Alignment:
     """The best of many offsets; its gain is None where none stands out."""
+    for gain in GAINS if problem.sigma is not None else GAINS[:1]:
+        found = _search(problem, gain)
+        if found.gain is not None:
+            break
+    return found
+
+
+def _search(problem: Problem, gain: float) -> Alignment:
     frames, tried = problem.frames, lags(problem)
-    begun = start(frames)
+    begun = replace(start(frames), gain=gain)
     level = noise_level(problem, begun, seen=False)
-    chi2, none, gains = _scan(problem, tried, level)
+    misfit, none, gains = _scan(problem, tried, begun, level)
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
-        level = noise_level(problem, replace(begun, offset=float(tried[np.argmin(chi2)])))
-        chi2, none, gains = _scan(problem, tried, level)
-    lowest = float(np.min(chi2))
+        level = noise_level(problem, replace(begun, offset=float(tried[np.argmin(misfit)])))
+        misfit, none, gains = _scan(problem, tried, begun, level)
+    lowest = float(np.min(misfit))
     span = f"{1e3 * tried[0]:.4g} to {1e3 * tried[-1]:.4g} ms"
     if none - lowest < CLEAR:
-        return replace(begun, reason=f"at no offset from {span} does it explain what the camera saw; 0 is kept")
-    rivals = _minima(chi2, RIVAL + 4.0 * np.sqrt(4.0 * _drowned(problem, level)))  # each offset has its own noise
-    rivals = rivals if len(rivals) else np.array([np.argmin(chi2)])
+        unseen = f"at no offset from {span} does it explain what the camera saw"
+        return replace(start(frames), reason=f"{unseen}; 0 is kept")
+    rivals = _minima(
+        misfit, RIVAL + 4.0 * np.sqrt(4.0 * _drowned(problem, begun, level))
+    )  # each offset has its own noise
+    rivals = rivals if len(rivals) else np.array([np.argmin(misfit)])
     rivals = rivals[np.argsort(np.abs(tried[rivals]))]
     said = f"best of {span}"
     if len(rivals) > 1:
@@ -168,14 +190,14 @@ def search(problem: Problem) -> Alignment:
     return replace(begun, offset=float(tried[chosen]), gain=float(gains[chosen]), level=level, reason=said)
 
 
-def _scan(problem: Problem, tried: Array, level: float) -> tuple[Array, float, Array]:
+def _scan(problem: Problem, tried: Array, begun: Alignment, level: float) -> tuple[Array, float, Array]:
     """chi2 (k,) and gain (k,) at every offset, and chi2 without the sensor."""
     frames = problem.frames
-    white = Whitener(_covariance(problem, 0.0 if problem.sigma is None else float(np.median(tried)), 1.0, level))
+    white = Whitener(_covariance(problem, float(np.median(tried)), begun.gain or 1.0, level))
     basis = np.linalg.qr(white(_drifting(problem)))[0]
     rest = white(frames.z)
     rest = rest - basis @ (basis.T @ rest)
-    chi2, gains = np.empty(len(tried)), np.empty(len(tried))
+    misfit, gains = np.empty(len(tried)), np.empty(len(tried))
     at, table = frames.t[frames.centre], _table(problem, tried)
     for part in np.array_split(np.arange(len(tried)), max(len(tried) * len(frames.t) // 2_000_000, 1)):
         felt = white(np.interp(at[:, None] - tried[part], *table))
@@ -183,8 +205,8 @@ def _scan(problem: Problem, tried: Array, level: float) -> tuple[Array, float, A
         felt -= basis @ (basis.T @ felt)
         power = np.sum(felt**2, axis=0)
         gain = np.where(power > 1e-9 * size, rest @ felt / np.maximum(power, 1e-300), 0.0)
-        chi2[part], gains[part] = float(rest @ rest) - gain**2 * power, gain
-    return chi2, float(rest @ rest), gains
+        misfit[part], gains[part] = float(rest @ rest) - gain**2 * power, gain
+    return misfit, float(rest @ rest), gains
 
 
 def _table(problem: Problem, tried: Array) -> tuple[Array, Array]:
@@ -200,12 +222,12 @@ def _table(problem: Problem, tried: Array) -> tuple[Array, Array]:
 def _drifting(problem: Problem) -> Array:
     """What acts beside, and a drift: a sensor that creeps shall not be matched by its creep."""
     t = problem.frames.t[problem.frames.centre]
-    return np.concatenate([problem.beside, (t - np.mean(t))[:, None] / np.std(t)], axis=1)
+    return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.beside], axis=1)
 
 
-def _drowned(problem: Problem, level: float) -> float:
+def _drowned(problem: Problem, begun: Alignment, level: float) -> float:
     """How many of the differences, at low frequency, are ruled by the sensor's noise and not by the camera's."""
-    covariance = _covariance(problem, 0.0, 1.0, level)
+    covariance = _covariance(problem, 0.0, begun.gain or 1.0, level)
     camera, whole = _spectrum(problem.frames.camera), _spectrum(covariance)
     return len(problem.frames.z) * float(np.mean(np.clip(1.0 - camera / whole, 0.0, 1.0)))
 
@@ -253,7 +275,7 @@ def refine(problem: Problem, begun: Alignment, *, free: bool = True) -> Alignmen
     found = _converged(problem, begun, free, False)
     if free and len(problem.frames.z) >= LONG and found.sigma_offset is not None:
         drifting = _converged(problem, found, free, True)
-        if drifting.sigma_rate is not None and abs(drifting.rate) > DRIFTS * drifting.sigma_rate:
+        if drifting.sigma_rate is not None and DRIFTS * drifting.sigma_rate < abs(drifting.rate):
             return drifting
     return found
 
@@ -261,13 +283,17 @@ def refine(problem: Problem, begun: Alignment, *, free: bool = True) -> Alignmen
 def _converged(problem: Problem, found: Alignment, free: bool, drift: bool) -> Alignment:
     widest = STEP * max(problem.frames.interval, problem.series.interval)
     for _ in range(ROUNDS):
-        fitted = fit(problem.take(problem.rows(found)), found, free, drift)
+        rows = problem.rows(found)
+        if np.sum(rows) < ENOUGH or abs(found.rate) > FASTEST:
+            return start(problem.frames)
+        fitted = fit(problem.take(rows), found, free, drift)
         found = _updated(found, fitted, free, drift, widest)
         if not free or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
             break
+    kept = problem.take(rows)
     if problem.sigma is None:
-        found = replace(found, level=noise_level(problem.take(problem.rows(found)), found))
-    return _updated(found, fit(problem.take(problem.rows(found)), found, free, drift), free, drift, widest)
+        found = replace(found, level=noise_level(kept, found))
+    return _updated(found, fit(kept, found, free, drift), free, drift, widest)
 
 
 def _updated(found: Alignment, fitted: Fitted, free: bool, drift: bool, widest: float) -> Alignment:
@@ -292,45 +318,58 @@ def fit(problem: Problem, at: Alignment, free: bool = True, drift: bool = False)
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
     lag = at.lag(frames.t)[:, None]
-    columns = [frames.felt(series, lag)]
+    dilated = (1.0 + at.rate) ** 2  # of time, in which the sensor is integrated twice
+    columns = [frames.felt(series, lag) / dilated]
     if free:
-        slope = -gain * frames.felt(series, lag, 1)
-        columns += [slope, slope * (frames.t[frames.centre] - at.middle)[:, None]][: 1 + drift]
-    covariance = _covariance(problem, at.offset, gain, at.level)
+        slope = -gain * frames.felt(series, lag, 1) / dilated
+        columns += [slope, slope * (at.middle - frames.t[frames.centre])[:, None]][: 1 + drift]
+    noise = frames.noise(series, at.offset)
+    covariance = frames.camera + at.level * (1.0 if problem.sigma is None else gain * problem.sigma) ** 2 * noise
     white = Whitener(covariance)
     regressors = white(np.concatenate([*columns, problem.beside], axis=1))
     z = white(frames.z)
     size = np.sqrt(np.sum(regressors**2, axis=0)) + 1e-300
     normal = (regressors / size).T @ (regressors / size)
-    share = _noise_share(problem, covariance, at, gain) / size[:2] ** 2
+    share = _noise_share(problem, covariance, noise, gain) / size[:2] ** 2
     corrected = normal.copy()
     for k in range(1 + free):
         corrected[k, k] -= min(float(share[k]), 0.5)
     inverse = np.linalg.pinv(corrected, rcond=1e-10, hermitian=True)
     theta = inverse @ ((regressors / size).T @ z) / size
     residual = z - regressors @ theta
-    degrees = max(len(residual) - len(theta), 1)
-    modelled = problem.sigma is not None and np.sum(residual**2) < degrees + LOOSE * np.sqrt(2.0 * degrees)
+    modelled = octaves(regressors, residual)[0] > ALPHA
     spread = normal if modelled else _scores(regressors / size, residual)
     return Fitted(theta, inverse @ spread @ inverse / np.outer(size, size), residual, regressors)
 
 
-def _noise_share(problem: Problem, covariance: csr_array, at: Alignment, gain: float) -> Array:
+def octaves(regressors: Array, residual: Array) -> tuple[float, Array]:
+    """How far a white residual (r,) is from white: p of its loudest octave or line, and its cosine power less 1.
+
+    `p` counts how many octaves and lines there are. `regressors` (r, p) tell what they took from each octave.
+    """
+    power = np.asarray(dct(residual, norm="ortho")) ** 2
+    basis = dct(np.linalg.qr(regressors)[0], axis=0, norm="ortho")
+    free = 1.0 - np.sum(basis**2, axis=1)
+    n = len(power)
+    edges = [0, *(FIRST * 2**k for k in range(32) if FIRST * 2**k < 0.75 * n), n]
+    p = [chi2.sf(np.sum(power[i:j]), max(float(np.sum(free[i:j])), 0.5)) for i, j in pairwise(edges)]
+    line = n * float(chi2.sf(np.max(power[1:] + power[:-1]), 2))
+    return min(1.0, 2.0 * float(np.min(p)) * len(p), 2.0 * line), power - free
+
+
+def _noise_share(problem: Problem, covariance: csr_array, noise: csr_array, gain: float) -> Array:
     """What the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
-    frames = problem.frames
     sigma = problem.series.sigma if problem.sigma is None else problem.sigma
-    own = sigma**2 * frames.noise(problem.series, at.offset)
     whole = _spectrum(covariance)
-    ratio = np.maximum(_spectrum(own), 0.0) / np.maximum(whole, 1e-12 * np.max(whole))
-    omega = FREQUENCIES / frames.interval
-    r = len(frames.z)
-    return np.array([r * np.mean(ratio), r * gain**2 * np.mean(ratio * omega**2)])
+    ratio = sigma**2 * np.maximum(_spectrum(noise), 0.0) / np.maximum(whole, 1e-12 * np.max(whole))
+    omega = FREQUENCIES / problem.frames.interval
+    return len(problem.frames.z) * np.array([np.mean(ratio), gain**2 * np.mean(ratio * omega**2)])
 
 
 def _spectrum(covariance: csr_array) -> Array:
     """Power at `FREQUENCIES` of the noise that a covariance describes in its middle."""
     middle = covariance.shape[0] // 2
-    after = covariance[[middle]].toarray()[0, middle:][: len(FREQUENCIES)]
+    after = np.trim_zeros(covariance[[middle]].toarray()[0, middle:], "b")
     lag = np.arange(1, len(after))
     return np.asarray(after[0] + 2.0 * np.cos(np.outer(FREQUENCIES, lag)) @ after[1:])
 
@@ -339,15 +378,16 @@ def _scores(regressors: Array, residual: Array) -> Array:
     """Spread of the scores, from parts of the record so long that what is left in them is independent."""
     parts = np.array_split(np.arange(len(residual)), min(BLOCKS, max(len(residual) // 8, 2)))
     sums = np.array([regressors[p].T @ residual[p] for p in parts])
-    return np.asarray(sums.T @ sums) * len(parts) / max(len(parts) - 1, 1)
+    return np.asarray(sums.T @ sums) * len(parts) / max(len(parts) - regressors.shape[1], 1)
 
 
 def _doubt(problem: Problem, begun: Alignment, found: Alignment) -> Alignment:
     """The alignment if its offset is worth something, else 0 and why."""
-    assert found.sigma_offset is not None
+    if found.gain is None or abs(found.gain) < np.sqrt(CLEAR) * (found.sigma_gain or 0.0):
+        return replace(start(problem.frames), reason="at no offset does it explain what the camera saw; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)
     span = float(problem.frames.t[-1] - problem.frames.t[0])
-    if not 0.0 < found.sigma_offset < 0.1 * span:
+    if found.sigma_offset is None or not 0.0 < found.sigma_offset < 0.1 * span:
         return replace(start(problem.frames), reason="it looks the same at every offset; 0 is kept")
     if abs(found.offset - begun.offset) > max(reach, 5.0 * found.sigma_offset):
         return replace(start(problem.frames), reason="its offset could not be pinned down; 0 is kept")

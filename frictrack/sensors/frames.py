@@ -21,6 +21,7 @@ from frictrack.motion.noise import noise_level
 from frictrack.records import Array, Displacement, Mask
 from frictrack.sensors.series import Series
 
+SPLINE = 16  # samples beyond which the spline through one of them has died out (0.27 per sample)
 FAR = 4.5  # frame intervals between two frames, beyond which no difference is taken over them
 
 
@@ -56,16 +57,18 @@ class Frames:
     def noise(self, series: Series, offset: float) -> csr_array:
         """Covariance of the differences for a sensor whose samples have white noise of unit variance.
 
-        The curve between the samples is taken as straight, so each sample acts under a triangle of its own.
+        Every sample acts by its own spline, which dies out within few samples.
         """
         d = series.interval
         first, last = self.ends()
-        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + 2
+        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + SPLINE // 2
         near = np.rint((self.t[self.centre] - offset - series.t[0]) / d)
         column = near[:, None] + np.arange(-reach, reach + 1)
         u = (self.t[self.map.indices] - offset - series.t[0]).reshape(-1, 3)
         weight = self.map.data.reshape(-1, 3)
-        effect = np.sum(weight[:, :, None] * _ramp(u[:, :, None] - column[:, None, :] * d, d), axis=1)
+        samples = np.arange(-SPLINE, SPLINE + 1.0)
+        alone = Series(d * samples, np.where(samples == 0.0, 1.0, 0.0))
+        effect = np.sum(weight[:, :, None] * alone.integral(u[:, :, None] - column[:, None, :] * d, 2), axis=1)
         column = (column - np.min(column)).astype(np.int64)
         row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
         spread = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
@@ -103,12 +106,6 @@ def _sigma(displacement: Displacement, known: Mask) -> Array:
     level = float(noise_level(np.where(known, displacement.x, 0.0), known)[0])
     relative = np.where(stated, displacement.sigma_x, usual) / usual
     return np.asarray(relative * (level if level > 0 and np.isfinite(level) else usual))
-
-
-def _ramp(u: Array, d: float) -> Array:
-    """A triangle of height 1 and half width d, integrated twice up to u."""
-    a, b, c = (np.clip(u + k * d, 0.0, None) for k in (1.0, 0.0, -1.0))
-    return np.asarray(np.where(u >= d, d * u, (a**3 - 2.0 * b**3 + c**3) / (6.0 * d)))
 
 
 class Whitener:

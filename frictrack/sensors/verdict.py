@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.fft import dct
-from scipy.stats import chi2
 
 from frictrack.motion.known import KnownAcceleration
 from frictrack.records import GRAVITY, Array
-from frictrack.sensors.align import Alignment, Fitted, Problem, align, fit
+from frictrack.sensors.align import ALPHA, FIRST, Alignment, Fitted, Problem, align, fit, octaves
 from frictrack.sensors.frames import Whitener
 from frictrack.sensors.series import Series
 
-ALPHA = 1e-3  # of a disagreement that noise alone would show
 SURE = 3.0  # standard deviations from which on a gain or a bias is spoken of
 GAIN = 0.05  # how far a sensor's sensitivity is commonly off
 LATE = 4.0  # standard deviations by which a given offset may be off
-FIRST = 8  # coefficients in the lowest band
 SHARE = 0.5  # of an excess that one line, or one moment, must hold to be named
 MOMENTS = 12  # parts of the record of which one may be to blame
 WINDOWS = 24  # means by which the difference is quoted
@@ -57,10 +52,13 @@ def compare(problem: Problem, alignment: Alignment, scale_error: float = 0.0) ->
     free = alignment.sigma_offset is not None
     kept = problem.take(problem.rows(alignment))
     fitted = fit(kept, alignment, free, alignment.sigma_rate is not None)
-    p, excess = _worst(kept, fitted)
-    faults = [_off_gain(alignment, scale_error), _off_bias(alignment), "" if free else _off_delay(problem, alignment)]
-    if p < ALPHA:
-        faults.append(_misfit(kept, fitted, excess))
+    p, excess = octaves(fitted.regressors, fitted.residual)
+    faults = [
+        "" if free else _off_delay(problem, alignment),
+        _misfit(kept, fitted, excess) if p < ALPHA else "",
+        _off_gain(alignment, scale_error),
+        _off_bias(alignment),
+    ]
     faults = [fault for fault in faults if fault]
     difference, expected, window = _differences(kept, alignment)
     return Comparison(
@@ -135,40 +133,27 @@ def _off_delay(problem: Problem, alignment: Alignment) -> str:
     )
 
 
-def _worst(problem: Problem, fitted: Fitted) -> tuple[float, Array]:
-    """Find the p of the loudest octave of the white residual, and its cosine spectrum less the 1 expected."""
-    spectrum = np.asarray(dct(fitted.residual, norm="ortho"))
-    basis = dct(np.linalg.qr(fitted.regressors)[0], axis=0, norm="ortho")
-    free = 1.0 - np.sum(basis**2, axis=1)
-    n = len(spectrum)
-    edges = [0, *(FIRST * 2**k for k in range(32) if FIRST * 2**k < 0.75 * n), n]
-    power = [float(np.sum(spectrum[i:j] ** 2)) for i, j in pairwise(edges)]
-    degrees = [max(float(np.sum(free[i:j])), 0.5) for i, j in pairwise(edges)]
-    p = float(np.min(chi2.sf(power, degrees)))
-    return min(1.0, p * len(power)), spectrum**2 - free
-
-
 def _misfit(problem: Problem, fitted: Fitted, excess: Array) -> str:
     """What the difference looks like that the noises do not explain."""
     frames, n = problem.frames, len(excess)
-    total = float(np.sum(excess[excess > 0]))
+    total = float(np.sum(excess))
     line = int(np.argmax(excess))
     frequency = line / (2.0 * n * frames.interval)
-    near = float(np.sum(np.clip(excess[max(line - 2, 0) : line + 3], 0.0, None)))
-    if near > SHARE * total and line >= FIRST:
+    near = float(np.sum(excess[max(line - 2, 0) : line + 3]))
+    if near > SHARE * total > 0.0 and line >= FIRST:
         return (
             f"they differ by a line at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
             "or the tracked target shakes; fix both to the slider"
         )
     moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, MOMENTS)])
     loud = int(np.argmax(moments))
-    if moments[loud] > SHARE * float(np.sum(np.clip(moments, 0.0, None))) and moments[loud] > 0:
+    if moments[loud] > SHARE * float(np.sum(moments)) > 0.0:
         at = np.array_split(frames.t[frames.centre], MOMENTS)[loud]
         return (
             f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: a blow beyond the sensor's range or bandwidth, "
             "a mounting that gives, or a target lost; look at these frames"
         )
-    if float(np.sum(np.clip(excess[: 2 * FIRST], 0.0, None))) > SHARE * total:
+    if float(np.sum(excess[: 2 * FIRST])) > SHARE * total > 0.0:
         return (
             "they differ slowly: a sensor that drifts, does not go down to 0 Hz, or tilts on its way; or a scale that "
             "changes along the course; check the sensor's lowest frequency"
@@ -201,7 +186,11 @@ def _differences(problem: Problem, alignment: Alignment) -> tuple[float, float, 
     """Rms of the difference's means as both noises let them be told, what these explain of it, and a mean's time."""
     frames, series = problem.frames, problem.series
     gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
-    rest = frames.z - gain * frames.felt(series, alignment.lag(frames.t)[:, None])[:, 0] - bias
+    rest = (
+        frames.z
+        - gain * frames.felt(series, alignment.lag(frames.t)[:, None])[:, 0] / (1.0 + alignment.rate) ** 2
+        - bias
+    )
     white = Whitener(frames.camera + (gain * series.sigma) ** 2 * frames.noise(series, alignment.offset))
     count = min(WINDOWS, len(rest) // 2)
     means = (np.arange(len(rest)) * count // len(rest))[:, None] == np.arange(count)

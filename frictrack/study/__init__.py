@@ -6,7 +6,7 @@ were measured by something other than a camera.
 
 from frictrack.study.load import Study, load
 from frictrack.study.schema import EffectTable, RunTable
-from frictrack.study.tables import TableData, read_clocked, read_table, resample
+from frictrack.study.tables import TableData, read_clocked, read_table
 from frictrack.study.write import TABLES, find_recordings, write_study
 
 __all__ = [
@@ -19,6 +19,5 @@ __all__ = [
     "load",
     "read_clocked",
     "read_table",
-    "resample",
     "write_study",
 ]

@@ -27,6 +27,7 @@ COLUMNS = {
     "a": ("a_m_s2", "m/s^2"),
     "friction": ("friction_N", "N"),
 }  # short name in `columns` -> header and unit in the table
+CLOCKED = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} | {"pressure": ("pressure_Pa", "Pa")}
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -72,7 +73,7 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
     """A file or folder that is there, relative to the study file."""
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
-    path: Path = (info.context or {})["folder"] / raw
+    path = _folder(info) / raw
     if not path.exists():
         there = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         near = difflib.get_close_matches(path.name, there, 1)
@@ -121,6 +122,80 @@ def _columns(raw: Any) -> Any:
     return raw
 
 
+def _drive(raw: Any, info: ValidationInfo) -> Any:
+    """A table with its own clock, a constant force, or none."""
+    if raw == "none":
+        return None
+    if isinstance(raw, dict):
+        return _clocked(raw, info, DRIVE, ("pressure",) if "area" in raw else ("drive",))
+    force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not (_folder(info) / raw).exists()
+    if force or (isinstance(raw, int | float) and not isinstance(raw, bool)):
+        return si(raw, "N", "drive")[0]
+    if isinstance(raw, str) and raw:
+        return _path(raw, info)
+    raise ValueError(
+        'expected a drive as "drive.csv" (t_s, drive_N), a constant "2.5 N", "none" or '
+        f'{{table = "p.csv", area = "3.14 cm^2"}} but got {raw!r}'
+    )
+
+
+def _sensor(raw: Any, info: ValidationInfo) -> Any:
+    """A table with its own clock."""
+    if isinstance(raw, dict):
+        return _clocked(raw, info, SENSOR, ("a", "friction"))
+    if isinstance(raw, str) and raw:
+        return _path(raw, info)
+    raise ValueError(
+        'expected a sensor as "acc.csv" (t_s, a_m_s2) or {table = "acc.csv", columns = {t = "Time (ms)", '
+        f'a = "acc (g)"}}}} but got {raw!r}'
+    )
+
+
+def _clocked(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], wanted: tuple[str, ...]) -> Any:
+    """A sensor's table with what is to be known of it: every value checked, files looked up."""
+    for key in raw:
+        if key not in keys:
+            raise ValueError(f'expected one of {", ".join(keys)} but got "{key}"; {nearest(key, keys)}')
+    if ("table" in raw) == ("force" in raw):
+        came = "both" if "table" in raw else "neither"
+        both = 'table = "drive.csv" or force = "2.5 N"' if "force" in keys else 'table = "acc.csv"'
+        raise ValueError(f"expected {both} but got {came if 'force' in keys else 'none'}")
+    if "force" in raw and (extra := [key for key in ("area", "columns", "offset") if key in raw]):
+        raise ValueError(f"expected no {extra[0]} beside a constant force: it belongs to a table")
+    read = {
+        "table": lambda value: _path(value, info),
+        "force": lambda value: si(value, "N", "force")[0],
+        "area": lambda value: si(value, "m^2", "area", above=0.0)[0],
+        "columns": lambda value: _headers(value, ("t", *wanted)),
+        "until": lambda value: value if value == "release" else _time(value, '"release"', "until"),
+        "offset": lambda value: value if value == "auto" else _time(value, '"auto"', "offset"),
+    }
+    return {key: read[key](value) for key, value in raw.items()}
+
+
+def _time(raw: Any, word: str, what: str) -> float:
+    try:
+        return si(raw, "s", what)[0]
+    except ValueError as e:
+        raise ValueError(f'expected {what} as {word} or a time like "1.2 ms" but got {raw!r}') from e
+
+
+def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
+    """Which header stands for which column of a sensor's table."""
+    if not isinstance(raw, dict) or not all(isinstance(header, str) for header in raw.values()):
+        raise ValueError(f'expected columns = {{t = "Time (ms)", {keys[1]} = "..."}} but got {raw!r}')
+    for key in raw:
+        if key not in keys:
+            raise ValueError(f'expected one of {", ".join(keys)} in columns but got "{key}"; {nearest(key, keys)}')
+    return raw
+
+
+def _folder(info: ValidationInfo) -> Path:
+    """What paths are relative to."""
+    folder: Path = (info.context or {})["folder"]
+    return folder
+
+
 def _model(raw: Any) -> Any:
     if isinstance(raw, str) or (isinstance(raw, list) and all(isinstance(name, str) for name in raw)):
         return raw
@@ -162,6 +237,8 @@ def needs_film(scale: Any) -> bool:
 SCALE = (
     "points", "length", "click", "plane", "unit", "target", "board", "squares", "square", "dictionary", "marker",
 )  # fmt: skip
+DRIVE = ("table", "force", "area", "columns", "until", "offset")  # keys of a drive's table in the study file
+SENSOR = ("table", "columns", "offset")
 TAKEN = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 Target = Annotated[Any, BeforeValidator(_target)]
@@ -171,6 +248,8 @@ Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
+Drive = Annotated[Any, BeforeValidator(_drive)]
+Sensor = Annotated[Any, BeforeValidator(_sensor)]
 Frequency = Annotated[float, _number("Hz", above=0.0)]
 Place = Annotated[float, _number("m")]
 Length = Annotated[float, _number("m", above=0.0)]
@@ -226,8 +305,8 @@ class RunTable(Keys):
     cutoff: Frequency | None = None
     incline: Angle | None = None
     normal_load: Load | None = None
-    drive: File | None = None
-    sensor: File | None = None
+    drive: Drive | None = None  # a path, a constant in N, or a table of `DRIVE` keys
+    sensor: Sensor | None = None  # a path, or a table of `SENSOR` keys
     columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
     impact_energy: Energy | None = None
     group: str = ""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError, gather
-from frictrack.records import Array
-from frictrack.study.schema import COLUMNS, nearest
+from frictrack.records import GRAVITY, Array
+from frictrack.study.schema import CLOCKED, COLUMNS, nearest
 from frictrack.units import quantity
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ class TableData:
     drive: Array | None = None
     a: Array | None = None
     friction: Array | None = None
+    pressure: Array | None = None
 
 
 def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
@@ -42,42 +43,39 @@ def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData
     parentheses (SI without), a leading minus flips the sign. Raises `FrictrackError` that lists all faults:
     a missing column, a value that is no number, time that does not rise, fewer than two rows.
     """
-    return _read(path, columns, required=("t", "x"))
+    return TableData(**_read(path, columns, ("t", "x"), COLUMNS))
 
 
-def read_clocked(path: Path, wanted: Sequence[str]) -> TableData:
-    """Read a sensor with its own clock: t_s and at least one of the `wanted` columns."""
-    data = _read(path, NO_COLUMNS, required=("t",))
-    if all(getattr(data, name) is None for name in wanted):
-        headers = " or ".join(COLUMNS[name][0] for name in wanted)
-        raise FrictrackError(f"{path.name}: expected a column {headers} beside t_s but got none")
-    return data
+def read_clocked(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
+    """Read a sensor with its own clock: t_s and at least one of the `wanted` columns.
 
-
-def resample(t: Array, clock: Array, values: Array, what: str) -> Array:
-    """Values measured on another clock at the times `t`, by linear interpolation.
-
-    Raises `FrictrackError` when the sensor was not running over the whole of `t` (half a sample may lack).
+    `columns` names other headers as for `read_table`, with "pressure" (pressure_Pa) beside; an acceleration may be in
+    units of gravity, "a (g)". An empty cell is a sample that was not taken: NaN.
     """
-    slack = 0.5 * max(float(np.max(np.diff(t))), float(np.max(np.diff(clock))))
-    if t[0] < clock[0] - slack or t[-1] > clock[-1] + slack:
+    values = _read(path, columns, ("t",), {key: CLOCKED[key] for key in ("t", *wanted)})
+    if len(values) == 1:
+        headers = " or ".join(CLOCKED[name][0] for name in wanted)
         raise FrictrackError(
-            f"{what}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
-            f"but got {clock[0]:g} to {clock[-1]:g} s; shift its t_s to the clock of the run"
+            f"{path.name}: expected a column {headers} beside t_s but got none; "
+            f'name it with {{table = "{path.name}", columns = {{{wanted[0]} = "..."}}}}'
         )
-    return np.interp(t, clock, values)
+    return TableData(**values)
 
 
-def _read(path: Path, columns: Mapping[str, str], required: Sequence[str]) -> TableData:
+def _read(
+    path: Path, columns: Mapping[str, str], required: Sequence[str], known: Mapping[str, tuple[str, str]]
+) -> dict[str, Array]:
+    """The columns that are there of those `known`; empty cells are allowed in what is not required."""
     frame = _frame(path)
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
     faults: list[str] = []
     values: dict[str, Any] = {}
-    for name, (standard, unit) in COLUMNS.items():
+    for name, (standard, unit) in known.items():
         header, sign = _header(columns.get(name, standard), present)
         if header in present:
-            values[name], found = _column(frame[header], sign * _factor(header, standard, unit))
+            gaps = known is not COLUMNS and name not in required
+            values[name], found = _column(frame[header], sign * _factor(header, standard, unit), gaps=gaps)
             faults += found
         elif name in required or name in columns:
             faults.append(f'expected a column "{header}" but got {", ".join(present)}; {_hint(header, present)}')
@@ -86,7 +84,7 @@ def _read(path: Path, columns: Mapping[str, str], required: Sequence[str]) -> Ta
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     gather(faults, path.name)
-    return TableData(**values)
+    return values
 
 
 def _hint(header: str, present: list[str]) -> str:
@@ -103,14 +101,16 @@ def _header(written: str, present: list[str]) -> tuple[str, float]:
 def _factor(header: str, standard: str, unit: str) -> float:
     """SI units per unit of the column."""
     named = UNIT.search(header)
+    if named and header != standard and (named[1], unit) == ("g", "m/s^2"):
+        return GRAVITY
     return quantity(f"1 {named[1]}", unit, header)[0] if named and header != standard else 1.0
 
 
-def _column(series: pd.Series[Any], factor: float) -> tuple[Array, list[str]]:
+def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
     import pandas as pd  # noqa: PLC0415 - half a second that `--help` need not wait for
 
     values = np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(values))
+    bad = np.flatnonzero(~np.isfinite(values) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values * factor, []
     came = series.iloc[int(bad[0])]

@@ -1,0 +1,260 @@
+"""The stage of what was measured beside the motion: drive, acceleration, friction, each with a clock of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.friction import release_time
+from frictrack.motion import differentiate, low_pass
+from frictrack.motion.known import KnownAcceleration
+from frictrack.records import Array, Displacement, Motion, Run
+from frictrack.results import Sensors
+from frictrack.sensors import (
+    Alignment,
+    Comparison,
+    Problem,
+    Series,
+    align,
+    align_drive,
+    compare,
+    known_acceleration,
+    release_energy,
+    second_differences,
+)
+from frictrack.study import RunTable, TableData, read_clocked, read_table
+
+if TYPE_CHECKING:
+    from frictrack.flow.stages import RunWork
+
+HEAVIER = 3.0  # standard deviations between the mass that the drive moves and the one that was weighed
+
+
+def own_table(run: RunTable) -> TableData:
+    """The table that a run is."""
+    assert run.table is not None
+    return read_table(run.table, run.columns)
+
+
+def sensed(run: RunTable, displacement: Displacement) -> Sensors:
+    """Drive, acceleration and friction that were measured, on the camera's clock at its frames.
+
+    Columns of the run's own table are taken as they are, their clock being the camera's. Raises FrictrackError when
+    a sensor was not running while it is needed.
+    """
+    beside = _Beside(displacement)
+    if run.table:
+        beside.own(own_table(run), run.table.name)
+    if run.drive is not None:
+        beside.drive(run.drive if isinstance(run.drive, dict) else _spelled(run.drive))
+    if run.sensor is not None:
+        beside.sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
+    return Sensors(displacement.t, **beside.found, clocks=beside.clocks, notes=tuple(beside.notes))
+
+
+def known(sensors: Sensors) -> KnownAcceleration | None:
+    """The acceleration that is known beside the camera, if a sensor agrees with it."""
+    if sensors.known_a is None or sensors.sigma_known_a is None:
+        return None
+    return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
+
+
+def sensor_rows(work: RunWork) -> dict[str, Any]:
+    """What `motion` and `friction` tell of sensors and of the blow: `sensors`, `impact`, and `notes` in words."""
+    sensors: Sensors = work.get("sensors")
+    notes = [*sensors.notes, *_moved_mass(work.run, sensors)]
+    impact = _impact(work)
+    if impact and impact["verdict"] != "plausible":
+        notes.append(impact["says"])
+    return {"sensors": sensors.clocks, "impact": impact, "notes": notes}
+
+
+def _spelled(drive: Path | float) -> dict[str, Any]:
+    """A drive in the short form, written out."""
+    return {"table": drive} if isinstance(drive, Path) else {"force": drive}
+
+
+class _Beside:
+    """What has been found of one run so far."""
+
+    def __init__(self, displacement: Displacement) -> None:
+        self.displacement = displacement
+        self.found: dict[str, Any] = {}
+        self.clocks: dict[str, Any] = {}
+        self.notes: list[str] = []
+
+    def own(self, data: TableData, name: str) -> None:
+        """Columns on the camera's clock."""
+        if data.drive is not None:
+            self.found["drive"] = data.drive
+        if data.friction is not None:
+            self.found["friction_N"] = data.friction
+        if data.a is not None:
+            self._acceleration(Series(data.t, data.a, f"{name}, a_m_s2"), 0.0)
+
+    def drive(self, spec: dict[str, Any]) -> None:
+        """A force on the slider: constant or a table, perhaps only up to some time."""
+        t, until = self.displacement.t, spec.get("until", np.inf)
+        motion = None if "force" in spec and until != "release" else differentiate(low_pass(self.displacement))
+        if until == "release":
+            assert motion is not None
+            until = release_time(Run(self.displacement, motion, mass=1.0))
+            self.notes.append(f"drive: none after the release at {until:.4g} s")
+        acting = t <= until
+        if "force" in spec:
+            self.found["drive"] = np.where(acting, spec["force"], 0.0)
+            return
+        assert motion is not None
+        series = _force(spec)
+        found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
+        self._tell("drive", series, found)
+        self.found["drive"] = self._everywhere(series, found, acting)
+
+    def sensor(self, spec: dict[str, Any]) -> None:
+        """An accelerometer, a load cell that measures friction, or both."""
+        data = read_clocked(spec["table"], ("a", "friction"), spec.get("columns", {}))
+        name = spec["table"].name
+        if data.a is not None:
+            self._acceleration(Series(data.t, data.a, name), _offset(spec))
+        if data.friction is not None:
+            series = Series(data.t, data.friction, name)
+            frames = second_differences(self.displacement)
+            found = align(Problem(frames, series, np.ones((len(frames.z), 1))), _offset(spec))
+            self._tell("friction_N", series, found)
+            everywhere = np.ones(len(self.displacement), dtype=bool)
+            self.found["friction_N"] = self._everywhere(series, found, everywhere)
+
+    def _acceleration(self, series: Series, offset: float | None) -> None:
+        """An accelerometer: aligned, compared, and known where both agree."""
+        t = self.displacement.t
+        frames = second_differences(self.displacement)
+        problem = Problem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
+        found = align(problem, offset)
+        values = series.average(t - found.lag(t), frames.interval)
+        if not np.any(np.isfinite(values)):
+            raise FrictrackError(_apart(series, found, t))
+        compared = compare(problem, found, self.displacement.relative_scale_error)
+        self._tell("a", series, found, compared)
+        self.found["a"] = values
+        if compared.verdict == "consistent":
+            fused = known_acceleration(series, found, t)
+            self.found |= {"known_a": fused.a, "sigma_known_a": float(fused.sigma)}
+
+    def _tell(self, what: str, series: Series, found: Alignment, compared: Comparison | None = None) -> None:
+        """Keep the numbers of an alignment and say it in words."""
+        self.clocks[what] = _numbers(found, compared)
+        if found.sigma_offset is not None:
+            value = f"{1e3 * found.offset:.4g} +/- {1e3 * found.sigma_offset:.2g} ms"
+            self.notes.append(f"{series.name}: its clock is {value} behind the camera's; {found.reason}")
+        elif not found.reason.startswith("as given"):
+            self.notes.append(f"{series.name}: its clock could not be aligned with the camera's: {found.reason}")
+        if compared is not None and compared.verdict != "not compared":
+            self.notes.append(f"{series.name} {_agreement(compared)}")
+
+    def _everywhere(self, series: Series, found: Alignment, acting: Array) -> Array:
+        """A force (n,) at all frames, 0 where it does not act, short gaps bridged."""
+        t = self.displacement.t
+        h = float(np.median(np.diff(t)))
+        values = series.average(t - found.lag(t), h)
+        rows, measured = np.flatnonzero(acting), np.flatnonzero(acting & np.isfinite(values))
+        if len(measured) == 0 or np.any(np.isnan(values[rows[[0, -1]]])):
+            raise FrictrackError(_apart(series, found, t[rows]))
+        if missing := len(rows) - len(measured):
+            self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")
+        return np.where(acting, np.interp(t, t[measured], values[measured]), 0.0)
+
+
+def _force(spec: dict[str, Any]) -> Series:
+    """The drive's table in N."""
+    area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
+    data = read_clocked(path, ("drive",) if area is None else ("pressure",), columns)
+    values = data.drive if area is None else np.asarray(data.pressure) * area
+    assert values is not None
+    return Series(data.t, values, path.name)
+
+
+def _offset(spec: dict[str, Any]) -> float | None:
+    """The offset that is given, if one is."""
+    given = spec.get("offset", "auto")
+    return None if given == "auto" else float(given)
+
+
+def _apart(series: Series, found: Alignment, t: Array) -> str:
+    first, last = series.t[0] + found.offset, series.t[-1] + found.offset
+    return (
+        f"{series.name}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
+        f"but got {first:g} to {last:g} s on the camera's clock ({found.reason}); "
+        'correct its offset, as in {table = "..", offset = "1.2 ms"}, or its t_s'
+    )
+
+
+def _agreement(compared: Comparison) -> str:
+    differ = (
+        f"they differ by {compared.rms_difference:.2g} m/s^2 rms in means over "
+        f"{1e3 * (compared.window or 0.0):.3g} ms, of which their noises explain {compared.rms_expected:.2g}"
+    )
+    if compared.verdict == "consistent":
+        return "; ".join([f"agrees with the camera: {differ}", *compared.says])
+    return "; ".join(["disagrees with the camera and is not used", *compared.says, differ])
+
+
+def _numbers(found: Alignment, compared: Comparison | None) -> dict[str, Any]:
+    """An alignment and a comparison as the store and the JSON have them."""
+    numbers: dict[str, Any] = {
+        "offset_s": found.offset,
+        "sigma_offset_s": found.sigma_offset,
+        "rate_ppm": 1e6 * found.rate if found.sigma_rate is not None else None,
+        "sigma_rate_ppm": None if found.sigma_rate is None else 1e6 * found.sigma_rate,
+        "gain": found.gain,
+        "sigma_gain": found.sigma_gain,
+        "bias": found.bias,
+        "sigma_bias": found.sigma_bias,
+        "reason": found.reason,
+    }
+    if compared is not None:
+        keys = ("verdict", "p", "reduced_chi2", "rms_difference", "rms_expected", "window")
+        numbers |= {key: getattr(compared, key) for key in keys} | {"says": "; ".join(compared.says)}
+    return numbers
+
+
+def _moved_mass(run: RunTable, sensors: Sensors) -> list[str]:
+    """A note when the drive moves another mass than was weighed."""
+    clock = sensors.clocks.get("drive", {})
+    gain, spread = clock.get("gain"), clock.get("sigma_gain")
+    if gain is None or spread is None or not isinstance(run.mass, tuple) or gain < HEAVIER * spread:
+        return []
+    (mass, sigma), moved = run.mass, 1.0 / gain
+    spread = spread / gain**2
+    if abs(moved - mass) < HEAVIER * np.hypot(sigma, spread):
+        return []
+    return [
+        f"the drive moves a mass of {moved:.4g} +/- {spread:.2g} kg but {mass:.4g} kg was weighed: check the drive's "
+        "unit and zero (or the piston's area), the scale, the frame rate and what else moves along"
+    ]
+
+
+def _impact(work: RunWork) -> dict[str, Any] | None:
+    """The kinetic energy at release against `impact_energy`, where that is stated and the mass is known."""
+    run = work.run
+    if run.impact_energy is None or not isinstance(run.mass, tuple):
+        return None
+    displacement: Displacement = work.get("displacement")
+    motion: Motion = work.get("motion")
+    try:
+        release = release_time(replace(work.record(), drive=None, friction_N=None))
+    except FrictrackError:  # nothing slides, which the friction stage says
+        return None
+    released = int(np.argmin(np.abs(motion.t - release)))
+    speed = float(motion.v[released]), float(motion.sigma_v[released])
+    energy = release_energy(run.mass, speed, run.impact_energy, displacement.relative_scale_error)
+    return {
+        "E_kin_J": energy.kinetic,
+        "sigma_J": energy.sigma,
+        "E_kin_over_E_impact": energy.share,
+        "verdict": energy.verdict,
+        "says": energy.says,
+    }

@@ -1,0 +1,334 @@
+"""An accelerometer beside the camera: aligned, compared and fused. Truth: motions in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array, Displacement
+from frictrack.sensors import (
+    Alignment,
+    Comparison,
+    Problem,
+    Series,
+    align,
+    compare,
+    known_acceleration,
+    release_energy,
+    second_differences,
+)
+
+OMEGA, SHAKE = 2 * np.pi * 60.0, 5.7  # rad/s, m/s^2: a vibration
+DECAY = 1.3  # 1/s, of what viscous friction adds
+BLOW, AT, WIDTH = 0.06, 0.11, 0.6e-3  # m/s, s, s: a collision of Gaussian shape
+FPS, FRAMES, NOISE = 4000.0, 800, 1e-5  # of the camera; m
+DELAY, GAIN, BIAS = 3.37e-3, 1.03, 0.4  # of the sensor: s, 1, m/s^2
+
+
+def a_true(t: Array) -> Array:
+    smooth = -6.0 + 2.0 * np.exp(-DECAY * t) + SHAKE * np.sin(OMEGA * t + 0.4)
+    return smooth - BLOW / (np.sqrt(2 * np.pi) * WIDTH) * np.exp(-(((t - AT) / WIDTH) ** 2) / 2)
+
+
+def x_true(t: Array) -> Array:
+    smooth = 4.0 * t - 3.0 * t**2 + 2.0 * (np.exp(-DECAY * t) - 1 + DECAY * t) / DECAY**2
+    u = (t - AT) / WIDTH
+    blow = BLOW * WIDTH * (u / 2 * (1 + erf(u / np.sqrt(2))) + np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi))
+    return smooth - SHAKE / OMEGA**2 * np.sin(OMEGA * t + 0.4) - blow
+
+
+def film(rng: np.random.Generator, *, sigma: float = NOISE, x: Callable[[Array], Array] = x_true) -> Displacement:
+    t = np.arange(FRAMES) / FPS
+    nan = np.full(FRAMES, np.nan)
+    seen = x(t) + sigma * rng.standard_normal(FRAMES)
+    return Displacement(t, seen, nan, nan, np.full(FRAMES, sigma), nan, np.ones(FRAMES, bool))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An accelerometer that shows at its clock's time ts what happened at ts - delay."""
+
+    rate: float = 1e4  # Hz
+    noise: float = 0.5  # m/s^2
+    gain: float = GAIN
+    bias: float = BIAS
+    delay: float = DELAY
+    fast: float = 0.0  # of its clock, relative
+
+    def record(self, rng: np.random.Generator) -> Series:
+        ts = np.arange(-0.05, 0.3, 1.0 / self.rate) + rng.uniform(0, 1.0 / self.rate)
+        felt = (a_true((ts - self.delay) / (1.0 + self.fast)) - self.bias) / self.gain
+        return Series(ts, felt + self.noise * rng.standard_normal(len(ts)), "acc.csv")
+
+
+def problem(seen: Displacement, series: Series) -> Problem:
+    frames = second_differences(seen)
+    return Problem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
+
+
+def found(
+    seed: int, sensor: Sensor, changed: Callable[[Series], Series] = lambda s: s, **camera: float
+) -> tuple[Alignment, Comparison]:
+    rng = np.random.default_rng(seed)
+    both = problem(film(rng, **camera), changed(sensor.record(rng)))
+    aligned = align(both)
+    return aligned, compare(both, aligned)
+
+
+def altered(change: Callable[[Array, Array], Array]) -> Callable[[Series], Series]:
+    return lambda s: Series(s.t, change(s.t, s.values), s.name)
+
+
+def test_second_differences_hold_for_any_motion_and_any_gap() -> None:
+    """The sensor's integral under the triangle is the camera's difference, exactly: no filter, no approximation."""
+    t = np.arange(400) / FPS
+    kept = np.setdiff1d(np.arange(400), [50, 51, 120])
+    nan = np.full(len(kept), np.nan)
+    seen = Displacement(t[kept], x_true(t[kept]), nan, nan, np.full(len(kept), 1e-6), nan, np.ones(len(kept), bool))
+    fine = np.arange(-0.01, 0.12, 2e-6)
+    frames = second_differences(seen)
+    felt = frames.felt(Series(fine, a_true(fine)), np.zeros(1))[:, 0]
+    assert len(frames.z) == len(kept) - 2
+    np.testing.assert_allclose(felt, frames.z, atol=2e-5)
+
+
+def test_the_stated_noise_of_the_differences_is_theirs() -> None:
+    """Of the camera and of a sensor that is faster, and of one that is slower, than the camera."""
+    rng = np.random.default_rng(0)
+    frames = second_differences(film(rng, x=lambda t: 0.0 * t))
+    assert np.mean(frames.z**2) == pytest.approx(np.mean(frames.camera.diagonal()), rel=0.15)
+    for rate in (5e4, 1e3):
+        ts = np.arange(-0.05, 0.3, 1 / rate)
+        alone = np.concatenate(
+            [frames.felt(Series(ts, rng.standard_normal(len(ts))), np.zeros(1)) for _ in range(40)], axis=1
+        )
+        stated = frames.noise(Series(ts, 0 * ts), 0.0)
+        assert np.mean(alone**2) == pytest.approx(np.mean(stated.diagonal()), rel=0.15)
+        assert np.mean(alone[1:] * alone[:-1]) == pytest.approx(np.mean(stated.diagonal(1)), rel=0.2)
+
+
+@pytest.mark.parametrize("sensor", [Sensor(), Sensor(rate=5e4, noise=5.0), Sensor(rate=1e3)])
+def test_offset_gain_and_bias_are_found_within_their_deviations(sensor: Sensor) -> None:
+    aligned, compared = found(1, sensor)
+    assert aligned.sigma_offset is not None
+    assert aligned.sigma_gain is not None
+    assert aligned.sigma_bias is not None
+    assert abs(aligned.offset + DELAY) < 4 * aligned.sigma_offset
+    assert abs(aligned.gain - GAIN) < 4 * aligned.sigma_gain
+    assert abs(aligned.bias - BIAS) < 4 * aligned.sigma_bias
+    assert aligned.sigma_offset < 0.25 / FPS  # far below one frame
+    assert compared.verdict == "consistent"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensor", "sigma"),
+    [
+        (Sensor(), NOISE),
+        (Sensor(rate=5e4, noise=5.0), NOISE),
+        (Sensor(rate=1e3), NOISE),
+        (Sensor(rate=5e4), 2e-6),
+        (Sensor(), 5e-5),
+    ],
+)
+def test_z_scores_of_offset_gain_and_bias_are_standard(sensor: Sensor, sigma: float) -> None:
+    z = []
+    for seed in range(200):
+        aligned, _ = found(seed, sensor, sigma=sigma)
+        off = np.array([aligned.offset + DELAY, aligned.gain - GAIN, aligned.bias - BIAS])
+        z.append(off / np.array([aligned.sigma_offset, aligned.sigma_gain, aligned.sigma_bias], dtype=float))
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    assert np.all((rms > 0.88) & (rms < 1.12)), rms
+
+
+def test_z_scores_are_standard_over_few_seeds() -> None:
+    z = []
+    for seed in range(20):
+        aligned, _ = found(seed, Sensor())
+        z.append((aligned.offset + DELAY) / float(aligned.sigma_offset or np.nan))
+    assert 0.65 < np.sqrt(np.mean(np.square(z))) < 1.4
+
+
+def test_the_gain_is_not_too_small_under_noise() -> None:
+    """A regressor with noise attenuates; its expected share is taken out."""
+    gains = [found(seed, Sensor(rate=1e3, noise=1.5))[0].gain or 0.0 for seed in range(16)]
+    assert np.mean(gains) == pytest.approx(GAIN, abs=4 * np.std(gains) / np.sqrt(16))
+    assert np.std(gains) / np.sqrt(16) < 0.02
+
+
+def test_two_clocks_at_different_rates_are_told_apart() -> None:
+    fast = 3000e-6
+    aligned, compared = found(3, Sensor(noise=0.1, fast=fast), sigma=1e-6)
+    assert aligned.sigma_rate is not None
+    assert abs(aligned.rate - fast) < 4 * aligned.sigma_rate + fast**2
+    assert any("ppm fast" in said for said in compared.says)
+    assert found(3, Sensor(noise=0.1), sigma=1e-6)[0].sigma_rate is None
+
+
+def test_a_clock_far_off_is_found_without_help() -> None:
+    rng = np.random.default_rng(5)
+    series = Sensor().record(rng)
+    aligned = align(problem(film(rng), Series(series.t + 1000.0, series.values, "acc.csv")))
+    assert aligned.sigma_offset is not None
+    assert abs(aligned.offset + 1000.0 + DELAY) < 4 * aligned.sigma_offset
+
+
+def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> None:
+    rng = np.random.default_rng(7)
+    ts = np.arange(-0.1, 0.3, 1e-4)
+    series = Series(ts, SHAKE * np.sin(OMEGA * (ts - 2e-3)) + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
+    aligned = align(problem(film(rng, x=lambda t: 3 * t - SHAKE / OMEGA**2 * np.sin(OMEGA * t)), series))
+    assert abs(aligned.offset + 2e-3) < 4 * (aligned.sigma_offset or 0.0)
+    assert "nearest to 0 of those that explain the same" in aligned.reason
+
+
+@pytest.mark.parametrize(
+    ("sensor", "change", "cause"),
+    [
+        (Sensor(gain=1.2), None, "the scale is too large by this factor, or the frame rate by"),
+        (Sensor(gain=9.80665, noise=0.05), None, "it is in units of gravity: say so with columns"),
+        (Sensor(gain=-1.0), None, "its axis points the other way: flip its sign"),
+        (Sensor(gain=1e-3, noise=500.0), None, "it is in mm/s^2: say so"),
+        (Sensor(bias=20.0), None, "its zero is off by 20"),
+        (Sensor(), lambda t, a: a + 20 * np.sin(2 * np.pi * 333 * t), "a line at 333 Hz: most likely its mounting"),
+        (Sensor(), lambda t, a: a + 60 * (t - 0.1), "they differ slowly: a sensor that drifts"),
+        (
+            Sensor(),
+            lambda t, a: a + np.where(abs(t - 0.1525) < 0.0025, 60 * np.sin(2513 * t), 0),
+            "they differ from 0.15",
+        ),
+    ],
+)
+def test_a_disagreement_names_its_cause(
+    sensor: Sensor, change: Callable[[Array, Array], Array] | None, cause: str
+) -> None:
+    _, compared = found(0, sensor, altered(change) if change else lambda s: s)
+    assert compared.verdict == "disagrees"
+    assert cause in compared.says[0]
+
+
+def test_agreement_is_not_doubted_by_chance() -> None:
+    assert [found(seed, Sensor())[1].verdict for seed in range(10)].count("consistent") >= 9
+
+
+def test_clipped_samples_are_left_out_and_said() -> None:
+    aligned, compared = found(0, Sensor(), altered(lambda t, a: np.clip(a, -25.0, 25.0)))
+    assert compared.verdict == "consistent"
+    assert abs(aligned.offset + DELAY) < 4 * (aligned.sigma_offset or 0.0)
+    assert any("of its samples are clipped at 25: they are left out" in said for said in compared.says)
+    rng = np.random.default_rng(0)
+    series = altered(lambda t, a: np.clip(a, -25.0, 25.0))(Sensor().record(rng))
+    assert not np.any(series.known[np.abs(series.values) >= 25.0])
+    assert np.sum(~series.known) == np.sum(np.abs(series.values) >= 25.0)
+    coarse = Series(series.t, np.round(np.sin(40 * series.t), 1), "coarse")
+    assert not np.any(coarse.clipped)  # a coarse record holds its values everywhere
+
+
+def test_a_given_offset_is_kept_and_refuted_where_it_is_wrong() -> None:
+    rng = np.random.default_rng(2)
+    both = problem(film(rng), Sensor().record(rng))
+    right, wrong = align(both, -DELAY), align(both, -DELAY - 5e-4)
+    assert (right.offset, right.sigma_offset) == (-DELAY, None)
+    assert compare(both, right).verdict == "consistent"
+    said = " ".join(compare(both, wrong).says)
+    assert "the offset of -3.87 ms is wrong, the data say -3.4" in said
+    assert 'offset = "auto"' in said
+
+
+def test_a_fused_acceleration_is_the_truth_within_its_noise() -> None:
+    rng = np.random.default_rng(4)
+    seen = film(rng)
+    for sensor in (Sensor(rate=5e4, noise=1.0), Sensor()):
+        both = problem(seen, sensor.record(rng))
+        aligned = align(both)
+        fused = known_acceleration(both.series, aligned, seen.t)
+        h = 1.0 / FPS
+        fine = seen.t[:, None] + np.linspace(-h / 2, h / 2, 41)
+        error = fused.a - np.mean(a_true(fine), axis=1)
+        error -= np.mean(error)  # the bias is known to sigma_bias only, which is not white
+        assert np.std(error) == pytest.approx(fused.sigma, rel=0.2)
+        assert fused.sigma == pytest.approx(GAIN * sensor.noise / np.sqrt(sensor.rate * h), rel=0.1)
+
+
+def test_an_average_takes_away_what_the_frames_cannot_hold() -> None:
+    ts = np.arange(0, 0.1, 2e-5)
+    series = Series(ts, 3.0 + np.sin(2 * np.pi * 4000 * ts))  # one period per frame: it would be folded to 0 Hz
+    at = np.arange(0.01, 0.09, 1 / FPS)
+    np.testing.assert_allclose(series.average(at, 1 / FPS), 3.0, atol=1e-4)
+    slow = Series(ts[::50], np.sin(2 * np.pi * 50 * ts[::50]))  # 1 kHz: between its samples the curve goes on
+    np.testing.assert_allclose(slow.average(at, 1 / FPS), np.sin(2 * np.pi * 50 * at), atol=1e-3)
+
+
+def test_where_the_sensor_was_not_running_nothing_is_known() -> None:
+    ts = np.arange(0, 0.1, 1e-4)
+    values = np.cos(40 * ts)
+    values[300:330] = np.nan
+    gone = np.concatenate([ts[:600], ts[650:]])
+    series = Series(gone, np.concatenate([values[:600], values[650:]]))
+    at = np.arange(-0.01, 0.11, 1 / FPS)
+    mean = series.average(at, 1 / FPS)
+    lost = (at < -1.3e-4) | (at > 0.1001) | ((at > 0.0299) & (at < 0.0331)) | ((at > 0.0599) & (at < 0.0651))
+    assert np.all(np.isnan(mean[lost]))
+    assert np.mean(np.isfinite(mean[~lost])) > 0.99
+    assert np.nanmax(np.abs(mean - np.cos(40 * at))) < 1e-3
+
+
+def test_gaps_do_not_spoil_the_alignment() -> None:
+    aligned, compared = found(0, Sensor(), altered(lambda t, a: np.where(abs(t - 0.08) < 0.01, np.nan, a)))
+    assert abs(aligned.offset + DELAY) < 4 * (aligned.sigma_offset or 0.0)
+    assert compared.verdict == "consistent"
+
+
+@pytest.mark.parametrize(
+    ("t", "values", "expected"),
+    [
+        ([0, 1, 0.5], [1, 2, 3], "acc: expected rising time but got 0.5 s after 1 s in row 3"),
+        ([0], [1], "acc: expected at least 2 samples but got 1"),
+        ([0, 1, 2], [1, 2], "acc: expected one value per time but got (2,) values at (3,) times"),
+        ([0, 1, 2, 3], [1, np.nan, np.nan, np.nan], "acc: expected numbers but 3 of 4 samples are none"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(t: list[float], values: list[float], expected: str) -> None:
+    with pytest.raises(FrictrackError) as caught:
+        Series(np.array(t), np.array(values, dtype=float), "acc")
+    assert expected in str(caught.value)
+
+
+def test_what_cannot_be_aligned_says_why() -> None:
+    rng = np.random.default_rng(0)
+    seen = film(rng)
+    ts = np.arange(-0.05, 0.3, 1e-4)
+    assert align(problem(seen, Series(ts, 0 * ts + 2))).reason == (
+        "it is constant, which looks the same at every offset; 0 is kept"
+    )
+    noise = align(problem(seen, Series(ts, rng.standard_normal(len(ts)))))
+    assert noise.sigma_offset is None
+    assert noise.offset == 0.0
+    assert "at no offset" in noise.reason
+    assert compare(problem(seen, Series(ts, 0 * ts + 2)), noise).verdict == "not compared"
+    two = align(problem(seen, Series(np.array([0.0, 0.1]), np.array([1.0, 2.0]))))
+    assert two.sigma_offset is None
+    apart = align(problem(seen, Sensor().record(rng)), 7.0)
+    assert "as given, it was running from 6.95" in apart.reason
+    few = replace(seen, **{k: getattr(seen, k)[:10] for k in ("t", "x", "y", "angle", "sigma_x", "sigma_y", "valid")})
+    assert "expected at least 16 neighbouring frames but got 8" in align(problem(few, Sensor().record(rng))).reason
+
+
+def test_the_energy_of_the_blow_bounds_the_slider() -> None:
+    """2 J, as the second paper's hammer; 0.35 kg at 3.08 m/s carry 1.66 J."""
+    good = release_energy((0.35, 0.002), (3.08, 0.01), 2.0)
+    assert good.verdict == "plausible"
+    assert good.says == "E_kin / E_impact = 0.83"
+    assert good.sigma == pytest.approx(1.66 * np.hypot(0.002 / 0.35, 0.02 / 3.08), rel=1e-3)
+    fast = release_energy((0.35, 0.002), (2 * 3.08, 0.01), 2.0)
+    assert fast.verdict == "impossible"
+    assert "scale or frame rate is too large by a factor of 1.82 or more, or the mass by 3.32" in fast.says
+    assert release_energy((0.35, 0.002), (3.6, 0.01), 2.0, scale_error=0.05).verdict == "plausible"  # 2.27 +/- 0.23 J
+    slow = release_energy((0.35, 0.002), (0.5, 0.01), 2.0)
+    assert slow.verdict == "suspicious"
+    assert "less than a tenth of the 2 J of the blow: scale or frame rate too small by a factor of up to" in slow.says
