@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
-from derivatives import SIGNALS, classics, ours, run, signal
+from derivatives import SIGNALS, classics, others, ours, run, signal
 from derivatives.bayes import gaussian_process, kalman
 from derivatives.bounds import cramer_rao, wiener
 from derivatives.estimate import Estimate
@@ -214,6 +214,21 @@ def test_frictrack_is_asked_through_its_public_stages(signals):
     figures = judge(truth, [found], [0.0])
     assert 0.1 < figures["a"] < 1.0
     assert 0.7 < figures["z_x"] < 1.3
+
+
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [("kill -XCPU $$", "more than 7 s"), ("echo no such method >&2; exit 1", "no such method"), ("exit 1", "ended")],
+)
+def test_a_peer_that_breaks_off_leaves_its_reason(signals, tmp_path, does, said):
+    python = tmp_path / "python"
+    python.write_text(f"#!/bin/sh\n{does}\n")
+    python.chmod(0o755)
+    truth = signals["vib"]
+    found = others.peer(Plan(["vib"], [1e-5], python=str(python), peer_seconds=7), truth, truth.x, "rtsdiff", "own")
+    assert isinstance(found, str)
+    assert said in found
+    assert said in run.table("vib", 1e-5, {run.WIENER: {"a": 1.0}, "peer": run._judge_peer(truth, [found])})
 
 
 def test_words_choose_methods():

@@ -36,7 +36,8 @@ def peer(plan: Plan, truth: Signal, y: Array, method: str, choice: str) -> tuple
         done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
         if not out.exists():
             # Negative: ended by the system at its limit of CPU time.
-            return f"more than {plan.peer_seconds} s" if done.returncode < 0 else done.stderr.strip().splitlines()[-1]
+            last = (done.stderr.strip() or "ended without a word").splitlines()[-1]
+            return f"more than {plan.peer_seconds} s" if done.returncode < 0 else last
         found = dict(np.load(out))
     return Estimate(found["x"], found["v"], found["a"]), float(found["seconds"])
 

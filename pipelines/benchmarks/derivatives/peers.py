@@ -5,7 +5,8 @@ Runs in an environment of its own, within a limit of CPU seconds, which the syst
     python -m venv peers && peers/bin/pip install pynumdiff cvxpy
 
 Every pass takes the settings that `optimize` finds: either with a band limit in Hz ("own": this is what a user has), or
-with the true derivative of that pass ("oracle").
+with the true derivative of that pass ("oracle"; the best velocity is not always the best begin of an acceleration, so
+that its own choice sometimes wins).
 """
 
 from __future__ import annotations
