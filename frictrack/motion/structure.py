@@ -28,6 +28,7 @@ HOPE = 10.0  # that a trial may still gain when its numbers are refined
 FEW_STEPS, STEPS = 6, 15  # of the refinement, on the way and at the end
 STIFFER = (0.0, 4.0, 8.0, 14.0)  # log of what the rest of the trend may win
 BOOSTS = (2.0, 6.0)  # log of how much softer the trend may be in an event, to begin with
+EVENTFUL = 8.0  # times their mean square: differences below are those of a smooth signal
 WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take, to begin with
 RAYLEIGH = 0.1  # of 2 pi / n: step of a frequency
 LEAST_CYCLES = 2.0  # of a line over the record
@@ -169,12 +170,14 @@ class Growth:
     def _softened(self, s: Structure) -> Iterator[Structure]:
         """One event more, the rest of the trend as stiff as it was or stiffer."""
         if len(s.events) < MOST_EVENTS:
-            for stiffer in STIFFER:
-                yield from self._events(self._stiffer(s, stiffer), stiffer)
+            shocks = s.factored(self.data).shocks() ** 2
+            if np.max(shocks) > EVENTFUL * np.mean(shocks):
+                for stiffer in STIFFER:
+                    yield from self._events(self._stiffer(s, stiffer), stiffer)
 
     def _both(self, s: Structure) -> Iterator[Structure]:
         """A line and an event, each of which hides the other."""
-        if len(s.lines) < MOST_LINES and len(s.events) < MOST_EVENTS:
+        if not s.lines and not s.events:
             for trial in list(self._lined(s))[3::2]:
                 stiffer = trial.stiffness[0] - s.stiffness[0]
                 yield from self._events(trial, stiffer)
@@ -218,8 +221,7 @@ class Growth:
 
     def _events(self, s: Structure, stiffer: float) -> Iterator[Structure]:
         """One event more, where the differences are largest."""
-        factor = s.factored(self.data)
-        shocks = factor.unknowns()[factor.system.multiplier[0]] ** 2
+        shocks = s.factored(self.data).shocks() ** 2
         for width in WIDTHS:
             if 4 * width > self.n:
                 break

@@ -156,6 +156,10 @@ class Factor:
         d = self.data
         return self._solve(d.w * d.y, None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent)
 
+    def shocks(self) -> Array:
+        """Weighted differences of the trend (n - 4,): what shakes it."""
+        return np.asarray(self.unknowns()[self.system.multiplier[0]])
+
     def smooth(self, y: Array) -> Array:
         """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
         w = self.data.w.reshape(-1, *[1] * (y.ndim - 1))
