@@ -170,6 +170,7 @@ def test_figures_are_called_what_they_are(signals):
     figures = judge(truth, [made, made], [1.0, 3.0])
     assert figures["a_first"] == pytest.approx(2)
     assert figures["a"] == figures["z_a"] == pytest.approx(2 * np.sqrt(0.05))
+    assert figures["a_worst"] == figures["a"]
     assert figures["a_mid"] == figures["a_last"] == figures["a_near"] == figures["v"] == 0
     assert np.isnan(figures["z_x"])
     assert figures["ms"] == 2000
@@ -229,6 +230,13 @@ def test_a_peer_that_breaks_off_leaves_its_reason(signals, tmp_path, does, said)
     assert isinstance(found, str)
     assert said in found
     assert said in run.table("vib", 1e-5, {run.WIENER: {"a": 1.0}, "peer": run._judge_peer(truth, [found])})
+
+
+def test_an_unknown_signal_is_answered_with_the_known_ones():
+    command = [sys.executable, str(BENCHMARKS / "derivatives"), "--signals", "vib,wobble", "--no-peers"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "incline but got wobble" in done.stderr
 
 
 def test_words_choose_methods():

@@ -19,6 +19,7 @@ def judge(truth: Signal, estimates: Sequence[Estimate], seconds: Sequence[float]
     """Figures of one method over several noise realisations: rms errors in m, m/s, m/s^2; rms of the z-scores."""
     errors = np.array([[found - true for found, true in zip(e[:3], truth[2:5], strict=True)] for e in estimates])
     figures = summary(truth, errors**2)
+    figures["a_worst"] = max(_rms(one**2) for one in errors[:, 2])
     for k, order in enumerate(ORDERS):
         figures[f"z_{order}"] = _z(errors[:, k], [e[3 + k] for e in estimates])
     return figures | {"ms": 1e3 * float(np.median(seconds)), "seeds": len(estimates)}

@@ -15,7 +15,7 @@ from .peers import METHODS
 from .plan import Plan
 from .signals import Signal
 
-__all__ = ["CHOICES", "METHODS", "missing", "peer"]
+__all__ = ["CHOICES", "METHODS", "missing", "peer", "version"]
 
 CHOICES = "own", "oracle"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -46,3 +46,9 @@ def missing(python: str) -> list[str]:
     """Libraries of peers that the other Python does not have."""
     code = "import importlib.util as u; print(*[m for m in ('pynumdiff', 'cvxpy') if not u.find_spec(m)])"
     return subprocess.run([python, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+
+
+def version(python: str) -> str:
+    """Version of PyNumDiff in the other Python."""
+    code = "import importlib.metadata as m; print(m.version('pynumdiff'))"
+    return subprocess.run([python, "-c", code], capture_output=True, text=True, check=True).stdout.strip()

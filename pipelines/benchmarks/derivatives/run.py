@@ -30,6 +30,7 @@ WIENER = "Wiener (oracle)"
 COLUMNS = {
     "a": ("a", 1, 4),
     "/Wiener": ("over_wiener", 1, 3),
+    "worst": ("a_worst", 1, 3),
     "a mid": ("a_mid", 1, 3),
     "first5%": ("a_first", 1, 3),
     "last5%": ("a_last", 1, 3),
@@ -148,10 +149,11 @@ def overview(results: Results) -> str:
     return "\n".join(lines)
 
 
-def machine() -> dict[str, str]:
+def machine(python: str | None) -> dict[str, str]:
     """Where and with what this was measured."""
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
-    return {"python": platform.python_version(), "cpu": _cpu(), "frictrack": ft.__version__} | versions
+    peers = {"pynumdiff": others.version(python)} if python else {}
+    return {"python": platform.python_version(), "cpu": _cpu(), "frictrack": ft.__version__} | versions | peers
 
 
 def _cpu() -> str:
