@@ -135,6 +135,8 @@ def _hopeless(problem: Problem, given: Alignment | None) -> str:
     series, t = problem.series, problem.frames.t
     if len(problem.frames.z) < ENOUGH:
         return f"expected at least {ENOUGH} neighbouring frames but got {len(problem.frames.z)}"
+    if len(series.t) < ENOUGH:
+        return f"expected at least {ENOUGH} samples but got {len(series.t)}"
     if series.constant:
         return "it is constant, which looks the same at every offset"
     if given is not None and np.sum(problem.rows(given)) < ENOUGH:
