@@ -200,6 +200,11 @@ def test_collision_is_told_by_its_impulse():
     assert json.loads(json.dumps(result.summary()["collisions"]))
 
 
+def test_a_blow_that_was_none_is_said():
+    (blow,) = fitted(COLLISION).collisions
+    assert blow["words"] == "no blow is told from none in this run"
+
+
 @pytest.mark.slow
 def test_impulses_scatter_as_they_say():
     blows = [fit(COLLISION, [seen(coll(), seed=seed)]).collisions[0] for seed in range(60)]

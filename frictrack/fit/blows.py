@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from frictrack.fit.result import Fit
 
 RESOLVED = 0.3  # relative standard deviation of the width up to which a peak force is known at all
+SEEN = 3.0  # standard deviations of the impulse below which there may have been no blow
 REACH = 3.0  # widths on either side that hold the pulse
 
 
@@ -78,11 +79,15 @@ def _told(fit: Fit, effect: Effect, index: int, run: str) -> dict[str, Any]:
         "width_std": std,
         "width_at_most_s": longest(width, std),
         "resolved": resolved,
-        "words": "its width is resolved" if resolved else _unresolved(width, std),
+        "words": _words(width, std, faint=not impulse.value or abs(impulse.value) < SEEN * (impulse.std or np.inf)),
     }
 
 
-def _unresolved(width: float, std: float) -> str:
+def _words(width: float, std: float, *, faint: bool) -> str:
+    if faint:
+        return "no blow is told from none in this run"
+    if std <= RESOLVED * width:
+        return "its width is resolved"
     return (
         f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * longest(width, std):.2g} ms): "
         "the impulse is what these frames tell, a peak force they do not"

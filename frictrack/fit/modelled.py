@@ -11,12 +11,13 @@ its noise. What is told there from white noise is counted into the bands with it
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.fft import dct
+from scipy.interpolate import make_interp_spline
 from scipy.special import ndtri
 
 from frictrack.fit.blows import struck
@@ -29,6 +30,8 @@ from frictrack.records import Array, Modelled, Run
 
 if TYPE_CHECKING:
     from frictrack.fit.result import Fit
+
+Teller = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 STEP = 1e-6  # of a standard deviation, for differences
 ALARMS = 1e-3  # chance that white noise of one stretch looks like something that was missed
@@ -80,25 +83,26 @@ def _predicted(fit: Fit, solution: Solution) -> Array:
 
 def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> Modelled:
     """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
-    parts = [_stretch(solution, covariance, r, run) for r in solution.responses if r.piece.run == index]
+    mine = [r for r in solution.responses if r.piece.run == index]
+    lacks = [lacking(r, run, ALARMS / len(mine)) for r in mine]
+    parts = [_stretch(solution, covariance, r, lack) for r, lack in zip(mine, lacks, strict=True)]
     parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
     columns = [f.name for f in fields(Modelled) if f.metadata.get("column")]
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-    once = np.unique(whole["t"], return_index=True)[1]
-    notes = dict.fromkeys(chain.from_iterable(part.notes for part in parts))
-    return replace(parts[0], **{name: column[once] for name, column in whole.items()}, notes=tuple(notes))
+    once = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
+    whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
+    return Modelled(**{name: column[once] for name, column in whole.items()}, run=run.name, notes=_notes(lacks))
 
 
-def _stretch(solution: Solution, covariance: Array, response: Response, run: Run) -> Modelled:
+def _stretch(solution: Solution, covariance: Array, response: Response, lack: Lack) -> Modelled:
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
-    force, a = _told(solution, response, solution.p, x, v)
+    force, a = _teller(solution, response)(solution.p, x, v)
     sigma = np.array([np.sqrt(np.sum(m**2, axis=1)) for m in _moves(solution, covariance, response, x, v)])
-    lack = lacking(response, run)
     gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
     sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
     return Modelled(
-        t=run.displacement.t[piece.frames],
+        t=piece.t,
         x=x,
         v=v,
         a=a,
@@ -109,18 +113,21 @@ def _stretch(solution: Solution, covariance: Array, response: Response, run: Run
         sigma_F=sigma_F,
         blow=struck(solution, covariance, piece),
         segment=np.zeros(len(x), dtype=np.int_),
-        run=run.name,
-        notes=lack.notes,
     )
 
 
-def _told(solution: Solution, response: Response, p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+def _teller(solution: Solution, response: Response) -> Teller:
     """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,)."""
     piece, problem = response.piece, solution.problem
-    values, level = problem.layout.values(p, piece.run)
-    force = problem.model.force(piece.at_frames(x, v, level), values)
-    known = np.interp(piece.t, piece.panels.t, piece.known)
-    return force, known - force / piece.mass
+    known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
+
+    def told(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+        values, level = problem.layout.values(p, piece.run)
+        path = piece.at_frames(x, v, level)
+        force = problem.model.force(path, values)
+        return force, known - force / piece.mass
+
+    return told
 
 
 def _moves(solution: Solution, covariance: Array, response: Response, x: Array, v: Array) -> list[Array]:
@@ -138,9 +145,10 @@ def _moves(solution: Solution, covariance: Array, response: Response, x: Array, 
     dx, dv = (edges[piece.at] @ moves).transpose(1, 0, 2)
     unknown = np.zeros((len(p), n + 2))
     unknown[active] = moves[:n]
+    told = _teller(solution, response)
     changes = []
     for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
-        after, before = (_told(solution, response, p + h * u, x + h * ex, v + h * ev) for h in (STEP, -STEP))
+        after, before = (told(p + h * u, x + h * ex, v + h * ev) for h in (STEP, -STEP))
         changes.append((np.array(after) - np.array(before)) / (2 * STEP))
     force, a = np.array(changes).transpose(1, 2, 0)
     return [dx, dv, a, force]
@@ -159,18 +167,19 @@ class Lack:
 
     rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
     factor: float = 1.0
-    notes: tuple[str, ...] = ()
+    hertz: float | None = None  # where it stands out most; None: nothing is missed
 
 
-def lacking(response: Response, run: Run) -> Lack:
-    """What one stretch's residual holds beyond the noise.
+def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
+    """What one stretch's residual holds beyond the noise; white noise is taken for it with the chance `alarms`.
 
     Its cosine transform is white where only noise is left; what stands out belongs to motion that the law misses.
+    What is too much without standing out anywhere is taken for coloured noise, and widens the law's own band.
     """
     piece = response.piece
     n = len(piece.t)
     z = dct((piece.y - response.model_y) / piece.sigma, norm="ortho")
-    seen = np.abs(z) > ndtri(1 - ALARMS / (2 * n))
+    seen = np.abs(z) > ndtri(1 - alarms / (2 * n))
     power = float(np.mean(z**2))
     level = noise_level(run.displacement.x, run.displacement.valid)[1]
     clear = power > 1 + SURE * float(np.sqrt(2 / n + (2 * level) ** 2))
@@ -180,14 +189,22 @@ def lacking(response: Response, run: Run) -> Lack:
     size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.sigma**2)
     x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
     most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
-    return Lack((x, v, a), max(1.0, float(np.sqrt(power))), (_note(x, a, most),))
+    rest = float(np.mean(z[~seen] ** 2)) if clear and not np.all(seen) else 1.0
+    return Lack((x, v, a), max(1.0, float(np.sqrt(rest))), most)
 
 
-def _note(x: float, a: float, hertz: float) -> str:
+def _notes(lacks: Sequence[Lack]) -> tuple[str, ...]:
+    """In words what a run's stretches miss: that of the worst one."""
+    found = [lack for lack in lacks if lack.hertz is not None]
+    if not found:
+        return ()
+    x, _, a = max(found, key=lambda lack: lack.rms[2]).rms
+    hertz = max(found, key=lambda lack: lack.rms[2]).hertz
+    where = f" in {len(found)} of {len(lacks)} segments" if len(lacks) > 1 else ""
     return (
-        f"the model misses something: its residual shows {1e6 * x:.2g} um beyond the noise, most near {hertz:.0f} Hz, "
-        f"which is {a:.2g} m/s^2; the bands hold only if nothing faster is missing, and are rms values over the run: "
-        "at single places the error may be larger; `frictrack diagnose` names what is missing"
+        f"the model misses something{where}: its residual shows {1e6 * x:.2g} µm beyond the noise, most near "
+        f"{hertz:.0f} Hz, which is {a:.2g} m/s² rms; the bands hold only if nothing faster is missing, and at single "
+        "places the error may be larger; `frictrack diagnose` names what is missing",
     )
 
 
