@@ -168,7 +168,8 @@ class Run:
     """One recorded slide: its motion and what is known of the slider.
 
     `drive` and `friction_N` are given at the frames of `displacement`. `free` overrides the free section.
-    `pixel_pitch` (m) belongs to the displacement. Without `mass`, only measured friction can be identified.
+    `pixel_pitch` (m) belongs to the displacement. Without `mass`, it is fitted
+    where the drive is measured; otherwise only measured friction can be identified.
     """
 
     displacement: Displacement
@@ -189,8 +190,11 @@ class Run:
         faults = []
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
             faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
-        if self.mass is None and self.friction_N is None:
-            faults.append("expected a mass but got none; only runs with measured friction (friction_N) do without")
+        if self.mass is None and self.friction_N is None and self.drive is None:
+            faults.append(
+                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
+                'and mass = "fit", do without'
+            )
         if len(self.displacement) != len(self.motion):
             faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
         for name in ("drive", "friction_N"):

@@ -11,16 +11,18 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.layout import Layout
+from frictrack.fit.mass import MASS, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.fit.papers import check_how, scaffold
 from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
 from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
+from frictrack.fit.segments import divided, segment_frames
 from frictrack.fit.solve import Solution, refine
 from frictrack.fit.start import grow, solve_model, until_stop, without
 from frictrack.friction import free_section
 from frictrack.models import Model
-from frictrack.records import Run
+from frictrack.records import Array, Run
 
 __all__ = ["Fit", "GroupFits", "fit", "grow", "restore", "without"]
 
@@ -57,7 +59,12 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
-    pieces = _pieces(fitted, reference)
+    sections = _sections(fitted, reference)
+    if is_sought(fitted):
+        law, mass = with_mass(law), guessed([p for own in sections for p in own])
+        sections = [[in_units(p, mass) for p in own] for own in sections]
+    lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))
+    pieces = _divided(sections, lengths)
     names = tuple(r.name for r in fitted)
     route = Route(domain, search, seed)
     if search == "varpro":
@@ -69,11 +76,43 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         found = in_force(solution, fitted) if domain == "force" else Found(solution)
     else:
         found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)
-    return _finish(found, runs, reference, route)
+    return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
 
 
-def _pieces(runs: Sequence[Run], reference: Reference) -> list[Piece]:
-    return [p for i, run in enumerate(runs) for p in pieces_of(run, i, free_section(run)[0], reference)]
+def _sections(runs: Sequence[Run], reference: Reference) -> list[list[Piece]]:
+    """The stretches of one direction of every run."""
+    return [pieces_of(run, i, free_section(run)[0], reference) for i, run in enumerate(runs)]
+
+
+def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
+    return [p for own, n in zip(sections, lengths, strict=True) for p in divided(own, n)]
+
+
+def _in_kilograms(found: Found, runs: Sequence[Run], route: Route) -> Found:
+    """The same law in units of the mass that was found, where it was sought."""
+    problem, layout = found.solution.problem, found.solution.problem.layout
+    q = ratio(layout, found.solution.p)
+    if q == 1.0:
+        return found
+    pieces = [in_units(p, p.mass / q) for p in problem.pieces]
+    p = rescaled(layout, found.solution.p, q)
+    optima = np.array([rescaled(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
+    where = found.solution.starts, found.solution.tau
+    return _standing(Problem(problem.model, layout, pieces), p, where, runs, (route, (optima, found.costs)))
+
+
+def _standing(
+    problem: Problem,
+    p: Array,
+    where: tuple[list[Array], float],
+    runs: Sequence[Run],
+    how: tuple[Route, tuple[Array, Array]],
+) -> Found:
+    """A law that is known, by whatever route it was found. `where` holds starts and the spread of the levels."""
+    route, optima = how
+    if route.plain:
+        return Found(refine(problem, p, where[0], tau=where[1], max_steps=1))
+    return standing(problem, p, where, runs, route, optima)
 
 
 def _fps(runs: Sequence[Run]) -> float:
@@ -87,7 +126,10 @@ def _names_differ(runs: Sequence[Run]) -> None:
         raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
 
 
-def _finish(found: Found, runs: Sequence[Run], reference: Reference, route: Route) -> Fit:
+def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
+    route, lengths = how
+    if MASS.name in found.solution.problem.model:
+        reference = Reference(found.solution.problem.pieces[0].mass, reference.load)
     validation = tuple(r for r in runs if r.role == "validation")
     return Fit(
         found=found,
@@ -96,13 +138,15 @@ def _finish(found: Found, runs: Sequence[Run], reference: Reference, route: Rout
         predictions=tuple(_predict(found.solution, r, reference) for r in validation),
         reference=reference,
         route=route,
+        lengths=lengths,
     )
 
 
 def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     """A validation run under the fitted law: only its start is free; its own phases are taken as free too."""
     old = solution.problem.layout
-    pieces = pieces_of(run, 0, free_section(run)[0], reference)
+    sections = pieces_of(run, 0, free_section(run)[0], reference)
+    pieces = divided(sections, segment_frames(old.model, sections, run))
     layout = Layout(old.model, (run.name,), (old.span,))
     known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
     p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
@@ -123,6 +167,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),
+        "segment_frames": list(result.lengths),
         "frames": [len(piece.t) for piece in result.solution.problem.pieces],
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
@@ -145,7 +190,8 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
     reference = reference_of(fitted, float(saved["reference_mass"]))
-    pieces = _pieces(fitted, reference)
+    lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
+    pieces = _divided(_sections(fitted, reference), lengths)
     own = {tuple(pair) for pair in saved["per_run"]}
     free = {tuple(pair) for pair in saved["free"]}
     law = models.of([_as_fitted(name, own, free) for name in saved["effects"]])
@@ -153,21 +199,18 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     spans = spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
     fine = max(e.fine for e in law.effects)
-    cut = [q.refined(fine).cut(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
+    cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
     problem = Problem(law, layout, cut)
     tau = float(saved["tau"])
     route = Route(saved["domain"], saved["search"], int(saved["seed"]))
-    p, starts = np.asarray(saved["p"]), list(np.asarray(saved["starts"]))
-    if route.plain:
-        found = Found(refine(problem, p, starts, tau=tau, max_steps=1))
-    else:
-        optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
-        found = standing(problem, p, (starts, tau), fitted, route, optima)
-    return _finish(found, runs, reference, route)
+    where = list(np.asarray(saved["starts"])), tau
+    optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
+    found = _standing(problem, np.asarray(saved["p"]), where, fitted, (route, optima))
+    return _finish(found, runs, reference, (route, lengths))
 
 
 def _as_fitted(name: str, own: set[tuple[Any, ...]], free: set[tuple[Any, ...]]) -> Any:
-    effect = models.effects.get(name)
+    effect = MASS if name == MASS.name else models.effects.get(name)
     changes: dict[str, dict[str, Any]] = {
         p.name: {"per_run": (name, p.name) in own, "fixed": None if (name, p.name) in free else p.fixed}
         for p in effect.parameters

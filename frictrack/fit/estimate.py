@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from frictrack.fit.mass import NAME as MASS
+from frictrack.fit.mass import ratio, rescaled
 from frictrack.fit.scan import families
 from frictrack.fit.scatter import MIN_RUNS, restraint_rows
 from frictrack.fit.solve import Solution
@@ -15,6 +17,7 @@ from frictrack.records import Array
 
 CHI2_95 = 3.84  # one parameter, 95 %
 STIR = 1.05  # factor on the spread, to see which variances follow it
+BATCHES = 2  # batches of segments per unknown at least
 NULL = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
 
 
@@ -50,6 +53,8 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     layout = solution.problem.layout
     tau = solution.tau or 0.03
     full, unseen = _inverse(np.vstack([solution.jac, restraint_rows(layout, tau)]))
+    if any(p.cut for p in solution.problem.pieces):
+        return _by_segment(solution, full), unseen
     if len(layout.levels) < MIN_RUNS:
         return full, unseen
     more, _ = _inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau)]))
@@ -57,6 +62,23 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
     widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / 1.96
     return full * widen[:, None] * widen, unseen
+
+
+def _by_segment(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) where segments hold more than noise: the scatter of what batches of them pull the law to.
+
+    What is not modelled is alike within a segment (Liang & Zeger 1986, Biometrika 73) and often in its neighbours too:
+    as many batches as there are segments in each (batch means; Flegal & Jones 2010, Annals of Statistics 38), known
+    as well as so many scatter (Student's t).
+    """
+    pulls = np.zeros((len(solution.responses), len(solution.p)))
+    for pull, r in zip(pulls, solution.responses, strict=True):
+        pull[r.active] = r.jac.T @ r.r
+    count = min(max(round(np.sqrt(len(pulls))), BATCHES * len(solution.p)), len(pulls))
+    batches = np.array([part.sum(axis=0) for part in np.array_split(pulls, count)])
+    widen = (student.ppf(0.975, count - 1) / 1.96) ** 2 * count / (count - 1)
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    return np.asarray(bread @ (widen * batches.T @ batches + held.T @ held) @ bread)
 
 
 def _inverse(jac: Array) -> tuple[Array, Array]:
@@ -86,6 +108,7 @@ def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
     unsure = undetermined(solution, covariance) if profile else {}
     out: dict[str, Estimate] = {}
     shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
+    massless = MASS in layout.model and unseen[layout.index(MASS, "m")]
     for row, i in enumerate(shown):
         slot = layout.slots[i]
         near = 1e-6 * max(1.0, abs(p[i]))
@@ -93,6 +116,8 @@ def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
         reason = unsure.get((slot.effect, slot.parameter))
         if reason is None and unseen[i]:
             reason = _partners(names, jacobian, solution, i)
+        if reason is None and massless and slot.linear:
+            reason = "these runs do not determine the mass, and no force without it"
         out[names[i]] = Estimate(
             value=None if reason else float(quoted[row]),
             std=None if reason else float(std[row]),
@@ -112,8 +137,9 @@ def _quoted(solution: Solution, values: dict[str, float]) -> tuple[Array, Array]
     shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
 
     def all_quoted(p: Array) -> Array:
-        known = dict(zip(layout.names, p, strict=True))
-        out = dict(known)
+        q = ratio(layout, p)  # forces were fitted as q times themselves
+        known = dict(zip(layout.names, rescaled(layout, p, q), strict=True))
+        out = known | {"mass.m": solution.problem.pieces[0].mass / q}
         for effect in layout.model.effects:
             if effect.quote is not None:
                 own = {

@@ -32,6 +32,11 @@ class GroupFits:
         return tuple(chain.from_iterable(f.runs for f in self.fits.values()))
 
     @property
+    def weighed(self) -> tuple[Run, ...]:
+        """The same runs, each with its mass, given or fitted."""
+        return tuple(chain.from_iterable(f.weighed for f in self.fits.values()))
+
+    @property
     def curves(self) -> tuple[Curve, ...]:
         """Measurement beside model, group by group."""
         return tuple(chain.from_iterable(f.curves for f in self.fits.values()))
@@ -48,7 +53,7 @@ class GroupFits:
         frames = np.array([f.solution.problem.n_frames for f in each], dtype=float)
         share = frames / frames.sum()
         ways = {f.heldout[1] for f in each}
-        return errors_of([c for c in self.curves if c.role == "fit"], self.runs) | {
+        return errors_of([c for c in self.curves if c.role == "fit"], self.weighed) | {
             "heldout_rms_um": 1e6 * float(np.sqrt(share @ np.array([f.heldout[0] for f in each]) ** 2)),
             "heldout_rms_N": None,
             "heldout": "run" if ways == {"run"} else "frames",

@@ -44,6 +44,7 @@ class Piece:
     known: Array  # acceleration by drive and incline at the nodes, m/s^2
     path: Path  # what is known of the run; its arrays are replaced by the motion at hand
     mass: float
+    cut: bool = False  # a segment of a longer stretch
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
@@ -60,24 +61,30 @@ class Piece:
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
-    def cut(self, n: int) -> Piece:
+    def first(self, n: int) -> Piece:
         """The first n frames of the piece."""
-        edges = int(self.at[n - 1]) + 1
-        nodes = slice(0, 3 * (edges - 1))
+        return self.part(0, n)
+
+    def part(self, start: int, stop: int) -> Piece:
+        """The frames from start up to stop."""
+        low, high = int(self.at[start]), int(self.at[stop - 1])
+        nodes = slice(3 * low, 3 * high)
         at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
-        at_frames = {name: getattr(self, name)[:n] for name in ("frames", "t", "y", "sigma", "at")}
+        at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
         drive = None if self.path.drive is None else self.path.drive[nodes]
         path = replace(
             self.path,
             drive=drive,
             **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v", "s")},
         )
-        return replace(self, panels=Panels(self.panels.edges[:edges]), path=path, **at_nodes, **at_frames)
+        panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
+        return replace(self, panels=panels, path=path, at=at, **at_nodes, **at_frames)
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
         s = np.full_like(x, self.path.s[0])
-        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, drive=None)
+        drive = None if self.path.drive is None else np.interp(self.t, self.panels.t, self.path.drive)
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, drive=drive)
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,7 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
     """The reference: the study's mass, else the first run's, and the load that goes with it."""
     first = runs[0]
     if first.mass is None:
-        return Reference(1.0, 1.0)
+        return Reference(mass or 1.0, 1.0)
     mass = mass or first.mass
     load = first.normal_load or mass * GRAVITY * float(np.cos(first.incline))
     return Reference(mass, load)
@@ -101,9 +108,10 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
 def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame: int = 1) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    Raises FrictrackError when the run has no mass or no usable stretch.
+    A mass that is to be fitted is counted in units of the reference.
+    Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
     """
-    if run.mass is None:
+    if run.mass is None and run.drive is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
     disp = run.displacement
     use = free & disp.valid
@@ -144,7 +152,7 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
 
 def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Reference, int]) -> Piece:
     release, reference, per_frame = how
-    mass = float(run.mass or 1.0)
+    mass = float(run.mass or reference.mass)
     t = run.displacement.t[rows] - release
     edges, at = _cut_time(t, per_frame)
     panels = Panels(edges)
@@ -152,7 +160,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Ref
     motion = run.motion
     v_of = CubicSpline(motion.t - release, motion.v)
     direction = np.sign(np.median(motion.v[rows]))
-    drive = None if run.drive is None else np.interp(nodes, motion.t - release, run.drive)
+    drive = None if run.drive is None else CubicSpline(motion.t - release, run.drive)(nodes)
     known = np.full(len(nodes), -GRAVITY * np.sin(run.incline))
     if drive is not None:
         known = known + drive / mass
@@ -161,7 +169,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Ref
         x=np.zeros_like(nodes),
         v=np.zeros_like(nodes),
         s=np.full(len(nodes), direction),
-        load=(run.load or 1.0) / reference.load,
+        load=1.0 if run.mass is None else (run.load or 1.0) / reference.load,
         mass_ratio=mass / reference.mass,
         pixel_pitch=run.pixel_pitch,
         drive=drive,

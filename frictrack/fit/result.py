@@ -14,6 +14,7 @@ from frictrack.fit.blows import collisions
 from frictrack.fit.estimate import Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
+from frictrack.fit.mass import friction_law, weighed
 from frictrack.fit.modelled import bands, modelled
 from frictrack.fit.problem import Reference, Response
 from frictrack.fit.routes import Found, Route
@@ -33,6 +34,7 @@ class Fit:
     predictions: tuple[Solution, ...] = ()  # of the validation runs, shared parameters held
     reference: Reference = field(default=Reference(1.0, 1.0))
     route: Route = field(default=Route())
+    lengths: tuple[int, ...] = ()  # frames per segment of every run, 0 where its stretches are whole
 
     @property
     def solution(self) -> Solution:
@@ -57,7 +59,12 @@ class Fit:
     @property
     def model(self) -> Model:
         """The model, its effects in the form in which they were fitted."""
-        return self.solution.problem.model
+        return friction_law(self.solution.problem.model)
+
+    @property
+    def weighed(self) -> tuple[Run, ...]:
+        """The fitted runs, each with its mass: given, or the fitted one."""
+        return tuple(weighed(run, self.reference.mass) for run in self.runs)
 
     @cached_property
     def estimates(self) -> Estimates:
@@ -112,7 +119,7 @@ class Fit:
     def errors(self) -> dict[str, Any]:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
-        out = errors_of([c for c in self.curves if c.role == "fit"], self.runs)
+        out = errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
         return out | {
             "heldout_rms_um": rms * 1e6,
             "heldout_rms_N": None,
@@ -146,9 +153,10 @@ class Fit:
         ]
 
     def _per_run(self) -> list[dict[str, Any]]:
-        rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.runs)]
+        rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.weighed)]
         rows += [
-            _row(s, 0, run, "validation", self.curves) for s, run in zip(self.predictions, self.validation, strict=True)
+            _row(s, 0, weighed(run, self.reference.mass), "validation", self.curves)
+            for s, run in zip(self.predictions, self.validation, strict=True)
         ]
         told = zip(rows, self.motion, self.runs + self.validation, strict=True)
         return [row | {"motion": bands(motion, run)} for row, motion, run in told]
@@ -163,6 +171,7 @@ def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[C
         "level": level,
         "noise_um": float(np.sqrt(np.mean(np.concatenate([p.sigma for p in pieces]) ** 2)) * 1e6),
         "segments": len(pieces),
+        "segment_s": float(max(p.t[-1] - p.t[0] for p in pieces)),
         "errors": errors_of([c for c in curves if c.run == run.name and c.role == role], [run]),
     }
 
@@ -202,7 +211,7 @@ def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve
     path = piece.at_frames(x, v, level)
     parts = {
         name: np.asarray(block @ problem.model.coefficients(name, values))
-        for name, block in problem.model.force_columns(path, values).items()
+        for name, block in friction_law(problem.model).force_columns(path, values).items()
     }
     total: Array = np.sum(list(parts.values()), axis=0)
     known = np.interp(piece.t, piece.panels.t, piece.known)

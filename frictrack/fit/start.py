@@ -51,7 +51,7 @@ def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
         pieces = solution.problem.pieces
         if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
             break
-        shorter = [p.cut(n) for n, p in zip(kept, pieces, strict=True)]
+        shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
         problem = Problem(solution.problem.model, solution.problem.layout, shorter)
         if free is None:
             solution = settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
