@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.filter import MISSING, Smoother, cubic, sensor_weights, weights
+from frictrack.motion.filter import MISSING, Smoother, sensor_weights, weights
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.methods import Method, bridged
+from frictrack.motion.spread import deviations, of_lines, trend
 from frictrack.motion.stencil import NODES, REACH, derived, stencils
 from frictrack.motion.structure import Structure
 from frictrack.motion.system import Data, Factor
@@ -118,9 +119,8 @@ class Derived:
 
     def deviations(self) -> Array:
         """Standard deviations of the same (3, n)."""
-        start, table = stencils(self.grid.n, self.grid.interval)
         if self.smoother.method is None:
-            spread = self.noise * np.sqrt(self._factor().variances(start, table))
+            spread = self.noise * deviations(self._factor(), self._whole(), self.noise, self.grid.interval)
         else:
             spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
         return spread[:, self.grid.frames]
@@ -137,7 +137,12 @@ class Derived:
         use, place = np.unique(nodes, return_inverse=True)
         pick = np.zeros((len(rows), len(use)))
         np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
-        out: Array = self.noise**2 * pick @ self._factor().covariance(use)[use] @ pick.T
+        factor = self._factor()
+        found = pick @ factor.covariance(use)[use] @ pick.T
+        for turned in of_lines(factor, self._whole(), self.grid.interval):
+            found += np.outer(turned[order, frames], turned[order, frames])
+        scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
+        out: Array = found * np.outer(scale, scale)
         return out
 
     def _factor(self) -> Factor:
@@ -150,8 +155,8 @@ class Derived:
             return self.x
         w = self.grid.spread(np.full(len(self.x), 1e6))  # so much that the rows, smooth as they are, stay in place
         y = self.grid.spread(self.x)
-        trend = cubic(y, w)
-        return trend + Structure((0.0,)).factored(Data(y - trend, w)).smooth(np.where(w > 0, y - trend, 0.0))
+        cubic = trend(y, w)
+        return cubic + Structure((0.0,)).factored(Data(y - cubic, w)).smooth(np.where(w > 0, y - cubic, 0.0))
 
     def _columns(self, method: Method) -> Iterator[tuple[Array, Array]]:
         """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""

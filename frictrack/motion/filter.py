@@ -6,14 +6,14 @@ import json
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.known import KnownAcceleration
 from frictrack.motion.methods import METHODS, Method, bridged
+from frictrack.motion.spread import trend
 from frictrack.motion.structure import Event, Growth, Structure
-from frictrack.motion.system import ORDER, Data, Factor, cutoff_of
+from frictrack.motion.system import ORDER, Data, cutoff_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING = float("inf")  # m, standard deviation of a frame that was not measured
@@ -128,7 +128,7 @@ class _Coordinate:
     def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid) -> None:
         self.grid, self.known = grid, known
         self.w = grid.spread(weights(sigma, known))
-        self.trend = cubic(grid.spread(np.where(known, y, 0.0)), self.w)
+        self.trend = trend(grid.spread(np.where(known, y, 0.0)), self.w)
         self.y = np.where(self.w > 0, grid.spread(np.where(known, y, 0.0)) - self.trend, 0.0)
 
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _Passed:
@@ -195,18 +195,6 @@ def weights(sigma: Array, known: Mask) -> Array:
     usual = float(np.median(sigma[stated])) if np.any(stated) else 1.0
     w = np.where(known, np.where(stated, sigma, usual), np.inf) ** -2.0
     return np.asarray(w / np.mean(w[known]))
-
-
-def cubic(y: Array, w: Array) -> Array:
-    """Weighted cubic (n,) through y: every smoother leaves it as it is, but it would cost digits."""
-    u, known = np.linspace(-1.0, 1.0, len(y)), w > 0
-    return np.asarray(Polynomial.fit(u[known], y[known], ORDER - 1, domain=[-1, 1], w=np.sqrt(w[known]))(u))
-
-
-def smoothed(factor: Factor, y: Array) -> Array:
-    """A series (n,) through a smoother, the cubic apart."""
-    trend = cubic(y, factor.data.w)
-    return factor.smooth(y - trend) + trend
 
 
 def described(structure: Structure, n: int, interval: float) -> str:

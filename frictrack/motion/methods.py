@@ -25,6 +25,7 @@ ORDER = 4  # of Butterworth
 WINDOWS = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried by Savitzky and Golay, frames
 DEGREES = (3, 4, 5)
 MOST_FRAMES = 3000  # of a Gaussian process, whose cost grows with the cube of them
+LONGEST = 20.0  # log of a length or a size
 HALF_PASSED = 0.1874  # cut-off at which exp(-(2 pi f l)^2 / 2) is one half, times the length l
 
 
@@ -140,6 +141,8 @@ class GaussianProcess:
         step = max(1, len(y) // 400)
 
         def loss(p: Array) -> float:
+            if not 0 < p[0] < LONGEST or abs(p[1]) > LONGEST:
+                return np.inf
             made = cls(float(np.exp(p[0])) / step, float(np.exp(p[1])))
             try:
                 known = np.linalg.cholesky(made._covariance(len(rest[::step])) + np.eye(len(rest[::step])))

@@ -24,13 +24,14 @@ FRAMES_PER_KNOT = 60
 KNOT_SPREAD = 4.0  # standard deviation of the change of log lambda from knot to knot, beforehand
 MOST_LINES, MOST_EVENTS = 4, 40
 STIFF_LINE = 40.0  # log mu of a sine that does not wander
+WANDER = (7.0, 12.0, 20.0)  # log mu of a line, to begin with
 HOPE = 10.0  # that a trial may still gain when its numbers are refined
 FEW_STEPS, STEPS = 6, 15  # of the refinement, on the way and at the end
 STIFFER = (0.0, 4.0, 8.0, 14.0)  # log of what the rest of the trend may win
 BOOSTS = (2.0, 6.0)  # log of how much softer the trend may be in an event, to begin with
 EVENTFUL = 8.0  # times their mean square: differences below are those of a smooth signal
 WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take, to begin with
-RAYLEIGH = 0.1  # of 2 pi / n: step of a frequency
+SHRINK, SHARP = 6, 20.0  # times that a step is shortened while it bends the loss by more
 LEAST_CYCLES = 2.0  # of a line over the record
 STEP = 0.02  # of the numbers, for slopes
 
@@ -164,7 +165,7 @@ class Growth:
             for stiffer in STIFFER:
                 trend = self._stiffer(s, stiffer)
                 peak = self._peak(trend)
-                for log_mu in (12.0, 20.0):
+                for log_mu in WANDER:
                     yield replace(trend, lines=(*s.lines, (peak, log_mu)))
 
     def _softened(self, s: Structure) -> Iterator[Structure]:
@@ -178,7 +179,7 @@ class Growth:
     def _both(self, s: Structure) -> Iterator[Structure]:
         """A line and an event, each of which hides the other."""
         if not s.lines and not s.events:
-            for trial in list(self._lined(s))[3::2]:
+            for trial in list(self._lined(s))[len(WANDER) + 2 :: len(WANDER)]:
                 stiffer = trial.stiffness[0] - s.stiffness[0]
                 yield from self._events(trial, stiffer)
 
@@ -234,29 +235,42 @@ class Growth:
         """All numbers at the highest likelihood near where they are."""
         if not np.isfinite(g.loss):
             return g
-        s = g.structure
-        scale = np.concatenate(
-            [
-                np.full(len(s.stiffness), 1.0),
-                np.tile([RAYLEIGH * 2 * np.pi / self.n, 2.0], len(s.lines)),
-                np.full(len(s.events), 1.0),
-            ]
-        )
-        start = s.numbers()
-        box = self._box(s)
+        s, box = g.structure, self._box(g.structure)
 
-        def loss(step: Array) -> float:
-            return self.loss(s.with_numbers(np.clip(start + step * scale, *box)))
+        def loss(numbers: Array) -> float:
+            return self.loss(s.with_numbers(np.clip(numbers, *box)))
 
+        start, scale = self._scaled(loss, s, g.loss)
         bounds = list(zip((box[0] - start) / scale, (box[1] - start) / scale, strict=True))
         found = minimize(
-            loss,
+            lambda step: loss(start + step * scale),
             np.zeros(len(start)),
             method="L-BFGS-B",
             bounds=bounds,
             options={"eps": STEP, "ftol": 3e-6, "maxiter": steps},
         )
         return Grown(s.with_numbers(np.clip(start + found.x * scale, *box)), float(found.fun))
+
+    def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:
+        """Each number by itself at its best, and the step of it that costs about one."""
+        one = [1.0] * len(s.stiffness) + [2 * np.pi / self.n / 10, 2.0] * len(s.lines) + [1.0] * len(s.events)
+        numbers, scale = s.numbers(), np.array(one)
+        for i in range(len(numbers)):
+            for _ in range(SHRINK):
+                unit = np.eye(len(numbers))[i] * scale[i]
+                up, down = loss(numbers + unit), loss(numbers - unit)
+                bend = up + down - 2 * now
+                if bend < SHARP:
+                    break
+                scale[i] /= 4.0
+            if bend > 0:
+                trial = numbers + unit * np.clip(0.5 * (down - up) / bend, -2.0, 2.0)
+                after = loss(trial)
+                if after < now:
+                    numbers, now = trial, after
+            elif min(up, down) < now:
+                numbers, now = (numbers + unit, up) if up < down else (numbers - unit, down)
+        return numbers, scale
 
     def _box(self, s: Structure) -> tuple[Array, Array]:
         k, e = len(s.lines), len(s.events)

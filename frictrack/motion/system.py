@@ -163,7 +163,11 @@ class Factor:
     def smooth(self, y: Array) -> Array:
         """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
         w = self.data.w.reshape(-1, *[1] * (y.ndim - 1))
-        return self.signal(self._solve(w * y))
+        return self.answer(w * y)
+
+    def unknowns_of(self, y: Array) -> Array:
+        """The solution for other positions y (n,), no sensor being looked at (size,)."""
+        return self._solve(self.data.w * y)
 
     def answer(self, frames: Array) -> Array:
         """Signal (n, ...) for a right-hand side (n, ...): the covariance for unit noise times it."""
