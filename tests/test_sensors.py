@@ -138,7 +138,7 @@ def test_offset_gain_and_bias_are_found_within_their_deviations(sensor: Sensor) 
 )
 def test_z_scores_of_offset_gain_and_bias_are_standard(sensor: Sensor, sigma: float) -> None:
     z = []
-    for seed in range(200):
+    for seed in range(120):
         aligned, _ = found(seed, sensor, sigma=sigma)
         off = np.array([aligned.offset + DELAY, aligned.gain - GAIN, aligned.bias - BIAS])
         z.append(off / np.array([aligned.sigma_offset, aligned.sigma_gain, aligned.sigma_bias], dtype=float))

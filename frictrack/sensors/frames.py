@@ -21,7 +21,10 @@ from frictrack.motion.noise import noise_level
 from frictrack.records import Array, Displacement, Mask
 from frictrack.sensors.series import Series
 
-SPLINE = 16  # samples beyond which the spline through one of them has died out (0.27 per sample)
+SPLINE = 16  # samples on either side of one, from which its spline is made
+TAIL = 4  # samples beyond the triangle up to which it acts: it falls to 0.27 from one to the next
+ALIKE = 0.02  # of the frame interval, to which gaps are told apart
+FINE = 32  # points per sample or frame of the table of a sample's effect
 FAR = 4.5  # frame intervals between two frames, beyond which no difference is taken over them
 
 
@@ -59,20 +62,35 @@ class Frames:
 
         Every sample acts by its own spline, which dies out within few samples.
         """
-        d = series.interval
+        d, centre = series.interval, self.t[self.centre]
         first, last = self.ends()
-        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + SPLINE // 2
-        near = np.rint((self.t[self.centre] - offset - series.t[0]) / d)
+        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + TAIL
+        near = np.rint((centre - offset - series.t[0]) / d)
         column = near[:, None] + np.arange(-reach, reach + 1)
-        u = (self.t[self.map.indices] - offset - series.t[0]).reshape(-1, 3)
-        weight = self.map.data.reshape(-1, 3)
-        samples = np.arange(-SPLINE, SPLINE + 1.0)
-        alone = Series(d * samples, np.where(samples == 0.0, 1.0, 0.0))
-        effect = np.sum(weight[:, :, None] * alone.integral(u[:, :, None] - column[:, None, :] * d, 2), axis=1)
+        away = (centre - offset - series.t[0])[:, None] - column * d
+        gaps = np.rint(np.stack([centre - first, last - centre], axis=1) / self.interval / ALIKE).astype(np.int64)
+        effect = np.empty_like(away)
+        kinds, kind = np.unique(gaps, axis=0, return_inverse=True)
+        for k in range(len(kinds)):
+            rows = kind.ravel() == k
+            effect[rows] = np.interp(away[rows], *_effect(d, reach, kinds[k] * ALIKE * self.interval))
         column = (column - np.min(column)).astype(np.int64)
         row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
         spread = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
         return csr_array(spread @ spread.T)
+
+
+def _effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
+    """What one sample in a row, d apart, does to a difference that lies u from it: u and the effect.
+
+    `gaps` (2,) are the times between the difference's three frames.
+    """
+    samples = np.arange(-SPLINE, SPLINE + 1.0)
+    alone = Series(d * samples, np.where(samples == 0.0, 1.0, 0.0))
+    width = (reach + 1) * d
+    u = np.linspace(-width, width, int(2.0 * width * FINE / min(d, *gaps)) + 1)
+    before, here, after = (alone.integral(u + at, 2) for at in (-gaps[0], 0.0, gaps[1]))
+    return u, ((after - here) / gaps[1] - (here - before) / gaps[0]) / np.mean(gaps)
 
 
 def second_differences(displacement: Displacement) -> Frames:
