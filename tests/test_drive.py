@@ -223,3 +223,30 @@ def test_a_sensor_that_does_not_overlap_the_film_is_refused(study_file: Path) ->
     np.savetxt(study_file.parent / "acc.csv", np.c_[ts, noise], header="t_s,a_m_s2", **HEADER)
     with pytest.raises(FrictrackError, match=r"acc\.csv: expected values over 0 to 0\.11975 s.* but got 5 to 5\.299 s"):
         opened(study_file, 'sensor = "acc.csv"').runs[0].get("sensors")
+
+
+def test_friction_from_a_load_cell_finds_its_clock_beside_a_drive(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    t, ts = np.arange(1500) / 2000.0, np.arange(-0.1, 0.9, 5e-4)
+    v = sum(a * w * np.cos(w * ts + p) for a, w, p in PARTS)
+    felt = F_C * np.sign(v) + F_V * v + 0.05 * rng.standard_normal(len(ts))
+    seen = x_true(t) + 1e-5 * rng.standard_normal(len(t))
+    np.savetxt(tmp_path / "push.csv", np.c_[t, seen, drive_true(t)], header="t_s,x_m,drive_N", **HEADER)
+    np.savetxt(tmp_path / "cell.csv", np.c_[ts + 5e-3, felt], header="t_s,friction_N", **HEADER)
+    sensors = opened(tmp_path / "study.toml", 'sensor = "cell.csv"').runs[0].get("sensors")
+    clock = sensors.clocks["friction_N"]
+    assert abs(clock["offset_s"] + 5e-3) < 5 * clock["sigma_offset_s"]
+    assert clock["sigma_offset_s"] < 3e-4
+    assert clock["gain"] == pytest.approx(-1 / MASS, rel=0.1)
+
+
+def test_an_acceleration_in_the_runs_own_table_is_on_its_clock(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    t = np.arange(800) / 2000.0
+    a = sum(-a * w * w * np.sin(w * t + p) for a, w, p in PARTS) + 0.5 * rng.standard_normal(len(t))
+    seen = x_true(t) + 1e-5 * rng.standard_normal(len(t))
+    np.savetxt(tmp_path / "push.csv", np.c_[t, seen, a], header="t_s,x_m,a_m_s2", **HEADER)
+    sensors = opened(tmp_path / "study.toml", "").runs[0].get("sensors")
+    assert sensors.clocks["a"]["verdict"] == "consistent"
+    assert (sensors.clocks["a"]["offset_s"], sensors.clocks["a"]["sigma_offset_s"]) == (0.0, None)
+    assert np.mean(np.isfinite(sensors.known_a)) > 0.99

@@ -123,7 +123,10 @@ class _Beside:
         if data.friction is not None:
             series = Series(data.t, data.friction, name)
             frames = second_differences(self.displacement)
-            found = align(Problem(frames, series, np.ones((len(frames.z), 1))), _offset(spec))
+            acting = [column[frames.centre] for column in (self.found.get("drive"),) if column is not None]
+            known = [column for column in acting if np.ptp(column) > 0.0]
+            beside = np.stack([*known, np.ones(len(frames.z))], axis=1)
+            found = align(Problem(frames, series, beside), _offset(spec))
             self._tell("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
             self.found["friction_N"] = self._everywhere(series, found, everywhere)
