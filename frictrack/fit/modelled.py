@@ -22,6 +22,7 @@ from scipy.special import ndtri
 
 from frictrack.fit.blows import struck
 from frictrack.fit.estimate import _inverse
+from frictrack.fit.mass import friction_law, ratio
 from frictrack.fit.problem import Response, _unit_starts
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.solve import Solution
@@ -117,15 +118,19 @@ def _stretch(solution: Solution, covariance: Array, response: Response, lack: La
 
 
 def _teller(solution: Solution, response: Response) -> Teller:
-    """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,)."""
+    """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,).
+
+    A mass that is fitted acts as one more force; every coefficient stands for `ratio` times itself.
+    """
     piece, problem = response.piece, solution.problem
     known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
+    friction = friction_law(problem.model)
 
     def told(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
         values, level = problem.layout.values(p, piece.run)
         path = piece.at_frames(x, v, level)
-        force = problem.model.force(path, values)
-        return force, known - force / piece.mass
+        force = friction.force(path, values) / ratio(problem.layout, p)
+        return force, known - problem.model.force(path, values) / piece.mass
 
     return told
 
