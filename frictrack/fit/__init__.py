@@ -59,8 +59,9 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
+    sought = is_sought(fitted)
     sections = _sections(fitted, reference)
-    if is_sought(fitted):
+    if sought:
         law, mass = with_mass(law), guessed([p for own in sections for p in own])
         sections = [[in_units(p, mass) for p in own] for own in sections]
     lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))

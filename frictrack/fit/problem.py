@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
@@ -80,10 +80,16 @@ class Piece:
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
         return replace(self, panels=panels, path=path, at=at, **at_nodes, **at_frames)
 
+    @property
+    def known_at_frames(self) -> Array:
+        """Acceleration by drive and incline at the frames; the first one lies before the first node."""
+        out: Array = make_interp_spline(self.panels.t, self.known, k=1)(self.t)
+        return out
+
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
         s = np.full_like(x, self.path.s[0])
-        drive = None if self.path.drive is None else np.interp(self.t, self.panels.t, self.path.drive)
+        drive = None if self.path.drive is None else make_interp_spline(self.panels.t, self.path.drive, k=1)(self.t)
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, drive=drive)
 
 

@@ -214,14 +214,13 @@ def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve
         for name, block in friction_law(problem.model).force_columns(path, values).items()
     }
     total: Array = np.sum(list(parts.values()), axis=0)
-    known = np.interp(piece.t, piece.panels.t, piece.known)
     return Curve(
         t=run.displacement.t[piece.frames],
         x=piece.y,
         sigma_x=piece.sigma,
         x_model=response.model_y,
         v_model=v,
-        a_model=known - total / piece.mass,
+        a_model=piece.known_at_frames - total / piece.mass,
         F_model=total,
         run=run.name,
         role=role,

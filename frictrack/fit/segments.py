@@ -38,7 +38,7 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
         return 0
     whole = max(len(p.t) for p in sections)
     ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= SHORTEST)]
-    if len(ladder) == 1:
+    if len(ladder) == 1 or not any(_is_plain(e) for e in model.effects):
         return 0
     rows = [_compared(model, p) for p in sections]
     keep = _directions(rows, sections)
