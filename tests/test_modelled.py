@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from runs import Slider, integrate
 from scipy.integrate import solve_ivp
 
 from frictrack import export, plots, report
@@ -254,6 +255,35 @@ def test_five_runs_and_a_predicted_one():
         assert np.all(scores(told, truth) < 4.0)
     again = restore(runs, state_of(result))
     assert np.allclose(again.motion[0].sigma_a, result.motion[0].sigma_a, rtol=1e-3)
+
+
+@pytest.mark.parametrize("mass", [MASS, None])
+def test_a_driven_slider_that_turns_round(mass):
+    """Stretches of either direction, the mass given or fitted."""
+
+    def push(t):
+        return 14 * np.sin(4 * np.pi * t + 0.3) + 3 * np.sin(10.6 * np.pi * t)
+
+    law, t = {"coulomb": {"F_c": 5.0}, "viscous": {"F_v": 1.2}}, np.arange(1200) / 1000
+    x = integrate(law, Slider(push=push), t, (0.0, 0.5), max_step=1e-3)
+    z = []
+    for seed in range(4):
+        told = fit("coulomb,viscous", [driven(t, x, push(t), mass, seed)]).motion[0]
+        assert len(np.unique(told.segment)) == 5
+        assert np.any(told.v < 0)
+        assert told.notes == ()
+        resisting = 5.0 * np.sign(told.v) + 1.2 * told.v
+        missed = (told.F - resisting) / told.sigma_F, (told.a - (push(told.t) - resisting) / MASS) / told.sigma_a
+        z.append([np.mean(m**2) for m in missed])
+    assert np.all(np.mean(z, axis=0) < 2.0)
+
+
+def driven(t, x, drive, mass, seed):
+    """A run with a measured drive, 10 um of noise."""
+    nan, sigma = np.full(len(t), np.nan), np.full(len(t), 10e-6)
+    y = x + 10e-6 * np.random.default_rng(seed).standard_normal(len(t))
+    film = Displacement(t, y, nan, nan, sigma, nan, np.ones(len(t), bool))
+    return Run(film, differentiate(low_pass(film, method="kalman")), mass=mass, drive=drive)
 
 
 def test_json_holds_both_bands():
