@@ -1,0 +1,33 @@
+"""How well the frame rate is known: as well as the rates that a recording is told by agree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from frictrack.results import Film
+
+RATE = "frame rate, "
+SHOWING = "speed of showing"
+DIGITS = 5e-7  # to which the audit writes rates
+
+
+def rate_error(film: Film | None) -> tuple[float | None, str]:
+    """Relative error of the frame rate, None where nothing is known of it, and in words where it is known from.
+
+    Of a table nothing is known. Of a film the rates given by the user, by the header and by the time stamps are held
+    against the one that is used; the largest difference counts.
+    """
+    if film is None:
+        return None, "not known: the table's times are taken as they stand"
+    rates = {
+        name.removeprefix(RATE): float(value.split()[0])
+        for name, value, verdict in film.audit
+        if name.startswith(RATE) and verdict != SHOWING
+    }
+    if len(rates) < 2:
+        of = {"given": "given frame rate", "header": "header's rate", "stamps": "rate of the time stamps"}
+        word = next((of.get(name, name) for name in rates), "frame rate")
+        return None, f"not known: the {word} is taken as it stands"
+    error = max(abs(rate / film.fps - 1.0) for rate in rates.values())
+    return max(error, DIGITS), f"difference of the frame rates ({' and '.join(rates)})"

@@ -1,0 +1,40 @@
+"""The error budget of every run in words and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from frictrack.report.numbers import number
+from frictrack.report.tables import Cell, Table, table
+from frictrack.results import RunResults
+
+HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "a frame / N", "common to")
+
+
+def told(runs: Sequence[RunResults]) -> list[Markup]:
+    """What each run's force is worth, because of what, and what would halve the error."""
+    return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
+
+
+def sources(runs: Sequence[RunResults]) -> Table:
+    """All sources of all runs."""
+    rows: list[Sequence[Cell]] = []
+    for run in runs:
+        for k, row in enumerate(run.budget.get("rows", ())):
+            rows.append((run.name if k == 0 else "", *_cells(row)))
+    return table(HEADS, rows, (4, 5, 6))
+
+
+def _cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    last = row["source"] == "total"
+    size = "" if last else "not known" if row["size"] is None else f"{number(row['size'], 2)} {_unit(row['unit'])}"
+    share = "" if row["share_mean"] is None or last else f"{100 * row['share_mean']:.0f} %"
+    name: Cell = Markup("<b>total</b>") if last else row["source"]
+    return name, size, row["told"], number(row["mean_N"], 2), share, number(row["frame_N"], 2), row["common"]
+
+
+def _unit(written: str) -> str:
+    return {"um": "µm", "m/s^2": "m/s²"}.get(written, written)
