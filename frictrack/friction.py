@@ -44,7 +44,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
     struck or pushed: from the highest speed, to the same ends. Invalid frames are never free.
     Raises FrictrackError when fewer than 8 frames are left.
     """
-    valid, moving = run.displacement.valid, _moving(run)
+    valid, moving = run.displacement.valid, is_moving(run)
     if run.free is not None:
         t = run.motion.t
         mask = valid & (t >= run.free[0]) & (t <= run.free[1])
@@ -126,7 +126,8 @@ def _measured(run: Run) -> bool:
     return run.drive is not None or run.friction_N is not None
 
 
-def _moving(run: Run) -> Mask:
+def is_moving(run: Run) -> Mask:
+    """Frames (n,) whose velocity exceeds three standard deviations."""
     return np.asarray(np.abs(run.motion.v) > MOVING * run.motion.sigma_v)
 
 
@@ -141,14 +142,14 @@ def _section(run: Run) -> _Section:
 def _main_motion(run: Run) -> tuple[int, int]:
     """First and last valid frame of the motion that counts: past a reversal on an incline, else up to it."""
     valid, speed = run.displacement.valid, np.abs(run.motion.v)
-    stretches = [s for s in _stretches(_moving(run) | ~valid) if _is_motion(run, s)]
-    if not stretches:
+    motions = [s for s in stretches(is_moving(run) | ~valid) if _is_motion(run, s)]
+    if not motions:
         raise FrictrackError(
             f'run "{run.name}": expected a sliding target but its speed never exceeds {CERTAIN:g} standard '
             "deviations; check the target, or give the free section as free = [t0, t1]"
         )
-    fastest = max(stretches, key=lambda s: float(np.max(np.where(valid[s], speed[s], 0.0))))
-    chosen = (stretches[0].start, stretches[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
+    fastest = max(motions, key=lambda s: float(np.max(np.where(valid[s], speed[s], 0.0))))
+    chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])
 
@@ -158,7 +159,7 @@ def _is_motion(run: Run, s: slice) -> bool:
     return bool(np.any(sure & run.displacement.valid[s]))
 
 
-def _stretches(mask: Mask) -> list[slice]:
+def stretches(mask: Mask) -> list[slice]:
     """Slices of consecutive True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

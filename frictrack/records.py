@@ -118,9 +118,6 @@ class Filtered(Table):
     y: Array = column("m", nan=True)
     sigma_x: Array = column("m", nan=True)  # of the unfiltered input, inf where a frame was missing (it was filled)
     sigma_y: Array = column("m", nan=True)
-    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
-    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where the method derives from that
-    y_measured: Array | None = column("m", nan=True, default=None)
     cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; see `reason` for what was done
     cutoff_y: float = scalar("Hz", default=float("nan"))
     smoother: str = ""  # JSON: what low-passed x
@@ -128,6 +125,9 @@ class Filtered(Table):
     reason: str = ""  # what x was parted into and why
     events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide: an impact
     lines: tuple[float, ...] = ()  # Hz, vibrations that were followed apart from the trend
+    y_measured: Array | None = column("m", nan=True, default=None)
+    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where the method derives from that
+    sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +158,43 @@ class Friction(Table):
     sigma_F: Array = column("N")
     free: Mask = column("", kind=np.bool_)
     reason: str = ""  # why the free section begins and ends where it does
+
+
+@dataclass(frozen=True, eq=False)
+class Trade:
+    """Residual and floor (m), and noise and lost signal in the acceleration (m/s^2), by cut-off (Hz); all (k,)."""
+
+    frequency: Array = column("Hz")
+    residual: Array = column("m")
+    floor: Array = column("m")
+    noise: Array = column("m/s^2")
+    lost: Array = column("m/s^2")
+    chosen: float = scalar("Hz", default=float("nan"))  # of the plain low-pass of the highest likelihood, or as given
+    least: float = scalar("Hz", default=float("nan"))  # where noise and lost signal together are smallest
+    structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events apart
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def total(self) -> Array:
+        """Noise and lost signal together (k,), m/s^2."""
+        return np.asarray(np.hypot(self.noise, self.lost))
+
+    def at(self, frequency: float) -> tuple[float, float]:
+        """Noise and lost signal at a cut-off, m/s^2."""
+        place = np.log(frequency), np.log(self.frequency)
+        return float(np.interp(*place, self.noise)), float(np.interp(*place, self.lost))
+
+
+@dataclass(frozen=True)
+class Happenings:
+    """What happens in a run: (kind, from, to) in s, in order; rests (from, to) in s; and the noise seen there, m.
+
+    Kinds: release, impact, stop, start, reversal.
+    """
+
+    events: tuple[tuple[str, float, float], ...] = ()
+    rests: tuple[tuple[float, float], ...] = ()
+    noise_at_rest: float = scalar("m", default=float("nan"))
 
 
 GRAVITY = 9.80665  # m/s^2, standard

@@ -18,10 +18,12 @@ from frictrack.records import (
     Displacement,
     Filtered,
     Friction,
+    Happenings,
     Modelled,
     Motion,
     Table,
     Track,
+    Trade,
     column,
     scalar,
 )
@@ -67,17 +69,26 @@ class RunResults:
     displacement: Displacement
     filtered: Filtered
     motion: Motion
+    happenings: Happenings = field(default_factory=Happenings)
+    cutoff: Trade | None = None
     friction: Friction | None = None  # None without a mass and without measured friction
     film: Film | None = None
     track: Track | None = None
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
     quality: dict[str, Any] = field(default_factory=dict)  # what the film says of its own measurement: see flow.quality
+    budget: dict[str, Any] = field(default_factory=dict)  # errors of the friction force by source: see flow.budgets
     role: str = "fit"
     group: str = ""
     settings: dict[str, Any] = field(default_factory=dict)  # the run's keys, inherited ones too
     hashes: dict[str, str] = field(default_factory=dict)  # stage -> key of what it was made from
     notes: tuple[str, ...] = ()  # findings of all stages, in words, no doubles
+
+    @property
+    def mass(self) -> float | None:
+        """Mass in kg where it was weighed."""
+        written = self.settings.get("mass")
+        return float(written[0]) if isinstance(written, tuple | list) else None
 
 
 @dataclass(frozen=True, eq=False)

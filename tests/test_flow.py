@@ -81,7 +81,7 @@ def edit(path: Path, old: str, new: str) -> None:
 
 def test_a_run_goes_through_its_stages_once(study_file: Path, made: list[str]) -> None:
     session(study_file).bring_up_to("friction")
-    assert [m.split()[1] for m in made[:5]] == ["displacement", "filtered", "motion", "sensors", "friction"]
+    assert [m.split()[1] for m in made[:5]] == ["displacement", "sensors", "filtered", "motion", "friction"]
     assert len(made) == 15
     made.clear()
     session(study_file).bring_up_to("friction")
@@ -133,7 +133,7 @@ def test_a_changed_table_is_read_again(study_file: Path, made: list[str]) -> Non
     x = slide(t, 2.5) + 1e-5 * np.random.default_rng(2).normal(size=len(t))
     np.savetxt(study_file.parent / "slow.csv", np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
     works = session(study_file).bring_up_to("motion")
-    assert made == ["slow displacement", "slow filtered", "slow motion"]
+    assert made == ["slow displacement", "slow sensors", "slow filtered", "slow motion"]
     assert len(works[0].get("motion")) == 400
 
 
@@ -144,20 +144,20 @@ def test_another_version_makes_everything_again(
     made.clear()
     monkeypatch.setattr("frictrack.store.VERSION", "99.0")
     session(study_file).bring_up_to("motion")
-    assert len(made) == 9
+    assert len(made) == 12
 
 
 def test_a_failing_stage_keeps_what_was_done(
     study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(displacement: Any, cutoff: Any) -> Filtered:
+    def broken(displacement: Any, cutoff: Any, **how: Any) -> Filtered:
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:
         patch.setattr(chain, "low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(study_file).bring_up_to("motion")
-    assert made == ["slow displacement"]
+    assert made == ["slow displacement", "slow sensors"]
     made.clear()
     session(study_file).bring_up_to("motion")
     assert made[0] == "slow filtered"
@@ -394,7 +394,7 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     assert rows[0]["target"] == "target = [10, 14, 24, 20]"
     assert (output / "block_track.png").stat().st_size > 10_000
     session(film_study).bring_up_to("motion")
-    assert [m.split()[1] for m in made] == ["recording", "track", "tracks", "displacement", "filtered", "motion"]
+    assert [m.split()[1] for m in made] == ["recording", "track", "tracks", "displacement", "sensors", "filtered", "motion"]
     with h5py.File(output / "block.h5") as run:
         assert run["recording"].attrs["path"] == "block.tif"
         assert run["recording"].attrs["fps"] == 1000
@@ -405,7 +405,7 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     made.clear()
     edit(film_study, "1 mm/px", "2 mm/px")
     session(film_study).bring_up_to("motion")
-    assert made == ["block displacement", "block filtered", "block motion"]
+    assert made == ["block displacement", "block sensors", "block filtered", "block motion"]
     made.clear()
     edit(film_study, "fps = 1000", "fps = 2000")
     session(film_study).bring_up_to("track")

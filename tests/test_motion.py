@@ -105,7 +105,7 @@ def test_likelihood_is_that_of_the_dense_covariance(rng):
         inside = free.T @ inverse @ free
         p = inverse - inverse @ free @ np.linalg.solve(inside, free.T @ inverse)
         degrees = n - 6
-        return degrees * np.log(y @ p @ y / degrees) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
+        return (n - 4) * np.log(y @ p @ y / degrees) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
 
     def ours(lam, omega, mu):
         return factored(Data(y, np.ones(n)), np.full(n - 4, lam), Lines(np.array([omega]), np.array([mu]))).judged()[0]
@@ -367,6 +367,15 @@ def test_covariance_covers_the_error_of_a_mean(method):
     if method != "butterworth":
         motion = differentiate(filtered)
         assert np.sqrt(np.diag(known)) == pytest.approx(motion.sigma_a[rows], rel=0.6)
+
+
+@pytest.mark.parametrize("n", range(97, 130))
+def test_deviations_of_any_length(n):
+    """No length leaves a remainder that cannot be solved."""
+    made = factored(Data(np.zeros(n), np.ones(n)), np.full(n - 4, 1e9), Lines(np.array([0.1]), np.array([1e8])))
+    start = np.arange(n - 1)
+    found = made.variances(start, np.tile([1.0, 0.0], (n - 1, 1)))
+    assert found == pytest.approx(np.diag(made.covariance(np.arange(n)))[:-1], rel=1e-4)
 
 
 def test_covariance_of_what():

@@ -13,6 +13,7 @@ from frictrack.calibration import parse_scale
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
+from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlaid
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
@@ -267,6 +268,7 @@ class Session:
 def run_results(work: RunWork) -> RunResults:
     """Every stage of one run, brought up to date."""
     done = {name: work.get(name) for name in work.stages}
+    seen = _quality(done)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
     return RunResults(
         name=work.run.name,
@@ -274,12 +276,15 @@ def run_results(work: RunWork) -> RunResults:
         displacement=done["displacement"],
         filtered=done["filtered"],
         motion=done["motion"],
+        happenings=done["events"],
+        cutoff=done["cutoff"],
         friction=done["friction"],
         film=done.get("recording"),
         track=done.get("track"),
         tracks=done.get("tracks", {}),
         sensors=done["sensors"],
-        quality=_quality(done),
+        quality=seen,
+        budget=budgeted(work, seen),
         role=work.run.role,
         group=work.run.group,
         settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},

@@ -20,11 +20,22 @@ import numpy as np
 from frictrack import store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
-from frictrack.flow.beside import own_table, sensed
+from frictrack.flow.beside import known, own_table, sensed
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
+from frictrack.events import happenings
 from frictrack.friction import friction
-from frictrack.motion import differentiate, low_pass, noise_level
-from frictrack.records import Array, Displacement, Filtered, Friction, Motion, Run, Track
+from frictrack.motion import differentiate, low_pass, noise_level, trade
+from frictrack.records import (
+    Array,
+    Displacement,
+    Filtered,
+    Friction,
+    Happenings,
+    Motion,
+    Run,
+    Track,
+    Trade,
+)
 from frictrack.results import Film, Sensors, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
@@ -220,15 +231,19 @@ def _table_sigma(x: Array) -> Array:
     return np.full(len(x), sigma if sigma > 0 else rounding)
 
 
+def _filtered(work: RunWork, displacement: Displacement, sensors: Sensors) -> Filtered:
+    return low_pass(displacement, work.run.cutoff, acceleration=known(sensors))
+
+
 def _friction(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
     return friction(_run(work, displacement, motion, sensors))
 
 
 def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:
     run = work.run
-    if run.mass == "fit":
-        raise FrictrackError('expected a mass but got "fit", which this version cannot do yet; weigh the slider')
-    mass, sigma = run.mass if run.mass is not None else (None, 0.0)
+    if run.mass == "fit" and sensors.drive is None:
+        raise FrictrackError('expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider')
+    mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     return Run(
         displacement,
         motion,
@@ -250,14 +265,22 @@ def _chain(*head: Stage) -> dict[str, Stage]:
     """A table of stages: the head, and what every run goes through after its displacement."""
     tail = (
         Stage("sensors", ("displacement",), ("drive", "sensor"), lambda work, d: sensed(work.run, d), Sensors),
-        Stage("filtered", ("displacement",), ("cutoff",), lambda work, d: low_pass(d, work.run.cutoff), Filtered),
+        Stage("filtered", ("displacement", "sensors"), ("cutoff",), _filtered, Filtered),
         Stage("motion", ("filtered",), (), lambda work, filtered: differentiate(filtered), Motion),
+        Stage("cutoff", ("displacement", "filtered", "motion"), (), lambda work, d, f, m: trade(d, f, m), Trade),
         Stage(
             "friction",
             ("displacement", "motion", "sensors"),
             ("mass", "incline", "normal_load", "free"),
             _friction,
             Friction,
+        ),
+        Stage(
+            "events",
+            ("displacement", "motion", "sensors"),
+            ("mass", "incline", "normal_load", "free"),
+            lambda work, *inputs: happenings(_run(work, *inputs)),
+            Happenings,
         ),
     )
     return {stage.name: stage for stage in (*head, *tail)}

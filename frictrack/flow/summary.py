@@ -8,10 +8,11 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.flow.beside import sensor_rows
+from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlay, sheet
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import RunWork
-from frictrack.records import Displacement, Friction, Motion
+from frictrack.records import Displacement, Friction, Happenings, Motion, Trade
 from frictrack.results import plain
 
 
@@ -59,7 +60,39 @@ def _motion(work: RunWork) -> dict[str, Any]:
         "v_max": float(motion.v[np.argmax(np.abs(motion.v))]),
         "sigma_v": float(np.median(motion.sigma_v)),
         "sigma_a": float(np.median(motion.sigma_a)),
+        "smoothing": work.get("filtered").reason,
+        "lines_Hz": list(motion.lines),
+        "guard_frames": motion.guard,
+        "cutoff": _cutoff(work),
+        **_events(work),
         **_beside(work),
+    }
+
+
+def _cutoff(work: RunWork) -> dict[str, Any]:
+    """What a plain low-pass would cost, in newtons where the mass is known, and what lies above its cut-off."""
+    found: Trade = work.get("cutoff")
+    mass = work.run.mass[0] if isinstance(work.run.mass, tuple) else None
+    unit, factor = ("m/s^2", 1.0) if mass is None else ("N", mass)
+    noise, lost = found.at(found.chosen)
+    return {
+        "chosen_Hz": found.chosen,
+        "least_Hz": found.least,
+        "unit": unit,
+        "noise": noise * factor,
+        "lost": lost * factor,
+        "followed_apart": found.structural * factor,
+        "warnings": list(found.warnings),
+    }
+
+
+def _events(work: RunWork) -> dict[str, Any]:
+    """Release, impacts, stops, starts, reversals; and the noise that a resting mass shows."""
+    found: Happenings = work.get("events")
+    noise = found.noise_at_rest
+    return {
+        "events": [{"kind": kind, "from_s": begins, "to_s": ends} for kind, begins, ends in found.events],
+        "noise_at_rest_um": 1e6 * noise if np.isfinite(noise) else None,
     }
 
 
@@ -75,8 +108,15 @@ def _friction(work: RunWork) -> dict[str, Any]:
         "mean_F_N": float(np.mean(resisting[free])) if len(judged) else None,
         "sigma_F_N": float(np.median(friction.sigma_F[free])) if len(judged) else None,
         "reason": friction.reason,
+        **_budget(work),
         **_beside(work),
     }
+
+
+def _budget(work: RunWork) -> dict[str, Any]:
+    """Where the error of the friction force comes from, the total last, and what would make it smaller."""
+    found = budgeted(work)
+    return {"budget": found["rows"], "budget_says": found["says"]} if found else {}
 
 
 def _beside(work: RunWork) -> dict[str, Any]:

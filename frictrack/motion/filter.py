@@ -12,12 +12,16 @@ from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.known import KnownAcceleration
 from frictrack.motion.methods import METHODS, Method, bridged
 from frictrack.motion.spread import trend
+from frictrack.motion.stencil import derived
 from frictrack.motion.structure import Event, Growth, Structure
 from frictrack.motion.system import ORDER, Data, cutoff_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING = float("inf")  # m, standard deviation of a frame that was not measured
 TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses more than the deviations say
+VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
+MOVING = 0.05  # of the highest speed
+SHORTEST = 16  # valid frames that can tell a cut-off
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
 STRUCTURAL, KALMAN = "structural", "kalman"
 ALL = (STRUCTURAL, KALMAN, *METHODS)
@@ -96,6 +100,20 @@ def low_pass(
     )
 
 
+def _quiet(motion: Array, known: Mask, cutoff: float) -> slice:
+    """The longest stretch of a motion (3, n) in which nothing violent happens; half a period of the cut-off apart."""
+    v, a = np.abs(motion[1:])
+    moving = known & (v > MOVING * np.max(v[known]))
+    violent = known & (a > VIOLENT * np.median(a[moving]))
+    if not violent.any():
+        return slice(0, len(v))
+    reach = int(np.ceil(0.5 / cutoff)) + 1
+    edges = np.flatnonzero(np.convolve(violent, np.ones(2 * reach + 1), mode="same") > 0)
+    bounds = np.concatenate([[-1], edges, [len(v)]])
+    k = int(np.argmax(np.diff(bounds)))
+    return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
+
+
 def _rows(e: Event, grid: Grid) -> tuple[int, int]:
     """First and last row of an event: those in the middle of its differences."""
     first, last = np.searchsorted(grid.frames, [e.first + ORDER // 2, e.last + ORDER // 2])
@@ -147,15 +165,27 @@ class _Coordinate:
             reason = described(structure, len(self.y), interval)
         factor = structure.factored(data)
         _, variance, unknowns = factor.judged()
+        signal = factor.signal(unknowns)
         if cutoff is None:
             level = float(np.sqrt(variance))
+            best = self._slide_cutoff(signal, best)
         return replace(
-            self._passed(factor.signal(unknowns), level, cutoff or best),
+            self._passed(signal, level, cutoff or best),
             smoother=str(Smoother(structure)),
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
+
+    def _slide_cutoff(self, signal: Array, best: float) -> float:
+        """Cut-off of a plain low-pass of the slide, Hz: a push or an impact would drag that of the record up with it."""
+        quiet = _quiet(derived(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval)
+        if np.sum(self.w[quiet] > 0) < max(SHORTEST, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
+            return best
+        w = self.w[quiet]
+        y = np.where(w > 0, (self.y + self.trend)[quiet] - trend((self.y + self.trend)[quiet], w), 0.0)
+        stiffness = Growth(Data(y, w)).stiff().stiffness[0]
+        return cutoff_of(float(np.exp(stiffness)), self.grid.interval)
 
     def _by(self, method: Method, level: float) -> _Passed:
         cutoff = method.cutoff / self.grid.interval

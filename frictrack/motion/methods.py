@@ -22,6 +22,7 @@ from frictrack.records import Array, Mask
 
 CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried by Butterworth, over the frame rate
 ORDER = 4  # of Butterworth
+CERTAIN = 2.0  # standard deviations that the residual's mean square may lie above the noise
 WINDOWS = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried by Savitzky and Golay, frames
 DEGREES = (3, 4, 5)
 MOST_FRAMES = 3000  # of a Gaussian process, whose cost grows with the cube of them
@@ -70,7 +71,7 @@ class Butterworth:
         for low in CUTOFFS:
             made = cls(float(low))
             rest = y - made._smooth(y)
-            if np.mean(rest**2) <= noise**2 * (1 - 2 * low):
+            if np.mean(rest**2) <= noise**2 * (1 - 2 * low) * (1 + CERTAIN * np.sqrt(2 / len(y))):
                 return made
         return cls(float(CUTOFFS[-1]))
 

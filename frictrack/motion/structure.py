@@ -33,6 +33,7 @@ EVENTFUL = 8.0  # times their mean square: differences below are those of a smoo
 WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take, to begin with
 SHRINK, SHARP = 6, 20.0  # times that a step is shortened while it bends the loss by more
 LEAST_CYCLES = 2.0  # of a line over the record
+WORK = 3_000_000  # frames in all likelihoods (lines cost more), after which a long record is left as it is
 STEP = 0.02  # of the numbers, for slopes
 
 
@@ -105,6 +106,7 @@ class Growth:
 
     def __init__(self, data: Data) -> None:
         self.data, self.n = data, len(data.w)
+        self.left = WORK  # that may still be spent
         self.lowest = float(np.log(penalty(0.49, 1.0)))
         self.highest = float(np.log(penalty(max(LOWEST / self.n, 1e-5), 1.0)))
         self.cost = float(np.log(data.count))  # of one number
@@ -112,6 +114,7 @@ class Growth:
     def loss(self, structure: Structure) -> float:
         """Twice the negative log-likelihood, with what is known of the stiffness beforehand."""
         steps = np.diff(structure.stiffness) / KNOT_SPREAD
+        self.left -= self.n * (1 + len(structure.lines)) ** 2
         return structure.factored(self.data).judged()[0] + float(steps @ steps)
 
     def stiff(self) -> Structure:
@@ -122,8 +125,10 @@ class Growth:
 
     def grown(self) -> Structure:
         """Add what gains most, again and again, until nothing gains more than it costs."""
-        state = self.refined(self._best(self._knotted(self.stiff())), FEW_STEPS)
-        while True:
+        stiff = self.stiff()
+        knotted = self._best(self._knotted(stiff))
+        state = self.refined(knotted if np.isfinite(knotted.loss) else Grown(stiff, self.loss(stiff)), FEW_STEPS)
+        while self.left > 0:
             kinds = (self._knotted, self._lined, self._softened, self._both, self._narrowed, self._fewer)
             trials = [self._best(kind(state.structure)) for kind in kinds]
             for trial in sorted(trials, key=self._priced):
@@ -135,6 +140,7 @@ class Growth:
                     break
             else:
                 return self.refined(state).structure
+        return state.structure
 
     def _priced(self, g: Grown) -> float:
         return g.loss + self._price(g.structure)

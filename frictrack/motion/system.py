@@ -182,7 +182,7 @@ class Factor:
     def judged(self) -> tuple[float, float, Array]:
         """Twice the negative restricted log-likelihood, the noise variance that goes with it, all unknowns (size,).
 
-        A line counts with its two amplitudes alike, and as if each were expected to be about the noise.
+        A line counts with its two amplitudes alike, each as if expected to be about the noise, whatever the unit.
         """
         s, d, lines = self.system, self.data, self.lines
         unknowns = self.unknowns()
@@ -192,7 +192,7 @@ class Factor:
         logdet = float(np.sum(np.log(np.abs(self.lu[2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
-        return degrees * np.log(variance) + logdet - penalties + amplitudes, variance, unknowns
+        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes, variance, unknowns
 
     def variances(self, start: Index, stencils: Array) -> Array:
         """Variance of linear combinations of neighbouring frames of the signal, for unit noise.
@@ -201,7 +201,7 @@ class Factor:
         them; the result has the shape of stencils without its last axis.
         """
         s = self.system
-        block = BLOCK * s.group
+        block = self._block()
         m = stencils.shape[-1]
         place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
         window = np.minimum(place.min(axis=1) // block, max(-(-s.size // block), 2) - 2)
@@ -225,6 +225,12 @@ class Factor:
 
     def _stiffer(self, times: float) -> Factor:
         return factored(self.data, self.lam * times, Lines(self.lines.omega, self.lines.mu * times))
+
+    def _block(self) -> int:
+        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
+        s = self.system
+        sizes = range(BLOCK * s.group, 2 * BLOCK * s.group)
+        return next(b for b in sizes if s.size % b == 0 or s.size % b >= b // 2)
 
     def _windows(self, block: int) -> Array:
         """Inverse (m, 2 block, 2 block) of the equations at each two neighbouring blocks of unknowns, exact, in O(n).

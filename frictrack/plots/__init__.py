@@ -3,6 +3,8 @@
 plots.motion(run).savefig("v3.pdf")
 """
 
+from frictrack.plots.budget import budget
+from frictrack.plots.cutoff import cutoff
 from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
@@ -10,7 +12,9 @@ from frictrack.plots.modelled import modelled
 from frictrack.plots.style import number, plain_name, png, svg, unit
 
 __all__ = [
+    "budget",
     "candidates",
+    "cutoff",
     "failing",
     "film",
     "fit",

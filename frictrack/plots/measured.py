@@ -17,6 +17,7 @@ from frictrack.results import RunResults
 
 MARK, PATH = style.ORANGE, style.SKY
 DWARFED = 4.0  # times the reach of the free section: beyond it, the push is cut off
+MOST_NAMED, NAME_WIDTH = 8, 0.12  # events that are named, and the share of the width that a name takes
 RESTS = 0.02  # of the highest speed: below it a motion has as good as stopped
 
 
@@ -77,11 +78,29 @@ def motion(run: RunResults) -> Figure:
         ax.set_ylabel(label)
         style.robust(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
     _close_up(panels[-1], run)
+    _marked(panels, run)
     figure.align_ylabels(panels)
     panels[-1].set_xlabel(axis("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
     figure.legend(handles=_ground_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
     return figure
+
+
+def _marked(panels: Sequence[Axes], run: RunResults) -> None:
+    """A line at everything that happens, its name above the first panel."""
+    named: list[tuple[float, str]] = []
+    for kind, begins, ends in run.happenings.events:
+        at = 1e3 * 0.5 * (begins + ends)
+        for ax in panels:
+            ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)
+        named.append((at, kind))
+    reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
+    for k, (at, kind) in enumerate(named[:MOST_NAMED]):
+        crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
+        panels[0].annotate(
+            kind, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9 - 10 * (crowded and k % 2)),
+            textcoords="offset points", fontsize=8, color=style.PURPLE,
+        )  # fmt: skip
 
 
 def _motion_title(run: RunResults) -> str:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.report import tables, words
+from frictrack.report import budgets, tables, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -81,7 +81,12 @@ def render(results: Results) -> str:
         written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         films=_pictures(results),
         motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
+        cutoffs=_cutoffs(results, draw),
+        smoothing=words.smoothing(results),
         friction=draw(plots.friction(results.runs)) if _forces(results) else None,
+        budgets=[draw(plots.budget(run.name, run.budget)) for run in results.runs[:MOST_RUNS] if run.budget],
+        worth=budgets.told(results.runs),
+        sources=budgets.sources(results.runs),
         fits=[draw(plots.fit(m, results.runs)) for m in _drawn(results)],
         own=_own(results, draw),
         told=words.own_motion(results.current) if results.current else [],
@@ -119,6 +124,12 @@ def _pictures(results: Results) -> list[Markup]:
 def _picture(run: RunResults, *, wide: bool) -> Markup:
     data = base64.b64encode(plots.png(plots.film(run, wide=wide), dpi=110 if wide else 200)).decode()
     return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
+
+
+def _cutoffs(results: Results, draw: _Draw) -> list[Markup]:
+    """Where a plain low-pass would cut off, run by run."""
+    shown = [run for run in results.runs[:MOST_RUNS] if run.cutoff is not None]
+    return [draw(plots.cutoff(run.name, run.cutoff, run.mass)) for run in shown if run.cutoff is not None]
 
 
 def _forces(results: Results) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from frictrack.plots import noise_um, passes, plain_name
@@ -130,6 +131,31 @@ def _good(verdict: str) -> bool:
 
 def _px(value: float | None) -> str:
     return f"{number(value, 2)} px"
+
+
+def smoothing(results: Results) -> list[Markup]:
+    """How each displacement was smoothed, what lies above a plain cut-off, and the noise that rests show."""
+    said = [Markup("{}: {}.").format(run.name, run.filtered.reason) for run in results.runs]
+    for run in results.runs:
+        warnings = run.cutoff.warnings if run.cutoff else ()
+        if warnings:
+            said.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
+        if run.happenings.noise_at_rest > 0:
+            rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
+            told = "{}: at rest the displacement scatters by {} µm, against {} µm that the smoother finds in the whole record."
+            said.append(Markup(told).format(run.name, number(rest, 2), number(moving, 2)))
+    return said
+
+
+def _consequence(run: RunResults) -> str:
+    if run.filtered.reason.startswith("cut-off"):
+        return "leave the cut-off out and it is followed"
+    return "it is followed apart, only the force domain has to do without it"
+
+
+def _noise(run: RunResults) -> float:
+    sigma = run.filtered.sigma_x
+    return float(np.median(sigma[np.isfinite(sigma)]))
 
 
 def own_motion(model: ModelResults) -> list[Markup]:

@@ -1,0 +1,101 @@
+"""Where to cut off: what a plain low-pass at each frequency would let through of the noise and take of the signal.
+
+Residual analysis (Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3): what a low-pass takes away
+falls with its cut-off until only noise is taken, and then follows the floor that white noise has. The signal that is
+lost is told from the structural smoother's series, the best that is known of the motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.motion.filter import MISSING, low_pass, weights
+from frictrack.motion.grid import Grid, frame_grid
+from frictrack.motion.spread import trend
+from frictrack.motion.stencil import derived
+from frictrack.motion.structure import Structure
+from frictrack.motion.system import ORDER, Data
+from frictrack.records import Array, Displacement, Filtered, Mask, Motion, Trade
+
+CUTOFFS = 32
+LOWEST, HIGHEST = 2.0, 0.4  # cycles over the record, and per frame
+AWAY = 8  # frames from an event
+PASSES = 0.9  # of its amplitude: a line of which less is left lies above the cut-off
+RESPONSES = 2048  # frequencies at which noise is summed
+
+
+def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Trade:
+    """Every cut-off that a plain low-pass of x might have, with what it lets through and what it takes.
+
+    The one that was used is marked: the one given, else that of the highest likelihood for a plain low-pass, which the
+    force domain uses. Warnings name vibrations and events that lie above it.
+    """
+    grid = frame_grid(displacement.t)
+    known = displacement.valid & np.isfinite(displacement.x)
+    w = grid.spread(weights(displacement.sigma_x, known))
+    best = low_pass(displacement) if filtered.reason.startswith("cut-off") else filtered
+    y, signal = grid.spread(np.where(known, displacement.x, 0.0)), grid.spread(best.x)
+    heard = best.sigma_x < MISSING
+    noise = float(np.mean(best.sigma_x[heard] ** -2.0) ** -0.5)
+    frequency = np.geomspace(LOWEST / (grid.n * grid.interval), HIGHEST / grid.interval, CUTOFFS)
+    calm = _calm(best, grid)
+    rows = np.array([_row(f, grid, w, (y, signal, calm)) for f in frequency])
+    floor, passed = np.array([_of_noise(f, grid.interval) for f in frequency]).T * noise
+    total = np.hypot(passed, rows[:, 1])
+    return Trade(
+        frequency=frequency,
+        residual=rows[:, 0],
+        floor=floor,
+        noise=passed,
+        lost=rows[:, 1],
+        chosen=filtered.cutoff,
+        least=float(frequency[np.argmin(total)]),
+        structural=float(np.sqrt(np.mean(motion.sigma_a[calm[grid.frames]] ** 2))),
+        warnings=tuple(_above(best, filtered.cutoff, grid.interval)),
+    )
+
+
+def _calm(best: Filtered, grid: Grid) -> Mask:
+    """Frames (n,) away from events: what a push loses would hide all else."""
+    out = grid.spread((best.sigma_x < MISSING).astype(float)) > 0
+    for first, last in best.events:
+        out[max(grid.frames[first] - AWAY, 0) : grid.frames[last] + AWAY + 1] = False
+    return out
+
+
+def _row(f: float, grid: Grid, w: Array, series: tuple[Array, Array, Mask]) -> tuple[float, float]:
+    """Residual of the measured series, m, and acceleration lost of the smoothed one, m/s^2, at one cut-off."""
+    factor = Structure.low_pass(f, grid.interval).factored(Data(np.zeros(grid.n), w))
+    measured, signal = (s - trend(s, w) for s in series[:2])
+    residual = np.sqrt(np.average((measured - factor.smooth(measured)) ** 2, weights=w))
+    taken = derived(signal - factor.smooth(signal), grid.interval)[2]
+    return float(residual), float(np.sqrt(np.mean(taken[series[2]] ** 2)))
+
+
+def _of_noise(f: float, interval: float) -> tuple[float, float]:
+    """Residual and acceleration that unit white noise leaves, away from the ends."""
+    nu = (np.arange(RESPONSES) + 0.5) / (2 * RESPONSES)
+    h = 1.0 / (1.0 + (np.sin(np.pi * nu) / np.sin(np.pi * f * interval)) ** (2 * ORDER))
+    second = (15.0 - 16.0 * np.cos(2 * np.pi * nu) + np.cos(4 * np.pi * nu)) / 6.0 / interval**2  # five points
+    return float(np.sqrt(np.mean((1 - h) ** 2))), float(np.sqrt(np.mean((h * second) ** 2)))
+
+
+def _above(best: Filtered, cutoff: float, interval: float) -> list[str]:
+    """In words what lies above a cut-off."""
+    said = []
+    for f in best.lines:
+        left = 1.0 / (1.0 + (np.sin(np.pi * f * interval) / np.sin(np.pi * cutoff * interval)) ** (2 * ORDER))
+        if left < PASSES:
+            said.append(
+                f"a vibration at {f:.4g} Hz lies above the cut-off of {cutoff:.3g} Hz: a plain low-pass leaves "
+                f"{100 * left:.0f} % of its amplitude"
+            )
+    for first, last in best.events:
+        lasts = (last - first + 1) * interval
+        if lasts < 0.5 / cutoff:
+            at = 1e3 * 0.5 * (best.t[first] + best.t[last])
+            said.append(
+                f"what happens at {at:.1f} ms is over in {1e3 * lasts:.2g} ms, shorter than half a period of the "
+                f"cut-off of {cutoff:.3g} Hz ({500 / cutoff:.2g} ms): a plain low-pass smears it"
+            )
+    return said

@@ -1,0 +1,46 @@
+"""Where a plain low-pass would cut off, and what it would cost, beside what was done."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from frictrack.plots import style
+from frictrack.plots.style import axis, blank, number, styled
+from frictrack.records import Trade
+
+
+@styled
+def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
+    """Residual analysis above, the trade between noise and lost signal below, in newtons where the mass is known."""
+    factor, unit = (1.0, "m/s^2") if mass is None else (mass, "N")
+    figure = blank(5.4, _title(name, found, factor, unit), width=style.WIDTH / 2)
+    above, below = figure.subplots(2, 1, sharex=True)
+    f = found.frequency
+    above.loglog(f, 1e6 * found.residual, color=style.MEASURED, lw=1.6, label="what is taken away")
+    above.loglog(f, 1e6 * found.floor, color=style.BLUE, lw=1.3, ls="--", label="noise alone")
+    above.set_ylabel(axis("residual", "um"))
+    below.loglog(f, factor * found.total, color=style.MEASURED, lw=1.8, label="both")
+    below.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise let through")
+    below.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
+    below.axhline(factor * found.structural, color=style.GREEN, lw=1.6, ls="-.", label="vibrations, events apart")
+    top = factor * float(np.max(found.total[f < 3.0 * max(found.chosen, found.least)], initial=found.structural))
+    below.set_ylim(0.3 * factor * min(found.structural, float(found.total.min())), 3.0 * top)
+    below.set(xlabel=axis("cut-off frequency", "Hz"), ylabel=axis("error of m a" if mass else "error of a", unit))
+    for ax in (above, below):
+        ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
+        ax.legend(fontsize=8, loc="best")
+    above.annotate(
+        f"{number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
+        xytext=(3, -10), textcoords="offset points", fontsize=8,
+    )  # fmt: skip
+    return figure
+
+
+def _title(name: str, found: Trade, factor: float, unit: str) -> str:
+    noise, lost = found.at(found.chosen)
+    plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
+    written = style.unit(unit)
+    if apart > 0.9 * plain:
+        return f"{name}: a cut-off at {number(found.chosen)} Hz is as good, {number(plain, 2)} {written}"
+    return f"{name}: {number(apart, 2)} {written} of error, {number(plain, 2)} by a plain low-pass"
