@@ -1,6 +1,8 @@
-"""What happens in a run: release, impacts, stops, starts, reversals; and the rests, which show the noise for nothing."""
+"""What happens in a run: release, impacts, stops, starts, reversals; and its rests, which show the noise for free."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,7 +25,7 @@ def happenings(run: Run) -> Happenings:
     """
     t, v = run.motion.t, run.motion.v
     moving = is_moving(run) & run.displacement.valid
-    motions = [s for s in stretches(is_moving(run) | ~run.displacement.valid) if _certain(run, s, moving)]
+    motions = [s for s in _one_way(run) if _certain(run, s, moving)]
     found: list[tuple[str, float, float]] = []
     if run.free is None and run.drive is None and run.friction_N is None:
         found += _release(run)
@@ -44,6 +46,15 @@ def happenings(run: Run) -> Happenings:
     found += _impacts(run, motions, found[0][1] if found[:1] and found[0][0] == "release" else -np.inf)
     rests = _rests(run, motions)
     return Happenings(tuple(sorted(found, key=lambda e: e[1])), tuple(_span(t, s) for s in rests), _noise(run, rests))
+
+
+def _one_way(run: Run) -> list[slice]:
+    """Stretches of moving frames, cut where the direction changes from one frame to the next."""
+    out = []
+    for s in stretches(is_moving(run) | ~run.displacement.valid):
+        turns = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
+        out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *turns, s.stop])]
+    return out
 
 
 def _release(run: Run) -> list[tuple[str, float, float]]:

@@ -394,7 +394,8 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     assert rows[0]["target"] == "target = [10, 14, 24, 20]"
     assert (output / "block_track.png").stat().st_size > 10_000
     session(film_study).bring_up_to("motion")
-    assert [m.split()[1] for m in made] == ["recording", "track", "tracks", "displacement", "sensors", "filtered", "motion"]
+    stages = ["recording", "track", "tracks", "displacement", "sensors", "filtered", "motion"]
+    assert [m.split()[1] for m in made] == stages
     with h5py.File(output / "block.h5") as run:
         assert run["recording"].attrs["path"] == "block.tif"
         assert run["recording"].attrs["fps"] == 1000

@@ -81,7 +81,8 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
     start = np.minimum(np.arange(n), n - 4)
     stencils = rng.normal(size=(2, n, 4))
     near = [expected[s : s + 4, s : s + 4] for s in start]
-    assert made.variances(start, stencils) == pytest.approx(np.einsum("kij,ijl,kil->ki", stencils, near, stencils), rel=1e-5)
+    combined = np.einsum("kij,ijl,kil->ki", stencils, near, stencils)
+    assert made.variances(start, stencils) == pytest.approx(combined, rel=1e-5)
     if not sensed:
         passed = expected @ np.diag(w) @ expected
         near = [passed[s : s + 4, s : s + 4] for s in start]
@@ -500,10 +501,10 @@ def test_bad_cutoff_is_refused(cutoff):
 
 def test_bad_methods_are_refused():
     t = np.arange(50) / FPS
-    with pytest.raises(FrictrackError, match='expected one of structural, kalman, .* but got "wavelet"'):
+    with pytest.raises(FrictrackError, match=r'expected one of structural, kalman, .* but got "wavelet"'):
         low_pass(displacement(t, t), method="wavelet")
     with pytest.raises(FrictrackError, match="cutoff: expected none with the method kalman"):
         low_pass(displacement(t, t), 100.0, method="kalman")
+    x = np.arange(3001.0) ** 2
     with pytest.raises(FrictrackError, match="at most 3000 frames for a Gaussian process but got 3001"):
-        x = np.arange(3001.0) ** 2
         low_pass(displacement(np.arange(3001) / FPS, x), method="gaussian-process")

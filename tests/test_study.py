@@ -397,7 +397,7 @@ def test_a_drive_is_a_pressure_times_an_area(folder: Path) -> None:
             'drive = {table = "drive.csv", area = 1, columns = {drive = "F"}}',
             'expected one of t, pressure in columns but got "drive"',
         ),
-        ('drive = {table = "drive.csv", columns = "F"}', "expected columns = {t = \"Time (ms)\", drive = \"...\"}"),
+        ('drive = {table = "drive.csv", columns = "F"}', 'expected columns = {t = "Time (ms)", drive = "..."}'),
         ("sensor = 3", 'expected a sensor as "acc.csv" (t_s, a_m_s2) or {table = "acc.csv"'),
         ("sensor = {}", 'expected table = "acc.csv" but got none'),
         ('sensor = {table = "drive.csv", area = 1}', 'expected one of table, columns, offset but got "area"'),

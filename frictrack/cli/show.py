@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from math import hypot
 from typing import Any
 
 from rich.console import Console
@@ -190,14 +191,45 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 def stages(out: Console, result: dict[str, Any]) -> None:
     """One row per run of `motion`, `friction`, then what was found on the way."""
-    keys = [k for k in result["runs"][0] if k not in ("notes", "reason")]
+    first = result["runs"][0]
+    keys = [k for k in first if k not in ("reason", "smoothing") and not isinstance(first[k], dict | list)]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
         table.add_row(*(_cell(row.get(k)) for k in keys))
     out.print(table)
     for row in result["runs"]:
-        for note in [*filter(None, [row.get("reason")]), *row["notes"]]:
-            out.print(f"{row['run']}: {escape(note)}")
+        for note in [*filter(None, [row.get("reason"), row.get("smoothing")]), *_happened(row), *row["notes"]]:
+            out.print(f"{row['run']}: {escape(note)}", soft_wrap=True)
+    for row in result["runs"]:
+        if row.get("budget"):
+            budget(out, row)
+
+
+def _happened(row: dict[str, Any]) -> list[str]:
+    """What happened in a run, and what a plain low-pass would have cost."""
+    told = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
+    said = [", ".join(told)] if told else []
+    cutoff = row.get("cutoff")
+    if cutoff:
+        plain = number(hypot(cutoff["noise"], cutoff["lost"]), 2)
+        said.append(
+            f"error of {number(cutoff['followed_apart'], 2)} {cutoff['unit']}; a plain low-pass at "
+            f"{number(cutoff['chosen_Hz'])} Hz would have {plain}"
+        )
+        said += cutoff["warnings"]
+    return said
+
+
+def budget(out: Console, row: dict[str, Any]) -> None:
+    """Where the error of one run's friction force comes from, the total last, and what would make it smaller."""
+    table = _table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
+    for part in row["budget"]:
+        unknown = part["source"] != "total" and part["size"] is None
+        size = "not known" if unknown else f"{number(part['size'], 2)} {part['unit']}" if part["unit"] else ""
+        table.add_row(part["source"], size, *(number(part[key], 2) for key in ("mean_N", "frame_N")))
+    out.print(table)
+    for says in row["budget_says"]:
+        out.print(f"  {escape(says)}", soft_wrap=True)
 
 
 def track(out: Console, result: dict[str, Any]) -> None:

@@ -10,19 +10,19 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import store
+from frictrack import models, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
+from frictrack.events import happenings
 from frictrack.flow.beside import known, own_table, sensed
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
-from frictrack.events import happenings
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level, trade
 from frictrack.records import (
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from frictrack.recording import Recording
     from frictrack.tracking.measure import Lesson
 
+MASS_LAW = "coulomb,viscous"  # beside which the drive tells a mass before anything else is fitted
 Progress = Callable[[int, int, str], None]
 
 
@@ -236,13 +237,31 @@ def _filtered(work: RunWork, displacement: Displacement, sensors: Sensors) -> Fi
 
 
 def _friction(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
-    return friction(_run(work, displacement, motion, sensors))
+    run = _run(work, displacement, motion, sensors)
+    if run.mass is not None or run.friction_N is not None:
+        return friction(run)
+    weighed, says = _weighed(run)
+    found = friction(weighed)
+    return replace(found, reason=f"{found.reason}; {says}")
+
+
+def _weighed(run: Run) -> tuple[Run, str]:
+    """A run of unknown mass with the one that its drive tells beside dry and viscous friction, and words for it."""
+    from frictrack.fit import fit  # noqa: PLC0415 - a second that runs of known mass need not wait for
+
+    found = fit(models.parse(MASS_LAW), [run]).parameters["mass.m"]
+    if found.value is None or found.std is None:
+        raise FrictrackError(f'mass = "fit": {found.reason}')
+    says = f"mass {found.value:.4g} ± {found.std:.2g} kg as the drive tells beside Coulomb and viscous friction"
+    return replace(run, mass=found.value, sigma_mass=found.std), says
 
 
 def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:
     run = work.run
     if run.mass == "fit" and sensors.drive is None:
-        raise FrictrackError('expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider')
+        raise FrictrackError(
+            'expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider'
+        )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     return Run(
         displacement,

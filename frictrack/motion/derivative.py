@@ -84,7 +84,7 @@ class Derived:
 
     @classmethod
     def along(cls, filtered: Filtered) -> Derived:
-        """x."""
+        """X."""
         made = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
         if filtered.sigma_sensor is None or made.smoother.method:
             return made
@@ -94,7 +94,7 @@ class Derived:
 
     @classmethod
     def across(cls, filtered: Filtered) -> Derived:
-        """y."""
+        """Y."""
         return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
 
     @classmethod

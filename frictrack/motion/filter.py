@@ -60,8 +60,8 @@ def low_pass(
 ) -> Filtered:
     """Low-pass a displacement and bridge its missing frames.
 
-    By default x and y are each parted into a trend, lines and events of the highest restricted likelihood (`structure`),
-    and the noise level is estimated along with them; the standard deviations that come with the displacement count
+    By default x and y are each parted into a trend, lines and events of the highest restricted likelihood, and the
+    noise level is estimated along with them; the standard deviations that come with the displacement count
     relative to each other. `cutoff` (Hz) asks for a plain low-pass instead, where a sine keeps half of its amplitude.
     Other methods: "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth" (residual
     analysis), "savitzky-golay" (cross-validation), "gaussian-process" (noise known, maximum likelihood).
@@ -178,7 +178,7 @@ class _Coordinate:
         )
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
-        """Cut-off of a plain low-pass of the slide, Hz: a push or an impact would drag that of the record up with it."""
+        """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
         quiet = _quiet(derived(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval)
         if np.sum(self.w[quiet] > 0) < max(SHORTEST, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
             return best

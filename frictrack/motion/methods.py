@@ -151,9 +151,9 @@ class GaussianProcess:
                 return np.inf
             return float(np.sum(np.linalg.solve(known, rest[::step]) ** 2) + 2 * np.sum(np.log(np.diag(known))))
 
-        size = float(np.log(max(np.std(rest), 1.0)))
-        starts = [(np.log(l), size) for l in np.geomspace(2 * step, len(y) / 4, 6)]
-        best = min(starts, key=lambda p: loss(np.array(p)))
+        size = float(np.log(max(float(np.std(rest)), 1.0)))
+        starts = [np.array([np.log(k), size]) for k in np.geomspace(2 * step, len(y) / 4, 6)]
+        best = starts[int(np.argmin([loss(p) for p in starts]))]
         found = minimize(loss, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02}).x
         return cls(float(np.exp(found[0])), float(np.exp(found[1])))
 

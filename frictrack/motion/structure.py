@@ -8,8 +8,9 @@ knots is taken when it gains more than its numbers would by chance (Schwarz 1978
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -248,19 +249,19 @@ class Growth:
 
         start, scale = self._scaled(loss, s, g.loss)
         bounds = list(zip((box[0] - start) / scale, (box[1] - start) / scale, strict=True))
-        found = minimize(
-            lambda step: loss(start + step * scale),
-            np.zeros(len(start)),
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"eps": STEP, "ftol": 3e-6, "maxiter": steps},
-        )
+        how: Any = {"method": "L-BFGS-B", "bounds": bounds, "options": {"eps": STEP, "ftol": 3e-6, "maxiter": steps}}
+
+        def stepped(step: Array) -> float:
+            return loss(start + step * scale)
+
+        found = minimize(stepped, np.zeros(len(start)), **how)
         return Grown(s.with_numbers(np.clip(start + found.x * scale, *box)), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:
         """Each number by itself at its best, and the step of it that costs about one."""
-        one = [1.0] * len(s.stiffness) + [2 * np.pi / self.n / 10, 2.0] * len(s.lines) + [1.0] * len(s.events)
-        numbers, scale = s.numbers(), np.array(one)
+        line = [2 * np.pi / self.n / 10, 2.0]
+        scale = np.array([1.0] * len(s.stiffness) + line * len(s.lines) + [1.0] * len(s.events))
+        numbers = s.numbers()
         for i in range(len(numbers)):
             for _ in range(SHRINK):
                 unit = np.eye(len(numbers))[i] * scale[i]

@@ -80,7 +80,8 @@ class System:
 
     def __init__(self, n: int, lines: int, sensed: bool) -> None:
         self.n, self.k = n, lines
-        self.terms = [((0,), ORDER), *[((k,), 2) for k in range(1, lines + 1)]]  # components and order of a difference
+        # Components and order of every difference.
+        self.terms: list[tuple[tuple[int, ...], int]] = [((0,), ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
         if sensed:
             self.terms.append((tuple(range(lines + 1)), 2))
         keys = [np.arange(n) + 0.01 * k for k in range(1 + lines)]

@@ -1,0 +1,126 @@
+"""What happens in a run and what a plain cut-off would cost, against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from frictrack.events import happenings
+from frictrack.motion import differentiate, low_pass, trade
+from frictrack.records import Displacement, Run
+
+FPS = 4000.0
+NOISE = 10e-6
+
+
+def filmed(t, x, *, seed=0, cutoff=None, **run):
+    nan = np.full(len(t), np.nan)
+    x = x + NOISE * np.random.default_rng(seed).normal(size=len(t))
+    seen = Displacement(t, x, nan, nan, np.full(len(t), NOISE), nan, np.ones(len(t), bool))
+    return Run(seen, differentiate(low_pass(seen, cutoff)), **{"mass": 0.5, **run})
+
+
+def kinds(run):
+    return [kind for kind, _, _ in happenings(run).events]
+
+
+def pieces(*parts, x=0.0, v=0.0):
+    """t, x of a motion of constant accelerations: (seconds, m/s^2) one after the other; a stop is 0 at v = 0."""
+    t, out, start = [], [], 0.0
+    for lasts, a in parts:
+        n = round(lasts * FPS)
+        u = np.arange(n) / FPS
+        t.append(start + u)
+        out.append(x + v * u + 0.5 * a * u**2)
+        x, v, start = x + v * lasts + 0.5 * a * lasts**2, v + a * lasts, start + lasts
+    return np.concatenate(t), np.concatenate(out)
+
+
+def test_a_push_a_slide_a_stop_and_the_rests_round_them():
+    t, x = pieces((0.03, 0.0), (0.02, 150.0), (0.15, -20.0), (0.05, 0.0))
+    found = happenings(filmed(t, x))
+    assert [kind for kind, _, _ in found.events] == ["start", "release", "stop"]
+    starts, released, stops = (begins for _, begins, _ in found.events)
+    assert starts == pytest.approx(0.03, abs=1.5e-3)
+    assert released == pytest.approx(0.05, abs=1.5e-3)
+    assert stops == pytest.approx(0.20, abs=3e-3)
+    assert len(found.rests) == 2
+    assert found.rests[0][1] < 0.0305
+    assert found.rests[1][0] > 0.197
+    assert found.noise_at_rest == pytest.approx(NOISE, rel=0.2)
+
+
+def test_a_reversal_is_no_stop():
+    t, x = pieces((0.1, -30.0), (0.1, -10.0), v=3.0)
+    found = happenings(filmed(t, x, has_incline=True, incline=0.5))
+    assert [kind for kind, _, _ in found.events] == ["reversal"]
+    assert found.events[0][1] == pytest.approx(0.1, abs=2e-3)
+    assert found.rests == ()
+    assert np.isnan(found.noise_at_rest)
+
+
+def test_a_rest_between_two_motions_is_a_stop_and_a_start():
+    t, x = pieces((0.1, -20.0), (0.05, 0.0), (0.1, 20.0), v=2.0)
+    assert kinds(filmed(t, x, drive=np.zeros(len(t)))) == ["stop", "start"]
+
+
+def test_an_impact_takes_speed_at_once():
+    t, x = pieces((0.08, -5.0), (0.001, -4000.0), (0.08, 5.0), v=3.0)
+    found = happenings(filmed(t, x, drive=np.zeros(len(t))))
+    assert "impact" in [kind for kind, _, _ in found.events]
+    at = next(begins for kind, begins, _ in found.events if kind == "impact")
+    assert at == pytest.approx(0.08, abs=2e-3)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_plain_slide_has_no_story(direction):
+    t, x = pieces((0.15, -20.0), v=5.0)
+    assert kinds(filmed(t, direction * x)) == []
+
+
+# -- the cut-off --------------------------------------------------------------------------------------------------
+
+
+def vibrating(f=60.0, size=40e-6):
+    t, x = pieces((0.17, -20.0), v=5.0)
+    return t, x + size * np.sin(2 * np.pi * f * t + 0.4)
+
+
+def test_residual_follows_the_floor_where_only_noise_is_taken_and_leaves_it_where_signal_is():
+    t, x = vibrating()
+    run = filmed(t, x)
+    found = trade(run.displacement, low_pass(run.displacement), run.motion)
+    high = found.frequency > 150
+    assert found.residual[high] == pytest.approx(found.floor[high], rel=0.1)
+    low = found.frequency < 30
+    assert np.all(found.residual[low] > 25e-6)  # 40 um of vibration, rms 28 um
+    assert np.all(np.diff(found.noise) > 0)
+    assert found.lost[0] > 10 * found.lost[-1]
+    assert 60 < found.least < 250
+    assert found.structural < 0.7 * found.total.min()
+
+
+def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences():
+    rng = np.random.default_rng(0)
+    t, x = vibrating()
+    run = filmed(t, x)
+    found = trade(run.displacement, low_pass(run.displacement), run.motion)
+    noise = NOISE * rng.normal(size=40_000)
+    for f in (50.0, 150.0):
+        smooth = sosfiltfilt(butter(4, f, fs=FPS, output="sos"), noise)
+        a = np.gradient(np.gradient(smooth, 1 / FPS), 1 / FPS)[1000:-1000]
+        assert found.at(f)[0] == pytest.approx(np.std(a), rel=0.15)
+
+
+def test_what_lies_above_a_cutoff_is_said():
+    t, x = vibrating(134.0, 8e-6)
+    run = filmed(t, x, cutoff=60.0)
+    found = trade(run.displacement, low_pass(run.displacement, 60.0), run.motion)
+    assert found.chosen == 60.0
+    assert any(w.startswith("a vibration at 13") and "lies above the cut-off of 60 Hz" in w for w in found.warnings)
+    t, x = pieces((0.08, -5.0), (0.001, -4000.0), (0.08, 5.0), v=3.0)
+    run = filmed(t, x, cutoff=60.0, drive=np.zeros(len(t)))
+    found = trade(run.displacement, low_pass(run.displacement, 60.0), run.motion)
+    assert any("shorter than half a period of the cut-off of 60 Hz" in w for w in found.warnings)
+    t, x = pieces((0.15, -20.0), v=5.0)
+    run = filmed(t, x)
+    assert trade(run.displacement, low_pass(run.displacement), run.motion).warnings == ()
