@@ -9,14 +9,17 @@ if TYPE_CHECKING:
 
 RATE = "frame rate, "
 SHOWING = "speed of showing"
+STAMPS = "stamps"
 DIGITS = 5e-7  # to which the audit writes rates
+OF = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
 
 
 def rate_error(film: Film | None) -> tuple[float | None, str]:
     """Relative error of the frame rate, None where nothing is known of it, and in words where it is known from.
 
     Of a table nothing is known. Of a film the rates given by the user, by the header and by the time stamps are held
-    against the one that is used; the largest difference counts.
+    against the one that is used; the largest difference counts. A header and a user who agree without time stamps
+    prove nothing: both tell what the camera was set to.
     """
     if film is None:
         return None, "not known: the table's times are taken as they stand"
@@ -25,9 +28,8 @@ def rate_error(film: Film | None) -> tuple[float | None, str]:
         for name, value, verdict in film.audit
         if name.startswith(RATE) and verdict != SHOWING
     }
-    if len(rates) < 2:
-        of = {"given": "given frame rate", "header": "header's rate", "stamps": "rate of the time stamps"}
-        word = next((of.get(name, name) for name in rates), "frame rate")
-        return None, f"not known: the {word} is taken as it stands"
-    error = max(abs(rate / film.fps - 1.0) for rate in rates.values())
+    error = max((abs(rate / film.fps - 1.0) for rate in rates.values()), default=0.0)
+    if error < DIGITS and (STAMPS not in rates or len(rates) < 2):
+        words = " and ".join(OF.get(name, name) for name in rates) or "the frame rate"
+        return None, f"not known: {words} is taken as it stands, with nothing to check it by"
     return max(error, DIGITS), f"difference of the frame rates ({' and '.join(rates)})"

@@ -14,6 +14,7 @@ MOSTLY = 0.5  # share of a variance
 HARDLY = 0.95  # of the total is left: not worth doing
 RATE = 2.0**0.5  # noise less by this is as good as twice the frames
 SMOOTHED = ("pixel noise", "filter")
+PICTURED = ("peak locking", "camera shake")  # known in pixels: they go with the size of one
 
 
 def sentences(found: Budget) -> Iterator[str]:
@@ -64,8 +65,11 @@ def _halved(found: Budget) -> str:
     if ways:
         return f"half the error of the mean would take {' or '.join(ways)}"
     first, second, *_ = sorted(found.rows, key=lambda row: -(row.mean_N or 0.0))
-    both = f"{_the(first.source)} and {_the(second.source)} both count"
-    return f"no single step would halve the error of the mean: {both}"
+    if not second.mean_N:
+        return f"even {max(found.finer):.0f} times the pixels per mm would not halve the error of the mean"
+    return (
+        f"no single step would halve the error of the mean: {_the(first.source)} and {_the(second.source)} both count"
+    )
 
 
 def _ways(found: Budget) -> Iterator[str]:
@@ -75,8 +79,7 @@ def _ways(found: Budget) -> Iterator[str]:
         rest = _rest(found, "mean_N", row.source)
         if row.mean_N and row.source in HOW and rest < half:
             yield HOW[row.source](row, row.mean_N / float(np.sqrt(half**2 - rest**2)))
-    rest, noise = _rest(found, "mean_N", *SMOOTHED), _smoothed(found, "mean_N")
-    enough = [k for k, (_, mean) in sorted(found.finer.items()) if np.hypot(rest, noise * mean) <= half]
+    enough = [times for times in sorted(found.finer) if times > RATE and _with(found, times)[1] <= half]
     if enough:
         yield f"{enough[0]:.0f} times the pixels per mm"
 
@@ -100,21 +103,28 @@ def _hardly(found: Budget, left: tuple[float, float]) -> bool:
 
 
 def _with(found: Budget, times: float) -> tuple[float, float]:
-    """Errors of a frame and of the mean, N, beside so many times less noise."""
+    """Errors of a frame and of the mean, N, with so many times the pixels per mm; `RATE`: twice the frames."""
     frame, mean = found.finer[times]
-    return (
-        float(np.hypot(_rest(found, "frame_N", *SMOOTHED), frame * _smoothed(found, "frame_N"))),
-        float(np.hypot(_rest(found, "mean_N", *SMOOTHED), mean * _smoothed(found, "mean_N"))),
-    )
+    factors = {"frame_N": frame, "mean_N": mean}
+    fewer = 1.0 if times == RATE else 1.0 / times
+    left = [
+        np.sqrt(
+            (factor * _part(found, key, SMOOTHED)) ** 2
+            + (fewer * _part(found, key, PICTURED)) ** 2
+            + _rest(found, key, *SMOOTHED, *PICTURED) ** 2
+        )
+        for key, factor in factors.items()
+    ]
+    return float(left[0]), float(left[1])
 
 
-def _smoothed(found: Budget, key: str) -> float:
-    """What the smoother makes."""
-    return _rest(found, key, *(row.source for row in found.rows if row.source not in SMOOTHED))
+def _part(found: Budget, key: str, sources: tuple[str, ...]) -> float:
+    """Some sources together."""
+    return _rest(found, key, *(row.source for row in found.rows if row.source not in sources))
 
 
 def _rest(found: Budget, key: str, *without: str) -> float:
-    """All but some sources."""
+    """All but some sources together."""
     return float(np.sqrt(sum((getattr(r, key) or 0.0) ** 2 for r in found.rows if r.source not in without)))
 
 
@@ -128,5 +138,6 @@ HOW: dict[str, Callable[[Contribution, float], str]] = {
     "time base": lambda row, f: f"a frame rate known to {(row.size or 0.0) / f:.2g} %",
     "drive sensor": lambda row, f: f"a drive sensor {_times(f)} quieter",
     "drive clock": lambda row, f: f"the drive's clock known to {(row.size or 0.0) / f:.2g} ms",
+    "camera shake": lambda row, f: f"a steadier camera, or a fixed reference that is seen {_times(f)} better",
     "peak locking": lambda row, f: f"peak locking {_times(f)} smaller (a coarser pattern on the target)",
 }

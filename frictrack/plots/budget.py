@@ -14,6 +14,7 @@ from frictrack.plots.style import axis, blank, number, styled
 SOURCE: dict[str, Any] = {"color": style.SKY, "edgecolor": style.MEASURED, "lw": 0.6}
 TOTAL: dict[str, Any] = {"color": style.MEASURED}
 ROOM = 1.18  # of the longest bar, for the number at its end
+TINY = 2e-3  # of the longest bar: one that cannot be seen
 
 
 @styled
@@ -33,7 +34,7 @@ def budget(name: str, found: Mapping[str, Any]) -> Figure:
 def _title(name: str, found: Mapping[str, Any]) -> str:
     *rows, total = found["rows"]
     most = max(rows, key=lambda row: row["mean_N"] or 0.0)
-    return f"{name}: the mean force is known to {number(total['mean_N'], 2)} N, most of the error is {most['source']}"
+    return f"{name}: the mean force is known to {number(total['mean_N'], 2)} N, the largest part is {most['source']}"
 
 
 def _bars(ax: Axes, rows: Sequence[Mapping[str, Any]], key: str) -> None:
@@ -41,10 +42,19 @@ def _bars(ax: Axes, rows: Sequence[Mapping[str, Any]], key: str) -> None:
     for i, row in enumerate(rows):
         value = row[key]
         ax.barh(i, value or 0.0, height=0.7, **(TOTAL if row["source"] == "total" else SOURCE))
-        text = "not known" if value is None else number(value, 2) if value else "none"
         slant = "italic" if value is None else "normal"
         ax.annotate(
-            text, (value or 0.0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5, style=slant
-        )
+            _said(value, longest), (value or 0.0, i), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=8.5, style=slant,
+        )  # fmt: skip
     ax.set_xlim(0, ROOM * longest)
     ax.tick_params(axis="y", length=0)
+
+
+def _said(value: float | None, longest: float) -> str:
+    """What stands at the end of a bar."""
+    if value is None:
+        return "not known"
+    if value < TINY * longest:
+        return "negligible" if value else "none"
+    return number(value, 2)
