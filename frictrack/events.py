@@ -10,7 +10,7 @@ from frictrack.errors import FrictrackError
 from frictrack.friction import is_moving, release_time, stretches
 from frictrack.records import Array, Happenings, Mask, Run
 
-CERTAIN = 5.0  # standard deviations of the velocity that a stretch must reach to be a motion
+CERTAIN = 5.0  # standard deviations that velocity and way of a stretch must reach to be a motion
 SUDDEN = 5.0  # times what the usual acceleration would change the velocity by: an impact
 LEAST_REST = 12  # frames, fewer do not tell the noise
 EDGE = 3  # frames at either end of a rest that may still move
@@ -67,7 +67,8 @@ def _release(run: Run) -> list[tuple[str, float, float]]:
 
 def _certain(run: Run, s: slice, moving: Mask) -> bool:
     sure = np.abs(run.motion.v[s]) > CERTAIN * run.motion.sigma_v[s]
-    return bool(np.any(sure & moving[s]))
+    goes = float(np.ptp(run.motion.x[s])) > CERTAIN * float(np.nanmedian(run.displacement.sigma_x))
+    return goes and bool(np.any(sure & moving[s]))
 
 
 def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, float, float]]:

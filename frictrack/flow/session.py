@@ -14,6 +14,7 @@ from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
 from frictrack.flow.budgets import budgeted
+from frictrack.flow.beside import sensor_rows
 from frictrack.flow.films import overlaid
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
@@ -270,6 +271,7 @@ def run_results(work: RunWork) -> RunResults:
     done = {name: work.get(name) for name in work.stages}
     seen = _quality(done)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
+    notes += sensor_rows(work)["notes"]
     return RunResults(
         name=work.run.name,
         source=work.written(work.run.source),

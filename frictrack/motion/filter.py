@@ -230,8 +230,8 @@ def weights(sigma: Array, known: Mask) -> Array:
 def described(structure: Structure, n: int, interval: float) -> str:
     """In words what a record was parted into."""
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
-    low, high = min(cutoffs), max(cutoffs)
-    span = f"{low:.3g} Hz" if high < 1.1 * low else f"{low:.3g} to {high:.3g} Hz"
+    low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
+    span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
     parts = [f"a trend cut off at {span}"]
     parts += [f"a line at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
     centres = [1e3 * interval * 0.5 * (e.first + e.last + ORDER) for e in structure.events]

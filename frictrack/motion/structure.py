@@ -182,6 +182,9 @@ class Growth:
             if np.max(shocks) > EVENTFUL * np.mean(shocks):
                 for stiffer in STIFFER:
                     yield from self._events(self._stiffer(s, stiffer), stiffer)
+            most, least = max(s.stiffness), min(s.stiffness)
+            if most - least > BOOSTS[-1]:  # what softens the whole of one end may be an event there
+                yield from self._events(replace(s, stiffness=(most,) * len(s.stiffness)), most - least)
 
     def _both(self, s: Structure) -> Iterator[Structure]:
         """A line and an event, each of which hides the other."""

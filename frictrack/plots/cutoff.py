@@ -19,7 +19,7 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
     f = found.frequency
     above.loglog(f, 1e6 * found.residual, color=style.MEASURED, lw=1.6, label="what is taken away")
     above.loglog(f, 1e6 * found.floor, color=style.BLUE, lw=1.3, ls="--", label="noise alone")
-    above.set_ylabel(axis("residual", "um"))
+    above.set_ylabel(axis("residual", "µm"))
     below.loglog(f, factor * found.total, color=style.MEASURED, lw=1.8, label="both")
     below.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise let through")
     below.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
@@ -41,6 +41,4 @@ def _title(name: str, found: Trade, factor: float, unit: str) -> str:
     noise, lost = found.at(found.chosen)
     plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
     written = style.unit(unit)
-    if apart > 0.9 * plain:
-        return f"{name}: a cut-off at {number(found.chosen)} Hz is as good, {number(plain, 2)} {written}"
-    return f"{name}: {number(apart, 2)} {written} of error, {number(plain, 2)} by a plain low-pass"
+    return f"{name}: ± {number(apart, 2)} {written}, a plain low-pass ± {number(plain, 2)} {written}"

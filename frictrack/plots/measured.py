@@ -150,7 +150,7 @@ def _ground_handles(run: RunResults) -> list[Patch]:
     if run.friction is not None:
         handles.append(Patch(color=style.FREE, label="free section"))
     if run.motion.guard:
-        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="smeared by the filter"))
+        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="not to be trusted"))
     return handles
 
 

@@ -44,6 +44,11 @@ reference = [8, 80, 64, 32] something fixed that camera shake is told by, when t
 axis = "track"              +x along the path itself, when the course is not level in the picture; or [dx, dy]
 incline = "22 deg"          the course rises toward +x; negative where it falls
 free = ["0.01 s", "0.2 s"]  the part of the run that is judged, when the one found is wrong
+cutoff = "120 Hz"           a plain low-pass, instead of trend, vibrations and events parted by themselves
+drive = "drive.csv"         what pushes it, with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
+                            {table = "p.csv", area = "3.14 cm^2", until = "release"}; then also mass = "fit"
+sensor = "acc.csv"          an accelerometer or load cell beside the camera (t_s, a_m_s2 or friction_N), its own clock
+impact_energy = "2 J"       of the hammer: more kinetic energy than that cannot be
 role = "validation"         not fitted, only predicted"""
 
 
