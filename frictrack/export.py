@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
-    """Write every run's curves, the parameters and the errors of all models into the results folder.
+    """Write every run's curves and error budget, the parameters and the errors of all models into the results folder.
 
     Returns the files. Raises `FrictrackError` where Excel is asked for and openpyxl is not installed, or the
     folder cannot be written.
@@ -26,6 +26,8 @@ def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
     own = {told.run: told for told in results.current.motion} if results.current else {}
     tables = {_safe(run.name): _run(run, own.get(run.name)) for run in results.runs}
     tables |= {"parameters": _parameters(results), "errors": _errors(results)}
+    if any(run.budget for run in results.runs):
+        tables["budget"] = _budget(results)
     if to == "csv":
         folder = results.output / "csv"
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,7 +52,7 @@ def _workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
 
 def _safe(name: str) -> str:
     """A run's name that is not one of our own tables."""
-    return f"run {name}" if name in ("parameters", "errors") else name
+    return f"run {name}" if name in ("parameters", "errors", "budget") else name
 
 
 def _run(run: RunResults, own: Modelled | None) -> pd.DataFrame:
@@ -94,3 +96,10 @@ def _errors(results: Results) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415
 
     return pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])
+
+
+def _budget(results: Results) -> pd.DataFrame:
+    """Every source of error of every run's friction force; an empty size or effect is not known."""
+    import pandas as pd  # noqa: PLC0415
+
+    return pd.DataFrame([{"run": run.name, **row} for run in results.runs for row in run.budget.get("rows", ())])

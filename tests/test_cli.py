@@ -289,8 +289,9 @@ def test_export_writes_plain_tables(
     monkeypatch.setattr(Session, "_papers", lambda session: (None, ()))
     files = [Path(f) for f in answer(capsys, "export", "study.toml", "--to", to)["files"]]
     sheets = pd.read_excel(files[0], sheet_name=None) if to == "xlsx" else {f.stem: pd.read_csv(f) for f in files}
-    assert list(sheets) == ["slow", "middle", "fast", "parameters", "errors"]
+    assert list(sheets) == ["slow", "middle", "fast", "parameters", "errors", "budget"]
     assert {"t_s", "x_measured_m", "v_ms", "a_ms2", "F_N", "sigma_F_N", "free"} <= set(sheets["slow"])
+    assert {"run", "source", "size", "unit", "frame_N", "mean_N", "share_mean", "common"} <= set(sheets["budget"])
     assert len(sheets["slow"]) == 500
     assert set(sheets["parameters"]["parameter"]) == {"coulomb.F_c", "viscous.F_v"}
 
