@@ -53,9 +53,14 @@ def smoothed(displacement, method="kalman", cutoff=None, **known):
     return Run(displacement, differentiate(filtered), **{"mass": MASS, "free": (0.0, 1.0), **known}), filtered
 
 
-def film(*rates, fps=FPS):
+def film(*rates, fps=FPS, clocked=True):
     """A film whose frame rates were found to be so."""
-    return Film(T, fps=fps, audit=tuple((f"frame rate, {name}", f"{r:.6g} fps", verdict) for name, r, verdict in rates))
+    return Film(
+        T,
+        fps=fps,
+        clocked=clocked,
+        audit=tuple((f"frame rate, {name}", f"{r:.6g} fps", verdict) for name, r, verdict in rates),
+    )
 
 
 # -- agreement with what else is stated ---------------------------------------------------------------------
@@ -134,7 +139,7 @@ def test_gravity_counts_for_the_mass_but_not_for_scale_and_clock():
     ("rates", "size", "told"),
     [
         ((("header", 4000, "used"),), None, "not known: that of the header is taken as it stands"),
-        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "nothing to check it by"),
+        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "without time stamps of the camera to check it by"),
         ((("given", 4000, "used"), ("header", 30, "speed of showing")), None, "not known: the rate given"),
         ((("header", 4000, "used"), ("stamps", 4000, "agrees")), 5e-5, "header and stamps"),
         ((("given", 4000, "used"), ("header", 3990, "disagrees")), 0.25, "given and header"),
@@ -145,6 +150,12 @@ def test_the_time_base_is_known_as_well_as_independent_rates_agree(rates, size, 
     row = budget(run, filtered, film=film(*rates)).row("time base")
     assert row.size == pytest.approx(size) if size else (row.size is None and row.mean_N is None)
     assert told in row.told
+
+
+def test_the_stamps_of_a_container_check_nothing():
+    run, filtered = smoothed(seen())
+    rates = (("header", 4000, "used"), ("stamps", 4000, "agrees"))
+    assert budget(run, filtered, film=film(*rates, clocked=False)).row("time base").size is None
 
 
 def test_what_is_not_known_stands_without_a_number():
