@@ -138,8 +138,8 @@ def test_gravity_counts_for_the_mass_but_not_for_scale_and_clock():
 @pytest.mark.parametrize(
     ("rates", "size", "told"),
     [
-        ((("header", 4000, "used"),), None, "not known: that of the header is taken as it stands"),
-        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "without time stamps of the camera to check it by"),
+        ((("header", 4000, "used"),), None, "not known: that of the header is taken"),
+        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "without time stamps of the camera"),
         ((("given", 4000, "used"), ("header", 30, "speed of showing")), None, "not known: the rate given"),
         ((("header", 4000, "used"), ("stamps", 4000, "agrees")), 5e-5, "header and stamps"),
         ((("given", 4000, "used"), ("header", 3990, "disagrees")), 0.25, "given and header"),
