@@ -13,8 +13,8 @@ from frictrack.calibration import parse_scale
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
-from frictrack.flow.budgets import budgeted
 from frictrack.flow.beside import sensor_rows
+from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlaid
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
