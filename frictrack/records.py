@@ -106,6 +106,7 @@ class Displacement(Table):
     valid: Mask = column("", kind=np.bool_)
     pixel_pitch: float | None = scalar("m", default=None)
     relative_scale_error: float = scalar("1", default=0.0)
+    shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
 
 
@@ -125,6 +126,7 @@ class Filtered(Table):
     reason: str = ""  # what x was parted into and why
     events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide: an impact
     lines: tuple[float, ...] = ()  # Hz, vibrations that were followed apart from the trend
+    shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     y_measured: Array | None = column("m", nan=True, default=None)
     x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where the method derives from that
     sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
@@ -147,6 +149,7 @@ class Motion(Table):
     cutoff: float = scalar("Hz", default=float("nan"))
     events: tuple[tuple[int, int], ...] = ()  # first and last row of what happens faster than the slide
     lines: tuple[float, ...] = ()  # Hz, vibrations
+    shake_a: float = scalar("m/s^2", default=0.0)  # of sigma_a, rms: what is left of a camera shake feigns it
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,7 @@
 """Low-pass, noise level and derivatives against closed forms, dense algebra, scipy.signal and solve_ivp."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -401,6 +403,21 @@ def test_a_known_acceleration_is_taken_in(rng):
     assert 0.8 < rms(((both.a - a) / both.sigma_a)[heard]) < 1.2
     assert rms((both.a - a)[heard]) < 0.5 * rms((differentiate(low_pass(seen)).a - a)[heard])
     assert rms((both.x - x)[heard]) < rms((differentiate(low_pass(seen)).x - x)[heard])
+
+
+@pytest.mark.parametrize("method", ["structural", "savitzky-golay"])
+def test_what_is_left_of_a_shake_widens_the_deviations(method):
+    """A wave of unknown phase within the pass band: its own derivatives, at their mean square."""
+    t = np.arange(800) / FPS
+    x = 3 * t - 10 * t**2 + 30e-6 * np.sin(2 * np.pi * 40 * t) + NOISE * np.random.default_rng(4).normal(size=800)
+    seen = displacement(t, x)
+    plain = differentiate(low_pass(seen, method=method))
+    shaken = differentiate(low_pass(replace(seen, shake=(40.0, 5e-6)), method=method))
+    middle = slice(200, 600)
+    more = np.sqrt(shaken.sigma_a**2 - plain.sigma_a**2)[middle]
+    assert more == pytest.approx(np.full(400, 5e-6 * (2 * np.pi * 40) ** 2), rel=0.12)
+    assert shaken.shake_a == pytest.approx(0.316, rel=0.12)
+    assert shaken.a == pytest.approx(plain.a)
 
 
 # -- the other methods -------------------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ class Response:
 
     def lost(self, weights: Array, passed: Spread) -> Spread:
         """Signal that is taken away, and in structural smoothing the error of the frequencies of lines."""
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - passed.rows**2, 0.0))
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - passed.rows**2 - self.motion.shake_a**2, 0.0))
         if self._method is None:
             both = self.both(weights)
             return Spread(rows, float(np.sqrt(max(both**2 - passed.total**2, 0.0))))

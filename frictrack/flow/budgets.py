@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from frictrack.budget import budget
-from frictrack.calibration import shake
-from frictrack.flow.films import LEAST_SHAKE, REFERENCE
-from frictrack.flow.quality import quality
-from frictrack.records import Track
+from frictrack.flow.films import REFERENCE, least_shake
+from frictrack.flow.quality import left_of_shake, quality
 from frictrack.results import plain
 
 if TYPE_CHECKING:
@@ -38,14 +36,5 @@ def _quality(work: RunWork) -> dict[str, Any]:
 
 def _left(work: RunWork) -> dict[str, Any]:
     """How much of a camera shake may still be in the displacement, px rms along x."""
-    reference: Track | None = work.get("tracks").get(REFERENCE)
-    if reference is None:
-        return {}
-    used = shake(reference, LEAST_SHAKE if work.run.reference == "auto" else 0.0)
-    if used.seen:
-        told = "error of the reference's movement, which was subtracted"
-        return {"shake_left_px": float(used.sigma[0]), "shake_Hz": used.frequency, "shake_left_told": told}
-    if used.left_in:
-        told = "too small to be subtracted, left in"
-        return {"shake_left_px": used.left_in, "shake_Hz": shake(reference).frequency, "shake_left_told": told}
-    return {}
+    left = left_of_shake(work.get("tracks").get(REFERENCE), least_shake(work.run))
+    return {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
-from frictrack.flow.quality import judged
+from frictrack.flow.quality import judged, left_of_shake
 from frictrack.records import Displacement, Track
 from frictrack.results import Film
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
     from frictrack.flow.stages import RunWork
     from frictrack.recording import Recording
+    from frictrack.study import RunTable
     from frictrack.tracking.measure import Lesson
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
@@ -163,16 +164,25 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
     run, anchor = work.run, work.anchor
     plane = early_plane(work) or plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
     seen = aligned(track, anchor.get("track")) if anchor else track
-    least = LEAST_SHAKE if run.reference == "auto" else 0.0
+    least = least_shake(run)
     clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked, least=least)
     unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
-    return calibrate(
+    made = calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
         plane,
         axis=run.axis,
         origin_px=run.origin_px,
         x_offset=run.x_offset,
     )
+    left = left_of_shake(tracks.get(REFERENCE), least)
+    if left is None or made.pixel_pitch is None:
+        return made
+    return replace(made, shake=(left[0], left[1] * made.pixel_pitch))
+
+
+def least_shake(run: RunTable) -> float:
+    """Shake below which it is left in, px rms."""
+    return LEAST_SHAKE if run.reference == "auto" else 0.0
 
 
 def sheet(work: RunWork) -> Path:

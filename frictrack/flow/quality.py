@@ -63,6 +63,19 @@ def _beside(track: Track, reference: Track | None) -> Track:
     )
 
 
+def left_of_shake(reference: Track | None, least: float) -> tuple[float, float, str] | None:
+    """What may be left of a camera shake: frequency in Hz, rms along x in px, and why; None without any."""
+    if reference is None:
+        return None
+    used = shake(reference, least)
+    if used.seen:
+        told = "error of the reference's movement, which was subtracted"
+        return used.frequency or 0.0, float(used.sigma[0]), told
+    if used.left_in:
+        return shake(reference).frequency or 0.0, used.left_in, "too small to be subtracted, left in"
+    return None
+
+
 def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
     """What the same film tracked backward says, where the two differ."""
     from frictrack.tracking.checks import forward_backward  # noqa: PLC0415

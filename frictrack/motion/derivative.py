@@ -13,7 +13,7 @@ from frictrack.motion.filter import MISSING, Smoother, sensor_weights, weights
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.methods import Method, bridged
 from frictrack.motion.spread import deviations, of_lines, trend
-from frictrack.motion.stencil import NODES, REACH, derived, stencils
+from frictrack.motion.stencil import NODES, REACH, derived, differences, stencils
 from frictrack.motion.structure import Structure
 from frictrack.motion.system import Data, Factor
 from frictrack.records import Array, Filtered, Mask, Motion
@@ -28,13 +28,15 @@ def differentiate(filtered: Filtered) -> Motion:
     Five-point stencils inside, six-point ones at the ends, exact for polynomials of fourth order throughout. The
     standard deviations are those of the stencils under the covariance of the smoother: the noise that it lets through,
     and the signal that it takes away. Where the acceleration jumps between two frames it is known to lie between its
-    values on both sides only, and sigma_a says so. `guard` is half a period of the cut-off, in which an abrupt event
-    is smeared down to a fifth, or the end frames in which sigma_a exceeds twice its median, if these are more; never
-    more than an eighth of the record.
+    values on both sides only, and sigma_a says so; what may be left of a camera shake is counted in. `guard` is half a
+    period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in which sigma_a
+    exceeds twice its median, if these are more; never more than an eighth of the record.
     """
     along = Derived.along(filtered)
     values, sigma = along.values(), along.deviations()
     sigma[2] = np.hypot(sigma[2], _jumps(values[2], filtered.events))
+    shaken = along.shaken(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
+    sigma = np.hypot(sigma, shaken)
     a_y = sigma_a_y = np.full(len(filtered), np.nan)
     if np.isfinite(filtered.cutoff_y):
         across = Derived.across(filtered)
@@ -54,6 +56,7 @@ def differentiate(filtered: Filtered) -> Motion:
         cutoff=filtered.cutoff,
         events=filtered.events,
         lines=filtered.lines,
+        shake_a=float(np.sqrt(np.mean(shaken[2] ** 2))),
     )
 
 
@@ -124,6 +127,17 @@ class Derived:
         else:
             spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
         return spread[:, self.grid.frames]
+
+    def shaken(self, frequency: float, size: float) -> Array:
+        """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
+        angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
+        feigned = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        if self.smoother.method is not None:
+            made = self._by(self.smoother.method, feigned)
+        else:
+            smooth = self._factor().smooth(feigned)
+            made = np.stack([differences(smooth, k) / self.grid.interval**k for k in range(3)])
+        return np.sqrt(np.sum(made**2, axis=2))[:, self.grid.frames]
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
         """Covariance (m, m) of the derivative of an order among rows (m,)."""

@@ -96,6 +96,7 @@ def low_pass(
         smoother_y=y.smoother,
         reason=x.reason,
         events=tuple(_rows(e, grid) for e in x.events),
+        shake=displacement.shake,
         lines=x.lines,
     )
 

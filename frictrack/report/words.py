@@ -142,9 +142,7 @@ def smoothing(results: Results) -> list[Markup]:
             said.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
         if run.happenings.noise_at_rest > 0:
             rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
-            told = (
-                "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
-            )
+            told = "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
             said.append(Markup(told).format(run.name, number(rest, 2), number(moving, 2)))
     return said
 
