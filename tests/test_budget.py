@@ -265,7 +265,6 @@ def test_two_sources_alike_are_both_named():
     says = budget(run, filtered).summary()["says"]
     both = ("the scale and the mass", "the mass and the scale")  # equal to the last digit but one
     assert any(f"no single step would halve the error of the mean: {pair} both count" in says for pair in both)
-    )
 
 
 # -- statistics ---------------------------------------------------------------------------------------------
