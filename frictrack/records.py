@@ -165,13 +165,14 @@ class Friction(Table):
 
 @dataclass(frozen=True, eq=False)
 class Trade:
-    """Residual and floor (m), and noise and lost signal in the acceleration (m/s^2), by cut-off (Hz); all (k,)."""
+    """Residual and floor (m), noise, lost and hidden signal in acceleration (m/s^2), by frequency (Hz); all (k,)."""
 
     frequency: Array = column("Hz")
     residual: Array = column("m")
     floor: Array = column("m")
     noise: Array = column("m/s^2")
     lost: Array = column("m/s^2")
+    hidden: Array = column("m/s^2")  # rms that a vibration of that frequency could have without being seen
     chosen: float = scalar("Hz", default=float("nan"))  # of the plain low-pass of the highest likelihood, or as given
     least: float = scalar("Hz", default=float("nan"))  # where noise and lost signal together are smallest
     structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events apart

@@ -111,6 +111,20 @@ def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences
         assert found.at(f)[0] == pytest.approx(np.std(a), rel=0.15)
 
 
+def test_what_may_hide_is_what_is_not_found():
+    """A vibration half as large as the limit is not seen, one twice as large always is."""
+    t, x = pieces((0.17, -20.0), v=5.0)
+    for times, seen in ((0.5, 0), (2.0, 6)):
+        found = 0
+        for seed in range(6):
+            plain = filmed(t, x, seed=seed)
+            limit = trade(plain.displacement, low_pass(plain.displacement), plain.motion)
+            hidden = np.exp(np.interp(np.log(300.0), np.log(limit.frequency), np.log(limit.hidden)))
+            size = times * hidden * np.sqrt(2.0) / (2 * np.pi * 300.0) ** 2
+            found += bool(filmed(t, x + size * np.sin(2 * np.pi * 300.0 * t + seed), seed=seed).motion.lines)
+        assert found == seen
+
+
 def test_what_lies_above_a_cutoff_is_said():
     t, x = vibrating(134.0, 8e-6)
     run = filmed(t, x, cutoff=60.0)

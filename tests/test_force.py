@@ -143,13 +143,14 @@ class TestSearch:
         ("search", "close"),
         [
             ("ga", 15.0),
-            pytest.param("mga", 1.5, marks=pytest.mark.slow),
-            ("sga", 1.1),
-            pytest.param("sa", 1.1, marks=pytest.mark.slow),
+            pytest.param("mga", 15.0, marks=pytest.mark.slow),
+            ("sga", 1.3),
+            pytest.param("sa", 1.3, marks=pytest.mark.slow),
         ],
     )
     def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
-        # binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do
+        # Binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do;
+        # the chain of fourth order leaves so little noise that the same distance from the best counts for more.
         best = fit("tustin", [one_slide()], domain="force").found.force
         misfit = misfit_of(best.problem, best.problem.chains)
         at_best = misfit(best.p[None])[0]

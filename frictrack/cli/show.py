@@ -27,6 +27,9 @@ VERDICTS = {
 }
 
 
+UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """A number short enough to read; a dash for none."""
     return "-" if value is None else f"{value:.{digits}g}"
@@ -192,7 +195,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 def stages(out: Console, result: dict[str, Any]) -> None:
     """One row per run of `motion`, `friction`, then what was found on the way."""
     first = result["runs"][0]
-    keys = [k for k in first if k not in ("reason", "smoothing") and not isinstance(first[k], dict | list)]
+    keys = [k for k in first if k not in UNTABLED and not isinstance(first[k], dict | list)]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
         table.add_row(*(_cell(row.get(k)) for k in keys))

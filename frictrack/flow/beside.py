@@ -151,8 +151,9 @@ class _Beside:
         """Keep the numbers of an alignment and say it in words."""
         self.clocks[what] = _numbers(found, compared)
         if found.sigma_offset is not None:
-            value = f"{1e3 * found.offset:.4g} +/- {1e3 * found.sigma_offset:.2g} ms"
-            self.notes.append(f"{series.name}: its clock is {value} behind the camera's; {found.reason}")
+            value = f"{1e3 * abs(found.offset):.4g} +/- {1e3 * found.sigma_offset:.2g} ms"
+            side = "ahead of" if found.offset < 0 else "behind"
+            self.notes.append(f"{series.name}: its clock is {value} {side} the camera's; {found.reason}")
         elif not found.reason.startswith("as given"):
             self.notes.append(f"{series.name}: its clock could not be aligned with the camera's: {found.reason}")
         if compared is not None and compared.verdict != "not compared":

@@ -24,6 +24,7 @@ KNOTS = (1, 3, 5, 9, 17)  # of the stiffness
 FRAMES_PER_KNOT = 60
 KNOT_SPREAD = 4.0  # standard deviation of the change of log lambda from knot to knot, beforehand
 MOST_LINES, MOST_EVENTS = 4, 40
+LINE, EVENT = 5, 3  # numbers that one more of them costs
 STIFF_LINE = 40.0  # log mu of a sine that does not wander
 WANDER = (7.0, 12.0, 20.0)  # log mu of a line, to begin with
 HOPE = 10.0  # that a trial may still gain when its numbers are refined
@@ -94,6 +95,14 @@ class Structure:
         return replace(self, stiffness=tuple(np.interp(np.linspace(0, 1, count), place, self._knots()).tolist()))
 
 
+def unseen(n: int) -> float:
+    """Amplitude, over the noise of a frame, of the largest line that n frames would not be granted.
+
+    It gains n A^2 / 2 in twice the log-likelihood, and costs its numbers and what its amplitudes are known to.
+    """
+    return float(np.sqrt(2.0 * (LINE * np.log(n) + 2.0 * np.log(n / 2.0)) / n))
+
+
 @dataclass
 class Grown:
     """A structure and how badly it explains the data: twice the negative log-likelihood, and what it costs."""
@@ -154,7 +163,7 @@ class Growth:
         What is known of a frequency grows with the cube of the record (Djuric 1996, IEEE Trans. Signal Process. 44),
         and it is sought; an event is also sought in place and width.
         """
-        return self.cost * (len(s.stiffness) + 5 * len(s.lines) + 3 * len(s.events))
+        return self.cost * (len(s.stiffness) + LINE * len(s.lines) + EVENT * len(s.events))
 
     def _best(self, trials: Iterator[Structure]) -> Grown:
         found = [Grown(t, self.loss(t)) for t in trials]

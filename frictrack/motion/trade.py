@@ -13,7 +13,7 @@ from frictrack.motion.filter import MISSING, low_pass, weights
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.spread import trend
 from frictrack.motion.stencil import derived
-from frictrack.motion.structure import Structure
+from frictrack.motion.structure import Structure, unseen
 from frictrack.motion.system import ORDER, Data
 from frictrack.records import Array, Displacement, Filtered, Mask, Motion, Trade
 
@@ -48,6 +48,7 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
         floor=floor,
         noise=passed,
         lost=rows[:, 1],
+        hidden=unseen(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
         chosen=filtered.cutoff,
         least=float(frequency[np.argmin(total)]),
         structural=float(np.sqrt(np.mean(motion.sigma_a[calm[grid.frames]] ** 2))),

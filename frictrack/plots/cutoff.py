@@ -24,6 +24,7 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
     below.loglog(f, factor * found.noise, color=style.BLUE, lw=1.3, ls="--", label="noise let through")
     below.loglog(f, factor * found.lost, color=style.VERMILLION, lw=1.3, ls=":", label="signal lost")
     below.axhline(factor * found.structural, color=style.GREEN, lw=1.6, ls="-.", label="vibrations, events apart")
+    below.loglog(f, factor * found.hidden, color="#999999", lw=1.0, label="may hide as a vibration")
     top = factor * float(np.max(found.total[f < 3.0 * max(found.chosen, found.least)], initial=found.structural))
     below.set_ylim(0.3 * factor * min(found.structural, float(found.total.min())), 3.0 * top)
     below.set(xlabel=axis("cut-off frequency", "Hz"), ylabel=axis("error of m a" if mass else "error of a", unit))
