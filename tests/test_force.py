@@ -145,7 +145,7 @@ class TestSearch:
             ("ga", 15.0),
             pytest.param("mga", 15.0, marks=pytest.mark.slow),
             ("sga", 1.3),
-            pytest.param("sa", 1.3, marks=pytest.mark.slow),
+            pytest.param("sa", 3.0, marks=pytest.mark.slow),
         ],
     )
     def test_comes_close_to_variable_projection_in_most_seeds(self, search, close):
