@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_moving, release_time, stretches
-from frictrack.records import Array, Happenings, Mask, Run
+from frictrack.friction import is_motion, is_moving, release_time
+from frictrack.records import Array, Happenings, Run, stretches
 
-CERTAIN = 5.0  # standard deviations that velocity and way of a stretch must reach to be a motion
+WAY = 5.0  # standard deviations of the position that a motion must cover
 SUDDEN = 5.0  # times what the usual acceleration would change the velocity by: an impact
 LEAST_REST = 12  # frames, fewer do not tell the noise
 EDGE = 3  # frames at either end of a rest that may still move
@@ -24,8 +24,7 @@ def happenings(run: Run) -> Happenings:
     noise at rest is that of the unfiltered displacement about the mean of each rest, a rest that creeps left out.
     """
     t, v = run.motion.t, run.motion.v
-    moving = is_moving(run) & run.displacement.valid
-    motions = [s for s in _one_way(run) if _certain(run, s, moving)]
+    motions = [s for s in _one_way(run) if is_motion(run, s) and _goes(run, s)]
     found: list[tuple[str, float, float]] = []
     if run.free is None and run.drive is None and run.friction_N is None:
         found += _release(run)
@@ -39,8 +38,8 @@ def happenings(run: Run) -> Happenings:
         if turned and after.start - ends <= LEAST_REST:
             found.append(("reversal", float(t[ends]), float(t[after.start])))
         else:
-            found += [("stop", float(t[ends]), float(t[ends + 1]))]
-            found += [("start", float(t[after.start - 1]), float(t[after.start]))]
+            found.append(("stop", float(t[ends]), float(t[ends + 1])))
+            found.append(("start", float(t[after.start - 1]), float(t[after.start])))
     if motions and motions[0].start > LEAST_REST:
         found.append(("start", float(t[motions[0].start - 1]), float(t[motions[0].start])))
     found += _impacts(run, motions, found[0][1] if found[:1] and found[0][0] == "release" else -np.inf)
@@ -65,10 +64,8 @@ def _release(run: Run) -> list[tuple[str, float, float]]:
     return [("release", at, at)] if at > run.motion.t[0] else []
 
 
-def _certain(run: Run, s: slice, moving: Mask) -> bool:
-    sure = np.abs(run.motion.v[s]) > CERTAIN * run.motion.sigma_v[s]
-    goes = float(np.ptp(run.motion.x[s])) > CERTAIN * float(np.nanmedian(run.displacement.sigma_x))
-    return goes and bool(np.any(sure & moving[s]))
+def _goes(run: Run, s: slice) -> bool:
+    return float(np.ptp(run.motion.x[s])) > WAY * float(np.nanmedian(run.displacement.sigma_x))
 
 
 def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, float, float]]:

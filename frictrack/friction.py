@@ -13,7 +13,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.motion import noise_level
-from frictrack.records import GRAVITY, Array, Friction, Mask, Run
+from frictrack.records import GRAVITY, Array, Friction, Mask, Run, stretches
 
 MOVING = 3.0  # |v| over sigma_v above which a frame moves
 CERTAIN = 5.0  # |v| over sigma_v that a stretch of moving frames must reach to be a motion at all
@@ -142,7 +142,7 @@ def _section(run: Run) -> _Section:
 def _main_motion(run: Run) -> tuple[int, int]:
     """First and last valid frame of the motion that counts: past a reversal on an incline, else up to it."""
     valid, speed = run.displacement.valid, np.abs(run.motion.v)
-    motions = [s for s in stretches(is_moving(run) | ~valid) if _is_motion(run, s)]
+    motions = [s for s in stretches(is_moving(run) | ~valid) if is_motion(run, s)]
     if not motions:
         raise FrictrackError(
             f'run "{run.name}": expected a sliding target but its speed never exceeds {CERTAIN:g} standard '
@@ -154,15 +154,10 @@ def _main_motion(run: Run) -> tuple[int, int]:
     return int(inside[0]), int(inside[-1])
 
 
-def _is_motion(run: Run, s: slice) -> bool:
+def is_motion(run: Run, s: slice) -> bool:
+    """Whether a stretch is a motion at all: its velocity is somewhere far beyond its standard deviation."""
     sure = np.abs(run.motion.v[s]) > CERTAIN * run.motion.sigma_v[s]
     return bool(np.any(sure & run.displacement.valid[s]))
-
-
-def stretches(mask: Mask) -> list[slice]:
-    """Slices of consecutive True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:

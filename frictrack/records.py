@@ -24,6 +24,12 @@ def column(unit: str, *, nan: bool = False, kind: Any = np.float64, **options: A
     return field(metadata={"unit": unit, "nan": nan, "column": True, "kind": kind}, **options)
 
 
+def stretches(mask: Mask) -> list[slice]:
+    """Slices of consecutive True of a mask (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
 def scalar(unit: str, **options: Any) -> Any:
     """Declare a number field of a record, with its unit."""
     return field(metadata={"unit": unit}, **options)
@@ -121,6 +127,7 @@ class Filtered(Table):
     sigma_y: Array = column("m", nan=True)
     cutoff: float = scalar("Hz", default=float("nan"))  # of a plain low-pass; see `reason` for what was done
     cutoff_y: float = scalar("Hz", default=float("nan"))
+    asked: bool = False  # whether that cut-off was asked for
     smoother: str = ""  # JSON: what low-passed x
     smoother_y: str = ""
     reason: str = ""  # what x was parted into and why

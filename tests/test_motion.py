@@ -154,7 +154,7 @@ def test_cutoff_is_that_of_the_process_that_made_the_signal(rng):
         u = np.linspace(-1, 1, n)
         y = signal + rng.normal(size=n)
         y -= np.polyval(np.polyfit(u, y, 3), u)
-        found.append(cutoff_of(np.exp(Growth(Data(y, np.ones(n))).stiff().stiffness[0]), 1 / FPS))
+        found.append(cutoff_of(np.exp(Growth(Data(y, np.ones(n))).stiff.stiffness[0]), 1 / FPS))
     assert np.median(found) == pytest.approx(50.0, rel=0.05)
 
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from frictrack.motion.derivative import Derived
-from frictrack.motion.methods import Method, bridged
+from frictrack.motion.methods import Method
 from frictrack.motion.spread import of_lines
-from frictrack.motion.stencil import NODES, differences, stencils
+from frictrack.motion.stencil import NODES, stencils
 from frictrack.motion.structure import Structure
-from frictrack.motion.system import Data, Factor
+from frictrack.motion.system import Factor
 from frictrack.records import Array, Filtered, Motion
 
 CHUNK = 256  # columns at once
@@ -48,20 +47,15 @@ class Response:
 
     def of(self, ghost: Array) -> Array:
         """Accelerations (n, k), m/s^2, that displacements (n, k), m, would feign."""
-        spread = np.stack([self._grid.spread(column) for column in ghost.T], axis=1)
-        if self._method is not None:
-            second = self._method.derived(bridged(spread, self._derived.w > 0), 2)
-        else:
-            second = differences(self._factor.smooth(spread), 2)
-        return np.asarray(second[self._grid.frames] / self._grid.interval**2)
+        return np.asarray(self._derived.feigned(ghost)[2])
 
     def passed(self, weights: Array) -> Spread:
         """Noise of the frames that comes through, and what it does to the sum with some weights (n,)."""
         if self._method is not None:
             return self._passed_by(self._method, weights)
         start, table = self._stencils
-        rows = np.sqrt(self._factor.passed(start, table)[0])[self._grid.frames]
-        answer = self._factor.answer(self._combined(weights))
+        rows = np.sqrt(self._derived.factor.passed(start, table)[0])[self._grid.frames]
+        answer = self._derived.factor.answer(self._combined(weights))
         heard = float(np.sum(self._derived.w * answer**2))
         if self._derived.worth is not None:
             heard += float(np.sum(self._derived.worth * np.diff(answer, 2) ** 2))
@@ -79,7 +73,7 @@ class Response:
 
     def both(self, weights: Array) -> float:
         """Noise and lost signal of a structural smoother together, in the sum with some weights (n,)."""
-        return self._noise * float(np.sqrt(self._unit(self._factor, weights * self._scale)))
+        return self._noise * float(np.sqrt(self._unit(self._derived.factor, weights * self._scale)))
 
     def finer(self, weights: Array, times: float) -> tuple[float, float]:
         """Factors on sigma_a (rms where weights are not zero) and on that of the sum, were the noise `times` less.
@@ -88,11 +82,11 @@ class Response:
         """
         if self._structure is None:
             return 1.0 / times, 1.0 / times
-        softer = self._factored(_softened(self._structure, 2.0 * np.log(times)))
+        softer = self._derived.factored(_softened(self._structure, 2.0 * np.log(times)))
         inside = weights != 0
-        now, then = (self._variances(f)[inside] for f in (self._factor, softer))
+        now, then = (self._variances(f)[inside] for f in (self._derived.factor, softer))
         use = weights * self._scale
-        sums = self._unit(softer, use) / self._unit(self._factor, use)
+        sums = self._unit(softer, use) / self._unit(self._derived.factor, use)
         return float(np.sqrt(np.mean(then) / np.mean(now))) / times, float(np.sqrt(sums)) / times
 
     def _unit(self, factor: Factor, weights: Array) -> float:
@@ -105,12 +99,14 @@ class Response:
     def _turned(self) -> list[Array]:
         """Change of a (n,) by one standard deviation of the frequency of each line, for unit noise."""
         x = self._grid.spread(self.filtered.x) / self._noise
-        return [change[2, self._grid.frames] for change in of_lines(self._factor, x, self._grid.interval)]
+        return [change[2, self._grid.frames] for change in of_lines(self._derived.factor, x, self._grid.interval)]
 
     @cached_property
     def _scale(self) -> Array:
         """Deviations that are stated over those of the posterior (n,)."""
-        return np.asarray(self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._factor))))
+        return np.asarray(
+            self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._derived.factor)))
+        )
 
     def _variances(self, factor: Factor) -> Array:
         start, table = self._stencils
@@ -130,32 +126,14 @@ class Response:
         np.add.at(out, start[frames][:, None] + np.arange(NODES), table[0, frames] * weights[:, None])
         return out
 
-    @cached_property
-    def _factor(self) -> Factor:
-        assert self._structure is not None
-        return self._factored(self._structure)
-
-    def _factored(self, structure: Structure) -> Factor:
-        d = self._derived
-        return structure.factored(Data(np.zeros(d.grid.n), d.w, None, d.worth))
-
     def _passed_by(self, method: Method, weights: Array) -> Spread:
         """The same of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
-        for part, sigma in self._parts():
-            unit = np.zeros((self._grid.n, len(part)))
-            unit[part, np.arange(len(part))] = sigma
-            second = method.derived(bridged(unit, self._derived.w > 0), 2) / self._grid.interval**2
-            second = second[self._grid.frames]
+        for made, sigma in self._derived.columns(method):
+            second = made[2, self._grid.frames] * sigma
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))
         return Spread(np.sqrt(rows), float(np.sqrt(total)))
-
-    def _parts(self) -> Iterator[tuple[np.ndarray, Array]]:
-        """Known frames, some at a time, and their deviations."""
-        frames = np.flatnonzero(self._derived.w > 0)
-        for part in np.array_split(frames, -(-len(frames) // CHUNK)):
-            yield part, self._noise / np.sqrt(self._derived.w[part])
 
 
 def _softened(s: Structure, by: float) -> Structure:

@@ -23,7 +23,7 @@ from scipy.special import ndtri
 from frictrack.fit.blows import struck
 from frictrack.fit.estimate import _inverse
 from frictrack.fit.mass import friction_law, ratio
-from frictrack.fit.problem import Response, _unit_starts
+from frictrack.fit.problem import Response
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.solve import Solution
 from frictrack.motion import noise_level
@@ -142,12 +142,11 @@ def _moves(solution: Solution, covariance: Array, response: Response, x: Array, 
     """
     piece, active, p = response.piece, response.active, solution.p
     n = len(active)
-    g = solution.problem._inputs(piece, p, response.motion, active)
-    _, edges = response.linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(n))
     own = np.linalg.inv(response.upper)
     half = _root(covariance[np.ix_(active, active)])
     moves = np.block([[half, np.zeros((n, 2))], [-own @ response.on_start @ half, own]])
-    dx, dv = (edges[piece.at] @ moves).transpose(1, 0, 2)
+    moved = solution.problem.moved(piece, p, response.motion, response.linear)
+    dx, dv = (moved @ moves).transpose(1, 0, 2)
     unknown = np.zeros((len(p), n + 2))
     unknown[active] = moves[:n]
     told = _teller(solution, response)

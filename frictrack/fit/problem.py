@@ -248,9 +248,7 @@ class Problem:
         piece, layout = self.pieces[i], self.layout
         motion, linear = self._simulate(i, p, start)
         active = layout.active(piece.run)
-        g = self._inputs(piece, p, motion, active)
-        _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
-        x_sens = edges[piece.at, 0, :]
+        x_sens = self.moved(piece, p, motion, linear)[:, 0, :]
         shift, slope, direct = self._picture(piece, p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
@@ -273,6 +271,13 @@ class Problem:
             on_start=on_start,
             r_full=residual,
         )
+
+    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Linear) -> Array:
+        """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
+        active = self.layout.active(piece.run)
+        g = self._inputs(piece, p, motion, active)
+        _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
+        return edges[piece.at]
 
     def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Linear]:
         piece = self.pieces[i]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +124,7 @@ class Derived:
     def deviations(self) -> Array:
         """Standard deviations of the same (3, n)."""
         if self.smoother.method is None:
-            spread = self.noise * deviations(self._factor(), self._whole(), self.noise, self.grid.interval)
+            spread = self.noise * deviations(self.factor, self._whole(), self.noise, self.grid.interval)
         else:
             spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
         return spread[:, self.grid.frames]
@@ -131,18 +132,22 @@ class Derived:
     def shaken(self, frequency: float, size: float) -> Array:
         """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
         angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
-        feigned = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        feigned = self.feigned(size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames])
+        return np.asarray(np.sqrt(np.sum(feigned**2, axis=2)))
+
+    def feigned(self, ghosts: Array) -> Array:
+        """What displacements (n, k), m, that are none would feign in x, v and a (3, n, k)."""
+        whole = np.stack([self.grid.spread(column) for column in ghosts.T], axis=1)
         if self.smoother.method is not None:
-            made = self._by(self.smoother.method, feigned)
-        else:
-            smooth = self._factor().smooth(feigned)
-            made = np.stack([differences(smooth, k) / self.grid.interval**k for k in range(3)])
-        return np.sqrt(np.sum(made**2, axis=2))[:, self.grid.frames]
+            return self._by(self.smoother.method, bridged(whole, self.w > 0))[:, self.grid.frames]
+        smooth = self.factor.smooth(whole)
+        made = np.stack([differences(smooth, k) / self.grid.interval**k for k in range(3)])
+        return np.asarray(made[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
         """Covariance (m, m) of the derivative of an order among rows (m,)."""
         if self.smoother.method is not None:
-            passed = [b[order, self.grid.frames[rows]] * s for b, s in self._columns(self.smoother.method)]
+            passed = [b[order, self.grid.frames[rows]] * s for b, s in self.columns(self.smoother.method)]
             every = np.concatenate(passed, axis=1)
             return every @ every.T
         start, table = stencils(self.grid.n, self.grid.interval)
@@ -151,17 +156,22 @@ class Derived:
         use, place = np.unique(nodes, return_inverse=True)
         pick = np.zeros((len(rows), len(use)))
         np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
-        factor = self._factor()
-        found = pick @ factor.covariance(use)[use] @ pick.T
-        for turned in of_lines(factor, self._whole(), self.grid.interval):
+        found = pick @ self.factor.covariance(use)[use] @ pick.T
+        for turned in of_lines(self.factor, self._whole(), self.grid.interval):
             found += np.outer(turned[order, frames], turned[order, frames])
         scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
         out: Array = found * np.outer(scale, scale)
         return out
 
-    def _factor(self) -> Factor:
+    @cached_property
+    def factor(self) -> Factor:
+        """The structural smoother."""
         assert self.smoother.structure is not None
-        return self.smoother.structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth))
+        return self.factored(self.smoother.structure)
+
+    def factored(self, structure: Structure) -> Factor:
+        """Another structure with the same weights."""
+        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth))
 
     def _whole(self) -> Array:
         """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""
@@ -172,7 +182,7 @@ class Derived:
         cubic = trend(y, w)
         return cubic + Structure((0.0,)).factored(Data(y - cubic, w)).smooth(np.where(w > 0, y - cubic, 0.0))
 
-    def _columns(self, method: Method) -> Iterator[tuple[Array, Array]]:
+    def columns(self, method: Method) -> Iterator[tuple[Array, Array]]:
         """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""
         frames = np.flatnonzero(self.w > 0)
         for part in np.array_split(frames, -(-len(frames) // CHUNK)):
@@ -182,7 +192,7 @@ class Derived:
 
     def _passed_noise(self, method: Method) -> Array:
         """Variance of the derivatives (3, N) by the noise that passes."""
-        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self._columns(method)], axis=0)
+        out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.columns(method)], axis=0)
         return out
 
     def _lost(self, method: Method) -> Array:

@@ -90,6 +90,7 @@ def low_pass(
         sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
+        asked=cutoff is not None,
         x_measured=x.measured,
         y_measured=y.measured,
         smoother=x.smoother,
@@ -147,24 +148,25 @@ class _Coordinate:
     def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid) -> None:
         self.grid, self.known = grid, known
         self.w = grid.spread(weights(sigma, known))
-        self.trend = trend(grid.spread(np.where(known, y, 0.0)), self.w)
-        self.y = np.where(self.w > 0, grid.spread(np.where(known, y, 0.0)) - self.trend, 0.0)
+        self.y, self.trend = _flat(grid.spread(np.where(known, y, 0.0)), self.w)
 
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _Passed:
         """By a method, at a cut-off where one is asked for."""
         interval = self.grid.interval
-        plain = Growth(Data(self.y, self.w)).stiff()
-        level = float(np.sqrt(plain.factored(Data(self.y, self.w)).judged()[1]))
+        growth = Growth(Data(self.y, self.w))
+        plain = growth.stiff
+        level = float(np.sqrt(plain.factored(growth.data).judged()[1]))
         best = cutoff_of(float(np.exp(plain.stiffness[0])), interval)
         if method in METHODS:
             return self._by(METHODS[method].settled(bridged(self.y, self.w > 0), level), level)
-        data = self._data(acceleration, level)
+        if acceleration is not None:
+            growth = Growth(self._sensed(acceleration, level))
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
         else:
-            structure = plain if method == KALMAN else Growth(data).grown()
+            structure = plain if method == KALMAN else growth.grown()
             reason = described(structure, len(self.y), interval)
-        factor = structure.factored(data)
+        factor = structure.factored(growth.data)
         _, variance, unknowns = factor.judged()
         signal = factor.signal(unknowns)
         if cutoff is None:
@@ -184,9 +186,8 @@ class _Coordinate:
         if np.sum(self.w[quiet] > 0) < max(SHORTEST, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
             return best
         w = self.w[quiet]
-        y = np.where(w > 0, (self.y + self.trend)[quiet] - trend((self.y + self.trend)[quiet], w), 0.0)
-        stiffness = Growth(Data(y, w)).stiff().stiffness[0]
-        return cutoff_of(float(np.exp(stiffness)), self.grid.interval)
+        y, _ = _flat((self.y + self.trend)[quiet], w)
+        return cutoff_of(float(np.exp(Growth(Data(y, w)).stiff.stiffness[0])), self.grid.interval)
 
     def _by(self, method: Method, level: float) -> _Passed:
         cutoff = method.cutoff / self.grid.interval
@@ -201,14 +202,18 @@ class _Coordinate:
         sigma[self.known] = level / np.sqrt(self.w[frames][self.known])
         return _Passed((smooth + self.trend)[frames], sigma, cutoff)
 
-    def _data(self, acceleration: KnownAcceleration | None, level: float) -> Data:
+    def _sensed(self, acceleration: KnownAcceleration, level: float) -> Data:
         """With what a sensor knew, as second differences of what is left beside the cubic."""
-        if acceleration is None:
-            return Data(self.y, self.w)
         square = self.grid.interval**2
         bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
         return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level))
+
+
+def _flat(y: Array, w: Array) -> tuple[Array, Array]:
+    """What is left of a series (n,) beside its cubic, 0 where w is; and the cubic."""
+    cubic = trend(y, w)
+    return np.where(w > 0, y - cubic, 0.0), cubic
 
 
 def sensor_weights(sigma: Array, square: float, level: float) -> Array:

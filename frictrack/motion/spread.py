@@ -26,7 +26,7 @@ ROUND = 6  # parts of the record over which lost signal is averaged, at the leas
 def deviations(factor: Factor, x: Array, noise: float, interval: float) -> Array:
     """Standard deviations (3, n) of smoothed x (n,) and its derivatives, in units of the `noise` of a frame."""
     start, table = stencils(len(x), interval)
-    both, passed = factor.variances(start, table), factor.passed(start, table)
+    both, passed = factor.parted(start, table)
     total = passed + _lost_share(factor, x / noise, interval) * np.maximum(both - passed, 0.0)
     for turned in of_lines(factor, x / noise, interval):
         total += turned**2

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,7 @@ class Growth:
         self.left -= self.n * (1 + len(structure.lines)) ** 2
         return structure.factored(self.data).judged()[0] + float(steps @ steps) + bent
 
+    @cached_property
     def stiff(self) -> Structure:
         """A trend of one stiffness."""
         scan = np.linspace(self.lowest, self.highest, SCAN)
@@ -137,9 +139,10 @@ class Growth:
 
     def grown(self) -> Structure:
         """Add what gains most, again and again, until nothing gains more than it costs."""
-        stiff = self.stiff()
-        knotted = self._best(self._knotted(stiff))
-        state = self.refined(knotted if np.isfinite(knotted.loss) else Grown(stiff, self.loss(stiff)), FEW_STEPS)
+        knotted = self._best(self._knotted(self.stiff))
+        state = self.refined(
+            knotted if np.isfinite(knotted.loss) else Grown(self.stiff, self.loss(self.stiff)), FEW_STEPS
+        )
         while self.left > 0:
             kinds = (self._knotted, self._lined, self._softened, self._both, self._narrowed, self._fewer)
             trials = [self._best(kind(state.structure)) for kind in kinds]

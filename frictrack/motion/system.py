@@ -215,14 +215,18 @@ class Factor:
         return np.asarray(np.maximum(found, rounding))
 
     def passed(self, start: Index, stencils: Array) -> Array:
-        """The part of those variances that is noise let through, not signal taken away.
+        """The part of those variances that is noise let through, not signal taken away."""
+        return self.parted(start, stencils)[1]
+
+    def parted(self, start: Index, stencils: Array) -> tuple[Array, Array]:
+        """Those variances, and the part of them that is noise let through.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
         """
         both = self.variances(start, stencils)
         up, down = (self._stiffer(np.exp(d)).variances(start, stencils) for d in (STEP, -STEP))
         rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
-        return np.asarray(np.maximum(both + (up - down) / (2.0 * STEP), rounding))
+        return both, np.asarray(np.maximum(both + (up - down) / (2.0 * STEP), rounding))
 
     def _stiffer(self, times: float) -> Factor:
         return factored(self.data, self.lam * times, Lines(self.lines.omega, self.lines.mu * times))

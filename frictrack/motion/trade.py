@@ -33,7 +33,7 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
     grid = frame_grid(displacement.t)
     known = displacement.valid & np.isfinite(displacement.x)
     w = grid.spread(weights(displacement.sigma_x, known))
-    best = low_pass(displacement) if filtered.reason.startswith("cut-off") else filtered
+    best = low_pass(displacement) if filtered.asked else filtered
     y, signal = grid.spread(np.where(known, displacement.x, 0.0)), grid.spread(best.x)
     heard = best.sigma_x < MISSING
     noise = float(np.mean(best.sigma_x[heard] ** -2.0) ** -0.5)

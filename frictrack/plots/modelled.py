@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from frictrack.plots import style
 from frictrack.plots.model import worst_runs
 from frictrack.plots.style import axis, band, blank, number, plain_name, styled
-from frictrack.records import Array, Mask, Modelled
+from frictrack.records import Array, Mask, Modelled, stretches
 from frictrack.results import ModelResults, RunResults
 
 MOST_PANELS = 6  # runs drawn; of more, those that fit worst
@@ -128,9 +128,8 @@ def _own(ax: Axes, told: Modelled, values: Array, sigma: Array) -> None:
 
 
 def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], blow, [False]))))
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        ax.axvspan(t[first], t[last - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
+    for s in stretches(blow):
+        ax.axvspan(t[s.start], t[s.stop - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
 
 
 def _impulses(model: ModelResults, run: str) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frictrack import records
 from frictrack.records import Array, Friction, Mask
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -132,8 +133,7 @@ def broken(values: Array, mask: Mask) -> Array:
 
 def stretches(friction: Friction) -> list[slice]:
     """Free sections as slices of the record."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], friction.free, [False]))))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return records.stretches(friction.free)
 
 
 def clear(friction: Friction, guard: int) -> Mask:

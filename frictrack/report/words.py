@@ -148,7 +148,7 @@ def smoothing(results: Results) -> list[Markup]:
 
 
 def _consequence(run: RunResults) -> str:
-    if run.filtered.reason.startswith("cut-off"):
+    if run.filtered.asked:
         return "leave the cut-off out and it is followed"
     return "it is followed apart, only the force domain has to do without it"
 

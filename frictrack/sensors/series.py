@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.noise import noise_level
-from frictrack.records import Array, Mask
+from frictrack.records import Array, Mask, stretches
 
 GAP = 2.5  # sample intervals without a sample, from which on the sensor was not running
 CLIPPED = 3  # equal samples at the extreme in a row
@@ -147,8 +147,7 @@ def _fault(t: Array, values: Array) -> str:
 
 def _runs(mask: Mask, least: int) -> Mask:
     """The same mask without stretches shorter than `least`."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     out = np.zeros(len(mask), dtype=bool)
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        out[a:b] = b - a >= least
+    for s in stretches(mask):
+        out[s] = s.stop - s.start >= least
     return out

@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 from scipy.stats import chi2
 
-from frictrack.records import Array, Mask, Track
+from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
 SMOOTH = 15  # frames of the local cubic about which residuals are taken
@@ -144,8 +144,7 @@ def _waves(x: Array) -> Array:
 
 def _stretches(found: Mask) -> list[slice]:
     """Unbroken stretches of found frames, long enough to be smoothed."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= 2 * SMOOTH]
+    return [s for s in stretches(found) if s.stop - s.start >= 2 * SMOOTH]
 
 
 def _rest(values: Array) -> Array:
@@ -172,9 +171,8 @@ def scores(track: Track) -> Scores | None:
     usual = float(np.nanmedian(score))
     spread = 1.4826 * float(np.nanmedian(np.abs(score - usual)))
     low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW, 6 * spread))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], low, [False]]).astype(int))).reshape(-1, 2)
     at = int(np.nanargmin(score))
-    return Scores(usual, float(score[at]), at, tuple((int(a), int(b) - 1) for a, b in edges))
+    return Scores(usual, float(score[at]), at, tuple((s.start, s.stop - 1) for s in stretches(low)))
 
 
 @dataclass(frozen=True)

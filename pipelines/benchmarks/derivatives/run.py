@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
-import platform
 import time
 from collections.abc import Callable, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import described
 
-import frictrack as ft
 from frictrack.errors import FrictrackError
 
 from . import bayes, classics, others, ours
@@ -151,14 +148,5 @@ def overview(results: Results) -> str:
 
 def machine(python: str | None) -> dict[str, str]:
     """Where and with what this was measured."""
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
     peers = {"pynumdiff": others.version(python)} if python else {}
-    return {"python": platform.python_version(), "cpu": _cpu(), "frictrack": ft.__version__} | versions | peers
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+    return described("numpy", "scipy") | peers

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import math
 import os
-import platform
 import subprocess
 import tempfile
 import time
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import described
 
 import frictrack as ft
 from frictrack.errors import FrictrackError
@@ -122,16 +121,7 @@ def _short(figures: dict[str, Any]) -> str:
 
 def machine() -> dict[str, str]:
     """Where and with what this was measured."""
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "opencv-python-headless")}
-    return {"python": platform.python_version(), "cpu": _cpu(), "frictrack": ft.__version__} | versions
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+    return described("numpy", "scipy", "opencv-python-headless")
 
 
 def missing(python: str) -> list[str]:
