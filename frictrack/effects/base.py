@@ -20,7 +20,8 @@ class Path:
 
     All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
     that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
-    friction level; `mass_ratio` the mass over its reference.
+    friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
+    what integrates along the path begins anew at each of `starts`.
     """
 
     t: Array  # s since release
@@ -31,6 +32,7 @@ class Path:
     mass_ratio: float = 1.0
     pixel_pitch: float | None = None  # m
     drive: Array | None = None  # N
+    starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
 
     @property
     def speed(self) -> Array:
