@@ -231,6 +231,10 @@ class Problem:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
         self._guess = [piece.a_hat for piece in self.pieces]
 
+    def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
+        """The same kind of measurement under another layout, or over other pieces."""
+        return Problem(layout.model, layout, pieces)
+
     @property
     def n_frames(self) -> int:
         """Frames over all pieces."""

@@ -111,7 +111,7 @@ def grow(solution: Solution, effect: Effect) -> Solution:
     if not plain:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
     layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
-    problem = Problem(layout.model, layout, solution.problem.pieces)
+    problem = solution.problem.over(layout, solution.problem.pieces)
     grown = settle_scatter(problem, _first_guess(problem), problem.first_starts())
     for e in [effect, *scanned]:
         grown = _grown(grown, e)
@@ -236,7 +236,7 @@ def rebuilt(problem: Problem, layout: Layout) -> Problem:
     """The same pieces under another layout, with as many panels per frame as its effects need."""
     fine = max(e.fine for e in layout.model.effects)
     pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
-    return Problem(layout.model, layout, pieces)
+    return problem.over(layout, pieces)
 
 
 def reordered(solution: Solution, model: Model) -> Solution:
@@ -246,7 +246,7 @@ def reordered(solution: Solution, model: Model) -> Solution:
     layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
     known = dict(zip(old.names, solution.p, strict=True))
     p = np.array([known[n] for n in layout.names])
-    problem = Problem(layout.model, layout, solution.problem.pieces)
+    problem = solution.problem.over(layout, solution.problem.pieces)
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
@@ -256,5 +256,5 @@ def without(solution: Solution, name: str) -> Solution:
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
     layout = replace(old, model=old.model - name, absent=absent)
     known = dict(zip(old.names, solution.p, strict=True))
-    problem = Problem(layout.model, layout, solution.problem.pieces)
+    problem = solution.problem.over(layout, solution.problem.pieces)
     return settle_scatter(problem, np.array([known[n] for n in layout.names]), solution.starts, solution.tau or 0.03)
