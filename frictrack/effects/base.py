@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from frictrack.records import Array
+from frictrack.records import GRAVITY, Array
 
 Nonlinear = Mapping[str, float]
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
@@ -21,7 +21,8 @@ class Path:
     All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
     that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
     friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
-    what integrates along the path begins anew at each of `starts`.
+    what integrates along the path begins anew at each of `starts`. `before` (3, k) holds t, x, v of the run's motion
+    from release up to where the path begins, for what depends on the way so far.
     """
 
     t: Array  # s since release
@@ -32,12 +33,41 @@ class Path:
     mass_ratio: float = 1.0
     pixel_pitch: float | None = None  # m
     drive: Array | None = None  # N
+    drive_at: Callable[[Array], Array] | None = None  # N at any times since release
+    lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
+    gravity: float = GRAVITY  # normal load per mass of a mass at rest, m/s^2
+    angle: Array | None = None  # rad, by which the target has turned counter-clockwise
+    clamp_x: float | None = None  # m, where the beam is clamped
+    beam_length: float | None = None  # m
+    travelled: float | Array = 0.0  # m slid from release to `begins`
+    begins: float | Array | None = None  # m, a place of this path; default its first
+    before: Array | None = None
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
 
     @property
     def speed(self) -> Array:
         """|v| along the direction of motion, never below zero."""
         return np.maximum(self.s * self.v, 0.0)
+
+    @property
+    def distance(self) -> Array:
+        """Distance slid since release, m."""
+        first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
+        return np.asarray(self.travelled + np.abs(self.x - first))
+
+    def each(self, values: Array) -> Array:
+        """One value per individual (P,), spread over the frames of each, (n,)."""
+        return np.repeat(values, np.diff([*self.starts, len(self.t)]))
+
+
+# What an effect may need to know of a run, in words: what it is, and how it is given.
+NEEDS = {
+    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
+    "drive": ("a measured drive", 'give drive = "drive.csv"'),
+    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
+    "angle": ("the angle of the target", "give a film: a table has no angle"),
+    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+}
 
 
 @dataclass(frozen=True)
@@ -50,6 +80,8 @@ class Span:
     v_min: float  # m/s, slowest speed seen
     v_max: float
     fps: float  # Hz
+    clamp_x: float | None = None  # m
+    beam_length: float | None = None  # m, where it is known
 
 
 @dataclass(frozen=True)
@@ -57,7 +89,8 @@ class Parameter:
     """A named number of an effect, with unit and bounds.
 
     `linear` ones are the coefficients of the effect's columns, in order. The others are non-linear: `scan`
-    gives the grid on which they are first looked for. A `phase` is never scanned: its two quadratures are.
+    gives the grid on which they are first looked for; a grid of one value says that it is known. A `phase` is never
+    scanned: its two quadratures are.
     A `depth` scales what a modifier changes; it is scanned as if it were a coefficient.
     `per_run` parameters have one value in every run.
     """
@@ -85,13 +118,13 @@ class Effect:
     columns: Columns
     modifies: frozenset[str] = frozenset()
     replaces: frozenset[str] = frozenset()
-    scales_with: str = "nothing"  # what carries its size from one run to another: load, mass, nothing
+    scales_with: str = "nothing"  # what carries its size from one run to another: load, mass, drive, nothing
     what: str = ""  # what it is physically
     looks_like: str = ""
     mistaken_for: str = ""
     confirm: str = ""
     source: str = ""
-    needs: tuple[str, ...] = ()  # what a run must know: pixel_pitch, drive
+    needs: tuple[str, ...] = ()  # what a run must know, keys of `NEEDS`
     fine: int = 1  # integration panels per frame that its columns need
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
@@ -99,6 +132,15 @@ class Effect:
     def kind(self) -> str:
         """The library name: `vibration` of the instance `vibration:2`."""
         return self.name if self.name.startswith("atm2") else self.name.split(":")[0]
+
+    def lacks(self, paths: Sequence[Path]) -> str:
+        """What the runs of these paths do not tell although the effect needs it, in words; "" where nothing."""
+        gone = [NEEDS[need] for need in self.needs if any(getattr(path, need) is None for path in paths)]
+        if not gone:
+            return ""
+        return f"{self.name} needs {' and '.join(what for what, _ in gone)} of every run; " + ", ".join(
+            how for _, how in gone
+        )
 
     @property
     def linear(self) -> tuple[Parameter, ...]:
