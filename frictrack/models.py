@@ -113,7 +113,7 @@ def tustin() -> Model:
 
 def stribeck_model() -> Model:
     """Stribeck model with the exponent delta free (first paper, Eq. 1)."""
-    free = effects.get("stribeck").adjusted(delta={"fixed": None, "scan": lambda span: np.array([0.7, 1.0, 1.5])})
+    free = effects.get("stribeck").adjusted(delta={"fixed": None})
     return of(["coulomb", free, "viscous"])
 
 

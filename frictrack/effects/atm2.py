@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies
@@ -17,6 +19,7 @@ def _sum_of_sines(path: Path, nonlinear: Nonlinear, kind: str, order: int) -> Ar
     return np.sum(np.sin(angles), axis=0)
 
 
+@cache
 def atm2(order: int) -> Effect:
     """ATM2 with `order` sines in the sliding and in the viscous term (12 parameters at order 2).
 

@@ -35,6 +35,7 @@ class Path:
     drive: Array | None = None  # N
     drive_at: Callable[[Array], Array] | None = None  # N at any times since release
     lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
+    mass: float = 1.0  # kg
     gravity: float = GRAVITY  # normal load per mass of a mass at rest, m/s^2
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped
@@ -105,6 +106,13 @@ class Parameter:
     fixed: float | None = None
     loaded: bool = False  # a coefficient whose column carries the load and the run's friction level
     signed: bool = False  # a place, which may lie on either side of zero; others are positive sizes
+    prior: tuple[float, float] | None = None  # what is known beside the runs: mean and standard deviation
+    tie: str | None = None  # the parameter that it equals, "vibration.frequency", or a multiple, "2*vibration.frequency"
+
+    @property
+    def free(self) -> bool:
+        """Whether it is sought: neither fixed nor tied to another one."""
+        return self.fixed is None and self.tie is None
 
 
 @dataclass(frozen=True)
@@ -126,6 +134,7 @@ class Effect:
     source: str = ""
     needs: tuple[str, ...] = ()  # what a run must know, keys of `NEEDS`
     fine: int = 1  # integration panels per frame that its columns need
+    formula: str | None = None  # of a user's effect that a study file writes as a formula
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
     @property
@@ -165,8 +174,42 @@ class Effect:
         known = {p.name for p in self.parameters}
         if not changes.keys() <= known:
             raise KeyError(f"{self.name} has {', '.join(sorted(known))} but not {', '.join(changes.keys() - known)}")
-        parameters = tuple(replace(p, **changes.get(p.name, {})) for p in self.parameters)
+        parameters = tuple(
+            _confined(replace(p, **changes[p.name])) if p.name in changes else p for p in self.parameters
+        )
         return replace(self, parameters=parameters)
+
+
+FEWEST = 9  # places in a scan between bounds
+
+
+@dataclass(frozen=True)
+class Within:
+    """A scan that keeps to bounds; without a grid of its own it runs evenly from one to the other."""
+
+    bounds: tuple[float, float]
+    scan: Callable[[Span], Array] | None = None
+
+    def __call__(self, span: Span) -> Array:
+        """Values worth trying, at least `FEWEST` where the scan has as many and the bounds leave room."""
+        low, high = self.bounds
+        if self.scan is None:
+            return np.linspace(low, high, FEWEST)
+        grid = self.scan(span)
+        inside = grid[(grid >= low) & (grid <= high)]
+        if len(inside) >= min(FEWEST, len(grid)):
+            return inside
+        if np.all(np.isfinite(self.bounds)):
+            return np.linspace(low, high, FEWEST)
+        return np.unique(np.clip(grid, low, high))
+
+
+def _confined(p: Parameter) -> Parameter:
+    """A non-linear parameter whose scan keeps to its bounds."""
+    inner = p.scan.scan if isinstance(p.scan, Within) else p.scan
+    if p.linear or p.role in ("phase", "depth") or (inner is None and not np.all(np.isfinite(p.bounds))):
+        return p
+    return replace(p, scan=Within(p.bounds, inner))
 
 
 def wave(cycles: Array, phase: float) -> Array:
