@@ -8,7 +8,8 @@ of starting forward, both of which the model itself gives.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 from scipy.optimize import brentq
@@ -29,14 +30,40 @@ States = dict[float, tuple[float, float, float]]  # t -> x, v, s
 
 @dataclass(frozen=True)
 class Conditions:
-    """What holds in one simulated run: mass kg, load and mass over their references, pitch m, incline rad."""
+    """What holds in one simulated run: mass kg, load and mass over their references, pitch m, incline rad.
+
+    Drive (N), vertical acceleration (m/s^2, up) and angle of the target (rad) are functions of t (n,), s since release.
+    """
 
     mass: float
     load: float = 1.0
     mass_ratio: float = 1.0
     pixel_pitch: float | None = None
     incline: float = 0.0
-    drive: Callable[[Array], Array] | None = None  # t (n,) -> N
+    drive: Callable[[Array], Array] | None = None
+    lift: Callable[[Array], Array] | None = None
+    angle: Callable[[Array], Array] | None = None
+    clamp_x: float | None = None  # m
+    beam_length: float | None = None  # m
+
+    def along(self, x: Array, v: Array, t: Array, s: float) -> Path:
+        """The path of a motion under these conditions."""
+        return Path(
+            t=t,
+            x=x,
+            v=v,
+            s=np.full(np.shape(t), s),
+            load=self.load,
+            mass_ratio=self.mass_ratio,
+            pixel_pitch=self.pixel_pitch,
+            drive=None if self.drive is None else self.drive(t),
+            drive_at=self.drive,
+            lift=None if self.lift is None else self.lift(t),
+            gravity=GRAVITY * float(np.cos(self.incline)),
+            angle=None if self.angle is None else self.angle(t),
+            clamp_x=self.clamp_x,
+            beam_length=self.beam_length,
+        )
 
 
 @dataclass(frozen=True)
@@ -59,11 +86,26 @@ class _Walk:
     values: Values
     conditions: Conditions
     states: States = field(default_factory=dict)
+    _way: Array = field(default_factory=lambda: np.empty((4, 0)))  # t, x, v, distance slid at the states so far
+
+    def begin(self) -> None:
+        """Forget what was walked before."""
+        self.states.clear()
+        self._way = np.empty((4, 0))
 
     def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
-        c = self.conditions
-        drive = None if c.drive is None else c.drive(t)
-        return Path(t, x, v, np.full(np.shape(t), s), c.load, c.mass_ratio, c.pixel_pitch, drive)
+        way = self.way(float(t[0]))
+        path = self.conditions.along(x, v, t, s)
+        return replace(path, before=way[:3], travelled=float(way[3, -1]), begins=float(way[1, -1]))
+
+    def way(self, until: float) -> Array:
+        """t, x, v and distance slid (4, k) from release up to a time."""
+        new = [(t, x, v, 0.0) for t, (x, v, _) in islice(self.states.items(), self._way.shape[1], None)]
+        if new:
+            way = np.concatenate([self._way, np.array(new).T], axis=1)
+            way[3] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])))])
+            self._way = way
+        return self._way[:, : max(1, int(np.searchsorted(self._way[0], until, side="right")))]
 
     def push(self, t: Array) -> Array:
         """Drive and gravity along the course, N."""
@@ -108,11 +150,12 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
 
 def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> States:
     """States at the frames and in between, through every stop and release."""
-    walk.states.clear()
+    walk.begin()
     edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
     now, x, v = float(edges[0]), float(start[0]), float(start[1])
     while now < edges[-1] - 1e-12:
         ahead = np.concatenate([[now], edges[edges > now + 1e-12]])
+        walk.states[now] = (x, v, 0.0)
         s = np.sign(v) if v else _starts(walk, x, now)
         now, x, v = _slide(walk, ahead, (x, v), float(s)) if s else _rest(walk, ahead, x)
     return dict(walk.states)
@@ -174,19 +217,16 @@ def _stop(
 
 def _collect(walk: _Walk, t: Array, states: States) -> Slide:
     known = np.array(sorted(states))
-    nearest = known[np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)]
-    x, v, s = np.array([states[k] for k in nearest]).T
-    a, force = np.zeros_like(x), np.zeros_like(x)
-    for direction in (-1.0, 0.0, 1.0):
-        here = s == direction
-        if not here.any():
-            continue
-        push = walk.push(t[here])
-        if direction:
-            force[here] = walk.model.force(walk.path(x[here], v[here], t[here], direction), walk.values)
-            a[here] = (push - force[here]) / walk.conditions.mass
-        else:
-            force[here] = push
+    x, v, s = np.array([states[k] for k in known]).T
+    force = walk.push(known)
+    cuts = np.flatnonzero(np.diff(s)) + 1
+    for rows in np.split(np.arange(len(known)), cuts):  # the way so far counts, so every state of a slide is passed
+        if s[rows[0]]:
+            path = walk.path(x[rows], v[rows], known[rows], float(s[rows[0]]))
+            force[rows] = walk.model.force(path, walk.values)
+    at = np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
+    x, v, force = x[at], v[at], force[at]
+    a = (walk.push(t) - force) / walk.conditions.mass
     blocks = walk.model.measurement_columns(walk.path(x, v, t, 1.0), walk.values)
     shift = np.zeros_like(x)
     for name, block in blocks.items():
