@@ -46,6 +46,16 @@ class Model:
         """The effects in order."""
         return [e.name for e in self.effects]
 
+    @property
+    def memory(self) -> bool:
+        """Whether the force depends on the whole motion so far."""
+        return any(e.memory for e in self.effects if e.acts_on == "force")
+
+    @property
+    def turns(self) -> bool:
+        """Whether the force passes stops and reversals without a jump, so that a run can be followed through them."""
+        return any(e.turns for e in self.effects)
+
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
@@ -77,7 +87,7 @@ class Model:
         made = {
             e.name: e.columns(path, values[e.name]) for e in self.effects if e.acts_on == "force" and not e.modifies
         }
-        for modifier in (e for e in self.effects if e.modifies):
+        for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
             for e in self.effects:
                 if e.kind in modifier.modifies and e.name in made:
                     made[e.name] = modifier.columns(path, values[modifier.name], made[e.name])
@@ -131,7 +141,24 @@ def atm2(n: int) -> Model:
     return of([f"atm2:{n}"])
 
 
-NAMED: dict[str, Any] = {"tustin": tustin, "stribeck-model": stribeck_model, "atm1": atm1, "atm2": atm2}
+def dahl() -> Model:
+    """Dahl model: Coulomb friction that builds up like a spring that yields, and viscous friction (Dahl 1968)."""
+    return of(["coulomb", "viscous", "presliding"])
+
+
+def lugre() -> Model:
+    """LuGre model; its sigma_2 is the viscous coefficient (Canudas de Wit et al. 1995)."""
+    return of(["lugre", "viscous"])
+
+
+NAMED: dict[str, Any] = {
+    "tustin": tustin,
+    "stribeck-model": stribeck_model,
+    "dahl": dahl,
+    "lugre": lugre,
+    "atm1": atm1,
+    "atm2": atm2,
+}
 
 
 def parse(text: str | Sequence[str]) -> Model:

@@ -12,10 +12,13 @@ from frictrack.effects.camera_shake import camera_shake
 from frictrack.effects.collision import collision
 from frictrack.effects.coulomb import coulomb
 from frictrack.effects.drag import drag
+from frictrack.effects.friction_lag import friction_lag
 from frictrack.effects.lens import lens
 from frictrack.effects.load_modulation import load_modulation
+from frictrack.effects.lugre import lugre
 from frictrack.effects.patch import patch
 from frictrack.effects.peak_locking import peak_locking
+from frictrack.effects.presliding import presliding
 from frictrack.effects.slope import slope
 from frictrack.effects.spring import spring
 from frictrack.effects.stribeck import stribeck
@@ -31,6 +34,7 @@ LIBRARY: dict[str, Effect] = {
     for e in (
         *(coulomb, stribeck, viscous, drag, vibration, texture, patch, spring, collision),
         *(asymmetry, slope, load_modulation, lens, peak_locking, camera_shake),
+        *(presliding, friction_lag, lugre),
     )
 }
 

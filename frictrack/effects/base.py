@@ -134,6 +134,9 @@ class Effect:
     source: str = ""
     needs: tuple[str, ...] = ()  # what a run must know, keys of `NEEDS`
     fine: int = 1  # integration panels per frame that its columns need
+    memory: bool = False  # its columns depend on the whole motion so far, not on the moment alone
+    turns: bool = False  # its force passes a stop or a reversal without a jump
+    rank: int = 0  # order among modifiers: one of higher rank reshapes what those of lower rank have left
     formula: str | None = None  # of a user's effect that a study file writes as a formula
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 

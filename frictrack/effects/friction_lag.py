@@ -1,0 +1,47 @@
+"""Frictional lag: the level of dry friction answers a change of speed only after a while."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
+from frictrack.effects.memory import followed
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """Dry-friction columns whose size u follows the one c of the moment, du/dt = (c - u)/tau, same shape as `inner`.
+
+    A steady change of c arrives tau late. The sign stays the one of the motion: friction never pushes.
+    """
+    s = path.s[:, None]
+    size = inner * s
+    starts = np.array(path.starts)
+    rested = starts[path.s[starts] == 0]
+    size[rested] = size[np.minimum(rested + 1, len(size) - 1)]
+    late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
+    late[starts] = 0.0
+    return followed(size, (np.zeros_like(late), late), path.starts) * s
+
+
+def lags(span: Span) -> Array:
+    """Lags worth trying, s: from half a frame up to a quarter of the longest run."""
+    return log_grid(0.5 / span.fps, max(span.duration / 4.0, 2.0 / span.fps), 6)
+
+
+friction_lag = Effect(
+    name="friction_lag",
+    acts_on="force",
+    equation="coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau",
+    parameters=(Parameter("tau", "s", (1e-7, np.inf), scan=lags),),
+    columns=columns,
+    modifies=frozenset({"coulomb", "stribeck"}),
+    scales_with="load",
+    memory=True,
+    rank=-1,
+    what="Film thickness and bonds take their time: dry friction belongs to the speed of a moment ago.",
+    looks_like="a loop against v where the speed swings; a hook that comes late before a stop",
+    mistaken_for="another Stribeck velocity, when the speed only falls",
+    confirm="Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency.",
+    source="Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994",
+)

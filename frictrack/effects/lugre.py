@@ -1,0 +1,64 @@
+"""LuGre friction: bristles that bend before they slip, with damping, over a Stribeck curve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
+from frictrack.effects.memory import followed, travel
+from frictrack.effects.presliding import lengths
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Bristle force per N of F_c and speed of bending per N s/m of sigma_1, shape (n, 2).
+
+    As published, dz/dt = v - sigma_0 |v| z/g(v) and F = sigma_0 z + sigma_1 dz/dt. With w = sigma_0 z/F_c,
+    length = F_c/sigma_0 and gamma = g/F_c this is dw/dt = (|v|/(length gamma))(gamma sgn v - w), in which F_c and
+    sigma_1 are coefficients: F = F_c w + sigma_1 (v - |v| w/gamma). `sigma_0` is fitted as that length, `F_s`
+    as F_s/F_c.
+    """
+    decay = np.exp(-((path.speed / nonlinear["v_s"]) ** nonlinear["delta"]))
+    gamma = 1.0 + (nonlinear["F_s"] - 1.0) * decay
+    before, after = travel(path)
+    between = (1 / gamma + 1 / np.concatenate([gamma[:1], gamma[:-1]])) / (2.0 * nonlinear["sigma_0"])
+    w = followed((path.s * gamma)[:, None], (before * between, after * between), path.starts)[:, 0]
+    return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
+
+
+def speeds(span: Span) -> Array:
+    """Stribeck velocities worth trying, m/s."""
+    return log_grid(min(max(1e-3, span.v_min / 6), 1.0), 2.0, 4)
+
+
+def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
+    """F_s in N and sigma_0 in N/m, both from F_c."""
+    level = own["F_c"] if "F_c" in own else float("nan")
+    of = {"F_s": lambda ratio: level * ratio, "sigma_0": lambda length: level / length}
+    return {name: quoted(own[name]) for name, quoted in of.items() if name in own}
+
+
+lugre = Effect(
+    name="lugre",
+    acts_on="force",
+    equation="L (sigma_0 z + sigma_1 dz/dt), dz/dt = v - sigma_0 |v| z/(F_c + (F_s - F_c) exp(-(|v|/v_s)^delta))",
+    parameters=(
+        Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
+        Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
+        Parameter("sigma_0", "N/m", (0.0, np.inf), scan=lambda span: lengths(span)[::2]),
+        Parameter("F_s", "N", (1.0, 10.0), scan=lambda span: np.array([1.2, 1.6, 2.5])),
+        Parameter("v_s", "m/s", scan=speeds),
+        Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
+    ),
+    columns=columns,
+    replaces=frozenset({"coulomb", "stribeck", "presliding"}),
+    scales_with="load",
+    memory=True,
+    turns=True,
+    what="Bristles between the surfaces bend, damp and slip: presliding, the Stribeck effect and a lag in one state.",
+    looks_like="a loop against x after every reversal and a hook at the slow end",
+    mistaken_for="presliding with stribeck, when the speed changes slowly",
+    confirm="Reverse the drive slowly (sigma_0), swing it fast within the breakaway length (sigma_1).",
+    source="Canudas de Wit, Olsson, Astrom & Lischinsky 1995, IEEE Trans. Automatic Control 40, 419",
+    quote=quote,
+)

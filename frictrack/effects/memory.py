@@ -1,0 +1,108 @@
+"""States of first order: what follows its target late, over a distance or over a time.
+
+    du/dz = c - u,   z = distance/length or time/lag
+
+Along a path the target c is known at its samples. Between two of them it is taken as the cubic with the slopes of
+parabolas through neighbours, and the exponential is integrated exactly, so a step may be many lengths long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg.lapack import dtbtrs
+
+from frictrack.effects.base import Path
+from frictrack.records import Array
+
+SMALL = 0.5  # step below which the moments of the exponential are summed as a series
+TERMS = 14
+UNEVEN = 8.0  # ratio of neighbouring steps beyond which no parabola is laid through them
+
+
+def travel(path: Path) -> tuple[Array, Array]:
+    """Distance (n,) slid from the sample before: up to a reversal in between, and after it.
+
+    The velocity is taken as linear in time around a reversal. Zero at the beginning of every individual.
+    """
+    dx, s = np.diff(path.x), path.s[1:]
+    v0, v1 = path.v[:-1], path.v[1:]
+    back = np.where(path.s[:-1] * s < 0, np.maximum(-s * v0, 0.0), 0.0)
+    turn = back / np.maximum(back + np.abs(v1), 1e-300)
+    before = back * turn * np.diff(path.t) / 2.0
+    after = np.where(back > 0, np.maximum(before + s * dx, 0.0), np.abs(dx))
+    out = np.zeros((2, len(path.t)))
+    out[:, 1:] = before, after
+    out[:, list(path.starts)] = 0.0
+    return out[0], out[1]
+
+
+def followed(target: Array, steps: tuple[Array, Array], starts: Sequence[int] = (0,)) -> Array:
+    """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
+
+    The first steps lead to a jump of the target and are made under the old target, the second under the new one.
+    A state starts at its target.
+    """
+    before, after = steps
+    fresh = np.zeros(len(after), dtype=bool)
+    fresh[list(starts)] = True
+    old = np.vstack([target[:1], target[:-1]])
+    jumped = before > 0
+    decay = np.exp(-after)
+    whole = np.where(fresh, 0.0, decay * np.exp(-before))
+    # below the target by y: y decays and grows by what the target gains, as much as is not forgotten at once
+    gained = _gained(target, np.where(fresh | jumped, 0.0, after), fresh | jumped)
+    leap = decay[:, None] * (target - old * -np.expm1(-before)[:, None])
+    plain = target - gained - whole[:, None] * old
+    jump = target - leap
+    right = np.where(fresh[:, None], target, np.where(jumped[:, None], jump, plain))
+    return _recursion(whole, right)
+
+
+def _recursion(decay: Array, right: Array) -> Array:
+    """u[i] = decay[i] u[i - 1] + right[i], all columns at once."""
+    band = np.ones((2, len(decay)))
+    band[1, :-1] = -decay[1:]
+    out, _ = dtbtrs(band, right, uplo="L", diag="U")
+    return np.asarray(out)
+
+
+def _gained(target: Array, step: Array, broken: Array) -> Array:
+    """Integral (n, k) of exp(z - step) dc/dz over every step: what the state has not yet followed."""
+    rise = np.diff(target, axis=0, prepend=target[:1])
+    rise[broken] = 0.0
+    m0, m1, m2 = (m[:, None] for m in _moments(step))
+    left, right = _bends(rise, step, broken)
+    out: Array = rise * m0 + left * (m0 - 4 * m1 + 3 * m2) + right * (3 * m2 - 2 * m1)
+    return out
+
+
+def _bends(rise: Array, step: Array, broken: Array) -> tuple[Array, Array]:
+    """By how much the slope at either end of every step, times the step, differs from the rise; each (n, k)."""
+    left, right = np.zeros_like(rise), np.zeros_like(rise)
+    a, b = step[:-1, None], step[1:, None]
+    smooth = ~broken[:-1, None] & ~broken[1:, None] & (a < UNEVEN * b) & (b < UNEVEN * a)
+    a, b = np.where(smooth, a, 1.0), np.where(smooth, b, 1.0)
+    right[:-1] = np.where(smooth, a / (a + b) * (a / b * rise[1:] - rise[:-1]), 0.0)
+    left[1:] = np.where(smooth, b / (a + b) * (b / a * rise[:-1] - rise[1:]), 0.0)
+    has = np.zeros((2, len(step), 1), dtype=bool)
+    has[0, 1:], has[1, :-1] = smooth, smooth
+    return np.where(has[0], left, -right), np.where(has[1], right, -left)
+
+
+def _moments(step: Array) -> tuple[Array, Array, Array]:
+    """Integrals over theta in (0, 1) of theta^j exp(-step (1 - theta)), j = 0, 1, 2."""
+    small = step < SMALL
+    tiny = np.where(small, step, 0.0)
+    term, series = np.full_like(step, 1 / 3), np.full_like(step, 1 / 3)
+    for k in range(1, TERMS):
+        term = term * -tiny / (k + 3)
+        series = series + term
+    big = np.where(small, 1.0, step)
+    up0 = -np.expm1(-big) / big
+    up1 = (1 - up0) / big
+    m2 = np.where(small, series, (1 - 2 * up1) / big)
+    m1 = np.where(small, (1 - tiny * m2) / 2, up1)
+    m0 = np.where(small, 1 - tiny * m1, up0)
+    return m0, m1, m2
