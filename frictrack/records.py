@@ -230,6 +230,8 @@ class Run:
     drive: Array | None = None  # N, at displacement.t
     friction_N: Array | None = None  # N, at displacement.t
     free: tuple[float, float] | None = None  # s
+    clamp_x: float | None = scalar("m", default=None)  # where the beam under the course is clamped
+    beam_length: float | None = scalar("m", default=None)
     role: str = "fit"  # or "validation"
     group: str = ""
     has_incline: bool = False  # gravity drives the run: the free section starts where motion starts

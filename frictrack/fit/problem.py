@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
-from frictrack.friction import moving_sections, release_time
+from frictrack.friction import is_moving, moving_sections, release_time
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
@@ -20,6 +20,7 @@ from frictrack.simulate.dynamics import Linear, Motion6, Panels, solve
 
 Rows = NDArray[np.int_]
 
+KNOWN = 0.5  # share of frames in which a series must be known to count
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
 
 
@@ -44,6 +45,8 @@ class Piece:
     known: Array  # acceleration by drive and incline at the nodes, m/s^2
     path: Path  # what is known of the run; its arrays are replaced by the motion at hand
     mass: float
+    way: Array = field(default_factory=lambda: np.empty((3, 0)))  # t, x, v of the run's smoothed motion since release
+    angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a segment of a longer stretch
 
     def along(self, x: Array, v: Array, level: float) -> Path:
@@ -56,9 +59,9 @@ class Piece:
         panels = Panels(edges)
         old, new = self.panels.t, panels.t
         moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
-        drive = None if self.path.drive is None else np.interp(new, old, self.path.drive)
         still = np.zeros_like(new)
-        path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], drive=drive)
+        series = self._series(lambda q: np.interp(new, old, q))
+        path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
     def first(self, n: int) -> Piece:
@@ -71,14 +74,20 @@ class Piece:
         nodes = slice(3 * low, 3 * high)
         at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
         at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
-        drive = None if self.path.drive is None else self.path.drive[nodes]
         path = replace(
             self.path,
-            drive=drive,
+            before=_until(self.way, self.t[start]),
             **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v", "s")},
+            **self._series(lambda q: q[nodes]),
         )
+        angle = None if self.angle is None else self.angle[start:stop]
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
-        return replace(self, panels=panels, path=path, at=at, **at_nodes, **at_frames)
+        return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
+
+    def _series(self, of: Callable[[Array], Array]) -> dict[str, Array]:
+        """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
+        known = {name: getattr(self.path, name) for name in ("drive", "lift", "angle")}
+        return {name: of(q) for name, q in known.items() if q is not None}
 
     @property
     def known_at_frames(self) -> Array:
@@ -89,8 +98,8 @@ class Piece:
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
         s = np.full_like(x, self.path.s[0])
-        drive = None if self.path.drive is None else make_interp_spline(self.panels.t, self.path.drive, k=1)(self.t)
-        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, drive=drive)
+        series = self._series(lambda q: make_interp_spline(self.panels.t, q, k=1)(self.t)) | {"angle": self.angle}
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
 
 @dataclass(frozen=True)
@@ -123,13 +132,13 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame:
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
-    release = release_time(run)
+    begin = _Begin(reference, *_way(run), per_frame)
     made = []
     for section in moving_sections(run):
         rows = np.arange(len(disp))[section]
         rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
         if len(rows) >= MIN_FRAMES:
-            made.append(_piece(run, index, rows, noise, (release, reference, per_frame)))
+            made.append(_piece(run, index, rows, noise, begin))
     if not made:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
@@ -156,30 +165,43 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
     return relative
 
 
-def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Reference, int]) -> Piece:
-    release, reference, per_frame = how
-    mass = float(run.mass or reference.mass)
-    t = run.displacement.t[rows] - release
-    edges, at = _cut_time(t, per_frame)
+@dataclass(frozen=True)
+class _Begin:
+    """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
+
+    reference: Reference
+    release: float
+    way: Array  # t, x, v (3, k)
+    slid: Array  # m since release, (k,)
+    per_frame: int
+
+
+def _way(run: Run) -> tuple[float, Array, Array]:
+    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,)."""
+    release, motion = release_time(run), run.motion
+    since = motion.t >= release
+    way = np.stack([motion.t - release, motion.x, motion.v])[:, since]
+    steps = np.abs(np.diff(way[1])) * is_moving(run)[since][1:]
+    return release, way, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _until(way: Array, t: float) -> Array:
+    """The part of a motion (3, k) up to a time."""
+    return way[:, : int(np.searchsorted(way[0], t, side="right"))]
+
+
+def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Piece:
+    mass = float(run.mass or begin.reference.mass)
+    t = run.displacement.t[rows] - begin.release
+    edges, at = _cut_time(t, begin.per_frame)
     panels = Panels(edges)
     nodes = panels.t
     motion = run.motion
-    v_of = CubicSpline(motion.t - release, motion.v)
-    direction = np.sign(np.median(motion.v[rows]))
-    drive = None if run.drive is None else CubicSpline(motion.t - release, run.drive)(nodes)
+    times = motion.t - begin.release
+    path = _path(run, rows, nodes, begin)
     known = np.full(len(nodes), -GRAVITY * np.sin(run.incline))
-    if drive is not None:
-        known = known + drive / mass
-    path = Path(
-        t=nodes,
-        x=np.zeros_like(nodes),
-        v=np.zeros_like(nodes),
-        s=np.full(len(nodes), direction),
-        load=1.0 if run.mass is None else (run.load or 1.0) / reference.load,
-        mass_ratio=mass / reference.mass,
-        pixel_pitch=run.pixel_pitch,
-        drive=drive,
-    )
+    if path.drive is not None:
+        known = known + path.drive / mass
     return Piece(
         run=index,
         frames=rows,
@@ -188,14 +210,60 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, how: tuple[float, Ref
         sigma=noise[rows],
         panels=panels,
         at=at,
-        per_frame=per_frame,
-        x_hat=CubicSpline(motion.t - release, motion.x)(nodes),
-        v_hat=v_of(nodes),
-        a_hat=np.interp(nodes, motion.t - release, motion.a),
+        per_frame=begin.per_frame,
+        x_hat=CubicSpline(times, motion.x)(nodes),
+        v_hat=CubicSpline(times, motion.v)(nodes),
+        a_hat=np.interp(nodes, times, motion.a),
         known=known,
         path=path,
         mass=mass,
+        way=begin.way,
+        angle=None if path.angle is None else np.interp(t, nodes, path.angle),
     )
+
+
+def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
+    """What is known of a run along the nodes of one piece, whose motion is still to come."""
+    motion = run.motion
+    times = motion.t - begin.release
+    drive_at = None if run.drive is None else _held(CubicSpline(times, run.drive), times)
+    still = np.zeros_like(nodes)
+    before = _until(begin.way, run.displacement.t[rows[0]] - begin.release)
+    row = max(before.shape[1] - 1, 0)
+    return Path(
+        t=nodes,
+        x=still,
+        v=still,
+        s=still + np.sign(np.median(motion.v[rows])),
+        load=1.0 if run.mass is None else (run.load or 1.0) / begin.reference.load,
+        mass_ratio=float(run.mass or begin.reference.mass) / begin.reference.mass,
+        pixel_pitch=run.pixel_pitch,
+        drive=None if drive_at is None else drive_at(nodes),
+        drive_at=drive_at,
+        lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
+        gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
+        angle=_bridged(times, run.displacement.angle, nodes),
+        clamp_x=run.clamp_x,
+        beam_length=run.beam_length,
+        travelled=float(begin.slid[row]),
+        begins=float(begin.way[1, row]),
+        before=before,
+    )
+
+
+def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
+    """A series that keeps its first and last value outside the times at which it is known."""
+
+    def at(t: Array) -> Array:
+        return np.asarray(series(np.clip(t, times[0], times[-1])))
+
+    return at
+
+
+def _bridged(times: Array, series: Array, nodes: Array) -> Array | None:
+    """A series at the nodes, its gaps bridged linearly; None where most of it is unknown."""
+    known = np.isfinite(series)
+    return np.interp(nodes, times[known], series[known]) if np.mean(known) > KNOWN else None
 
 
 @dataclass(frozen=True)
@@ -373,4 +441,6 @@ def _span(pieces: Sequence[Piece], fps: float) -> Span:
         v_min=float(speeds.min()),
         v_max=float(speeds.max()),
         fps=fps,
+        clamp_x=pieces[0].path.clamp_x,
+        beam_length=pieces[0].path.beam_length,
     )

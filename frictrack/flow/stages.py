@@ -275,6 +275,8 @@ def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sen
         drive=sensors.drive,
         friction_N=sensors.friction_N,
         free=run.free,
+        clamp_x=run.clamp_x,
+        beam_length=run.beam_length,
         role=run.role,
         group=run.group,
     )
