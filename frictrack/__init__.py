@@ -40,6 +40,7 @@ _HOME = {
     "compare": "compare",
     "history": "compare",
     "diagnose": "diagnose",
+    "effect": "effects",
     "Run": "records",
     "FrictrackError": "errors",
 }

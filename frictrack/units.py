@@ -89,3 +89,17 @@ def _expected(unit: str, what: str) -> str:
 
 def _example(unit: str) -> str:
     return {"m/px": "0.5 mm/px", "m": "100 mm", "kg": "0.350 +/- 0.002 kg"}.get(unit, f"1.5 {unit}")
+
+
+COMMON = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
+
+
+def coherent(unit: str) -> bool:
+    """Whether numbers in a unit need no factor: an SI unit without a prefix, such as "N s/m", but not "mm"."""
+    if unit in COMMON:
+        return True
+    try:
+        factor, _ = _registry().get_base_units(_spell(unit))
+    except Exception:  # noqa: BLE001 - pint's parser raises whatever Python's tokenizer does
+        return False
+    return bool(abs(float(factor) - 1.0) < 1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from typing import Any
 
 from frictrack.effects.asymmetry import asymmetry
@@ -12,6 +13,7 @@ from frictrack.effects.camera_shake import camera_shake
 from frictrack.effects.collision import collision
 from frictrack.effects.coulomb import coulomb
 from frictrack.effects.drag import drag
+from frictrack.effects.formula import formula
 from frictrack.effects.friction_lag import friction_lag
 from frictrack.effects.lens import lens
 from frictrack.effects.load_modulation import load_modulation
@@ -23,11 +25,12 @@ from frictrack.effects.slope import slope
 from frictrack.effects.spring import spring
 from frictrack.effects.stribeck import stribeck
 from frictrack.effects.texture import texture
+from frictrack.effects.user import DECLARED, effect
 from frictrack.effects.vibration import vibration
 from frictrack.effects.viscous import viscous
 from frictrack.errors import FrictrackError
 
-__all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue", "get"]
+__all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue", "effect", "formula", "get", "known"]
 
 LIBRARY: dict[str, Effect] = {
     e.name: e
@@ -39,26 +42,40 @@ LIBRARY: dict[str, Effect] = {
 }
 
 
-def get(name: str) -> Effect:
+def is_library(name: str) -> bool:
+    """Whether a name is taken by the library."""
+    return name in LIBRARY or name in ("atm2", "mass", "level")
+
+
+def known(extra: Iterable[Effect] = ()) -> dict[str, Effect]:
+    """Every effect by name: the library's, those declared in Python, and `extra` (formulas of a study, or adjusted)."""
+    return LIBRARY | DECLARED | {e.name: e for e in extra}
+
+
+def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     """The effect of that name: `texture`, a further instance `vibration:2`, or `atm2:2` (order 2).
 
-    Raises FrictrackError (usage) for an unknown name, naming the nearest right one.
+    `extra` may hold further effects, such as the formulas of a study. Raises FrictrackError (usage) for an unknown
+    name, naming the nearest right one.
     """
     kind, _, suffix = name.partition(":")
     if suffix and not (suffix.isdigit() and int(suffix) >= 1):
         raise FrictrackError(f'expected a number after the colon but got "{name}"', usage=True)
     if kind == "atm2":
         return atm2(int(suffix or 2))
-    if kind not in LIBRARY:
-        near = difflib.get_close_matches(kind, [*LIBRARY, "atm2"], 1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(LIBRARY)}, atm2"
+    table = known(extra)
+    if name in table:
+        return table[name]
+    if kind not in table:
+        near = difflib.get_close_matches(kind, [*table, "atm2"], 1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(table)}, atm2"
         raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
-    return LIBRARY[kind].called(name) if suffix and int(suffix) > 1 else LIBRARY[kind]
+    return table[kind].called(name) if suffix and int(suffix) > 1 else table[kind]
 
 
-def catalogue() -> list[dict[str, Any]]:
-    """Every effect of the library as the command `effects` prints it."""
-    return [_entry(e) for e in (*LIBRARY.values(), atm2(2))]
+def catalogue(extra: Iterable[Effect] = ()) -> list[dict[str, Any]]:
+    """Every effect as the command `effects` prints it: the library's, your own, and `extra`."""
+    return [_entry(e) for e in (*known(extra).values(), atm2(2))]
 
 
 def _entry(effect: Effect) -> dict[str, Any]:

@@ -107,7 +107,7 @@ class Parameter:
     loaded: bool = False  # a coefficient whose column carries the load and the run's friction level
     signed: bool = False  # a place, which may lie on either side of zero; others are positive sizes
     prior: tuple[float, float] | None = None  # what is known beside the runs: mean and standard deviation
-    tie: str | None = None  # the parameter that it equals, "vibration.frequency", or a multiple, "2*vibration.frequency"
+    tie: str | None = None  # what it equals: "vibration.frequency", or a multiple, "2*vibration.frequency"
 
     @property
     def free(self) -> bool:
