@@ -1,23 +1,84 @@
-"""Presliding: before it slides, a contact bends like a spring; dry friction follows its level over a short distance."""
+"""Presliding: before it slides, a contact bends like a spring; dry friction takes a distance to turn round."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import followed, travel
+from frictrack.effects.memory import travel
 from frictrack.records import Array
+
+DAHL = 1e-9  # distance of the exponent from one within which the contact straightens exponentially
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
-    """Dry-friction columns, each replaced by its state du/dt = (|v|/length)(c - u), same shape as `inner`.
+    """Dry-friction columns times how far the contact is bent in the direction of motion, same shape as `inner`.
 
-    `stiffness` is fitted as the length F_c/sigma_0, m. A path begins in steady sliding, or unbent where it begins
-    at rest (s = 0).
+    `stiffness` is fitted as the length level/stiffness, m.
     """
-    before, after = travel(path)
-    length = nonlinear["stiffness"]
-    return followed(inner, (before / length, after / length), path.starts)
+    return inner * (path.s * bending(path, nonlinear["stiffness"], nonlinear["exponent"]))[:, None]
+
+
+def bending(path: Path, length: float | Array, exponent: float | Array) -> Array:
+    """Dahl's state w (n,), from -1 to 1: dw/dt = (v/length) (1 - w sgn v)^exponent.
+
+    Between reversals this has a closed form in the distance slid, so no step is too long. A path begins fully bent,
+    as in steady sliding, and unbent where it begins at rest (s = 0).
+    """
+    before, after = (distance / length for distance in travel(path))
+    power = np.broadcast_to(np.asarray(exponent, dtype=float), after.shape)
+    way, fresh = _ways(path)
+    first = np.flatnonzero(fresh | (np.diff(way, prepend=way[:1]) != 0))  # of every stretch of one direction
+    which = np.repeat(np.arange(len(first)), np.diff([*first, len(way)]))
+    covered = np.cumsum(after)
+    slid = covered - (covered[first] - after[first])[which]
+    turns = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
+    free, w = np.empty(len(first)), 0.0
+    ends = zip(first, way[first], path.s[first], fresh[first], turns, power[first], strict=True)
+    for k, (_, s, begins, new, distance, p) in enumerate(ends):
+        free[k] = 1.0 - s * (begins if new else w)
+        w = s * (1.0 - _left(free[k], distance, p))
+    out: Array = way * (1.0 - _left_along(free[which], slid, power))
+    return out
+
+
+def _ways(path: Path) -> tuple[Array, Array]:
+    """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
+    fresh = np.zeros(len(path.t), dtype=bool)
+    fresh[list(path.starts)] = True
+    moves = path.s != 0
+    if moves.all():
+        return path.s, fresh
+    rows = np.arange(len(moves))
+    following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
+    return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
+
+
+def _left(free: float, slid: float, exponent: float) -> float:
+    """What is left of the way to full bending, `free` at first, after sliding so many lengths."""
+    if free <= 0.0:
+        return 0.0
+    rest = 1.0 - exponent
+    if abs(rest) < DAHL:
+        return free * math.exp(-slid)
+    used = rest * slid * free**-rest
+    return free * math.exp(math.log1p(-used) / rest) if used < 1.0 else 0.0
+
+
+def _left_along(free: Array, slid: Array, exponent: Array) -> Array:
+    """The same for arrays (n,)."""
+    rest = 1.0 - exponent
+    dahl = np.abs(rest) < DAHL
+    if dahl.all():
+        return np.asarray(free * np.exp(-slid))
+    rest = np.where(dahl, 1.0, rest)
+    some = np.maximum(free, 1e-300)
+    with np.errstate(over="ignore", divide="ignore"):
+        used = np.minimum(rest * slid * some**-rest, 1.0)
+        curved = np.exp(np.log1p(-used) / rest)
+    return np.asarray(free * np.where(dahl, np.exp(-slid), curved))
 
 
 def lengths(span: Span) -> Array:
@@ -27,16 +88,19 @@ def lengths(span: Span) -> Array:
 
 
 def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
-    """The stiffness at reversal per unit of what is left to slide, sigma_0 = F_c/length."""
-    level = model.get("coulomb.F_c", float("nan"))
+    """The stiffness of the unbent contact, sigma_0: the level of dry friction at rest over the length."""
+    level = model.get("coulomb.F_c", 0.0) + model.get("stribeck.F_s", 0.0)
     return {"stiffness": level / own["stiffness"]} if "stiffness" in own else {}
 
 
 presliding = Effect(
     name="presliding",
     acts_on="force",
-    equation="coulomb + stribeck -> u, du/dt = (|v| stiffness/F_c)(coulomb + stribeck - u)",
-    parameters=(Parameter("stiffness", "N/m", (0.0, np.inf), scan=lengths),),
+    equation="coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - w sgn v)^exponent",
+    parameters=(
+        Parameter("stiffness", "N/m", (0.0, np.inf), scan=lengths),
+        Parameter("exponent", "1", (0.0, 2.0), fixed=1.0),
+    ),
     columns=columns,
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
@@ -47,6 +111,7 @@ presliding = Effect(
     looks_like="a loop against x after every reversal; nothing in a run that only slides one way",
     mistaken_for="stribeck or a soft mounting of the sensor, near reversals",
     confirm="Reverse the drive more slowly: the loop against x keeps its width, a lag in time shrinks.",
-    source="Dahl 1968, Aerospace Corp. TOR-0158(3107-18)-1, exponent 1; in the form of Bliman & Sorine 1995",
+    source="Dahl 1968, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1; exponent 1 yields "
+    "exponentially, 0 is elastic up to slip",
     quote=quote,
 )
