@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ class Piece:
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
 
-    def _series(self, of: Callable[[Array], Array]) -> dict[str, Array]:
+    def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
         """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
         known = {name: getattr(self.path, name) for name in ("drive", "lift", "angle")}
         return {name: of(q) for name, q in known.items() if q is not None}
