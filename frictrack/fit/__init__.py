@@ -18,6 +18,16 @@ from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.segments import divided, segment_frames
+from frictrack.fit.series import (
+    SeriesProblem,
+    check_model,
+    common_load,
+    is_series,
+    measured,
+    series_pieces,
+    solve_series,
+    spans_of_series,
+)
 from frictrack.fit.solve import Solution, refine
 from frictrack.fit.start import grow, solve_model, until_stop, without
 from frictrack.friction import free_section
@@ -33,7 +43,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     model: Model | str | Sequence[str],
     runs: Sequence[Run],
     *,
-    domain: str = "displacement",
+    domain: str | None = None,
     search: str = "varpro",
     seed: int = 0,
     reference_mass: float | None = None,
@@ -41,19 +51,23 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
 ) -> Any:
     """Fit a model to runs, all at once: a `Fit`; with `per` = "group" every group of runs apart, `GroupFits`.
 
-    `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); `search` is
+    `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); where
+    friction itself was measured it is "force" by default, held against that series without a mass. `search` is
     "varpro" or one of `search.METHODS`, which look for all parameters at once, `seed` theirs.
     Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
     the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
     unknown domain or search. `seed` also serves the search for a start of ATM2 under "varpro".
     """
-    check_how(domain, search, per)
+    check_how(domain or "force", search, per)
+    law = model if isinstance(model, Model) else models.parse(model)
+    if measured(runs, domain):
+        return _by_cell(law, runs, Route("force", search, seed), per)
+    domain = domain or "displacement"
     if per == "group":
         how: dict[str, Any] = {"domain": domain, "search": search, "seed": seed}
         mass = reference_mass or runs[0].mass
         groups = by_group(runs)
         return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
-    law = model if isinstance(model, Model) else models.parse(model)
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
@@ -78,6 +92,30 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     else:
         found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
+
+
+def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None) -> Any:
+    """The fit of runs whose friction a load cell measured, in newtons at the first run's load."""
+    check_model(law)
+    reference = Reference(1.0, common_load(runs))
+    if per == "group":
+        return GroupFits({g: _of_series(law, mine, route, reference) for g, mine in by_group(runs).items()})
+    return _of_series(law, runs, route, reference)
+
+
+def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
+    if route.search != "varpro":
+        raise FrictrackError(
+            f'expected search = "varpro" where friction itself was measured but got "{route.search}"; leave it out',
+            usage=True,
+        )
+    fitted = [r for r in runs if r.role == "fit"]
+    if not fitted:
+        raise FrictrackError('expected at least one run to fit but all have role = "validation"')
+    _names_differ(fitted)
+    pieces = series_pieces(fitted, reference.load)
+    solution = solve_series(law, pieces, tuple(r.name for r in fitted), _fps(fitted))
+    return _finish(Found(solution), runs, reference, (route, (0,) * len(fitted)))
 
 
 def _sections(runs: Sequence[Run], reference: Reference) -> list[list[Piece]]:
@@ -145,6 +183,8 @@ def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[
 
 def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     """A validation run under the fitted law: only its start is free; its own phases are taken as free too."""
+    if is_series(solution.problem):
+        return _told_beforehand(solution, series_pieces([run], reference.load), run)
     old = solution.problem.layout
     sections = pieces_of(run, 0, free_section(run)[0], reference)
     pieces = divided(sections, segment_frames(old.model, sections, run))
@@ -154,6 +194,17 @@ def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
     problem = Problem(old.model, layout, [q.refined(max(e.fine for e in old.model.effects)) for q in pieces])
     free = np.array([s.run is not None for s in layout.slots], dtype=bool)
     return until_stop(refine(problem, p, problem.first_starts(), free=free), free)
+
+
+def _told_beforehand(solution: Solution, pieces: list[Piece], run: Run) -> Solution:
+    """A validation run's measured friction under the fitted law, its own phases free."""
+    old = solution.problem.layout
+    layout = Layout(old.model, (run.name,), (old.span,))
+    known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
+    p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
+    problem = solution.problem.over(layout, pieces)
+    free = np.array([s.run is not None for s in layout.slots], dtype=bool)
+    return refine(problem, p, problem.first_starts(), free=free)
 
 
 def state(result: Fit | GroupFits) -> dict[str, Any]:
@@ -172,6 +223,8 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "frames": [len(piece.t) for piece in result.solution.problem.pieces],
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
+        "reference_load": result.reference.load,
+        "measured": is_series(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
         "seed": result.seed,
@@ -190,15 +243,22 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
-    reference = reference_of(fitted, float(saved["reference_mass"]))
+    by_cell = bool(saved.get("measured", False))
     lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
-    pieces = _divided(_sections(fitted, reference), lengths)
+    if by_cell:
+        reference = Reference(1.0, float(saved["reference_load"]))
+        pieces = series_pieces(fitted, reference.load)
+    else:
+        reference = reference_of(fitted, float(saved["reference_mass"]))
+        pieces = _divided(_sections(fitted, reference), lengths)
     own = {tuple(pair) for pair in saved["per_run"]}
     free = {tuple(pair) for pair in saved["free"]}
     law = models.of([_as_fitted(name, own, free) for name in saved["effects"]])
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
-    spans = spans_of(pieces, len(fitted), _fps(fitted))
+    spans = spans_of_series(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
+    if by_cell:
+        return _cell_restored(SeriesProblem(law, layout, pieces), saved, runs, reference)
     fine = max(e.fine for e in law.effects)
     cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
     problem = Problem(law, layout, cut)
@@ -208,6 +268,14 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
     found = _standing(problem, np.asarray(saved["p"]), where, fitted, (route, optima))
     return _finish(found, runs, reference, (route, lengths))
+
+
+def _cell_restored(problem: SeriesProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference) -> Fit:
+    held = np.zeros(len(problem.layout.slots), dtype=bool)
+    p, tau = np.asarray(saved["p"]), float(saved["tau"])
+    solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
+    route = Route(saved["domain"], saved["search"], int(saved["seed"]))
+    return _finish(Found(solution), runs, reference, (route, (0,) * len(problem.pieces)))
 
 
 def _as_fitted(name: str, own: set[tuple[Any, ...]], free: set[tuple[Any, ...]]) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit import routes
+from frictrack.fit import routes, series
 from frictrack.fit.blows import collisions
 from frictrack.fit.estimate import Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
@@ -57,6 +57,11 @@ class Fit:
         return self.route.seed
 
     @property
+    def measured(self) -> bool:
+        """Whether friction itself was measured and the law is held against that."""
+        return series.is_series(self.solution.problem)
+
+    @property
     def model(self) -> Model:
         """The model, its effects in the form in which they were fitted."""
         return friction_law(self.solution.problem.model)
@@ -69,6 +74,8 @@ class Fit:
     @cached_property
     def estimates(self) -> Estimates:
         """Parameters with deviations."""
+        if self.measured:
+            return linear_estimates(self.solution, series.covariance(self.solution))
         return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
 
     @property
@@ -78,7 +85,9 @@ class Fit:
 
     @cached_property
     def heldout(self) -> tuple[float, str]:
-        """Held-out root mean square, m, and how it was held out."""
+        """Held-out root mean square, m (N where friction itself was measured), and how it was held out."""
+        if self.measured:
+            return series.heldout_rms(self.solution)
         if self.route.plain:
             return heldout_rms(self.solution)
         return routes.heldout_rms(self.found, self.runs, self.route)
@@ -88,7 +97,8 @@ class Fit:
         """Frames less fitted numbers: starts, unknowns (levels count as what their scatter leaves)."""
         basis = self.solution.basis
         used = float(np.trace(basis.shrink(self.solution.tau or 0.03)))
-        return int(self.solution.problem.n_frames - 2 * len(self.solution.problem.pieces) - round(used))
+        starts = sum(len(start) for start in self.solution.starts)
+        return int(self.solution.problem.n_frames - starts - round(used))
 
     @property
     def reduced_chi2(self) -> float:
@@ -100,15 +110,19 @@ class Fit:
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
         """Measurement beside model, run by run, validation runs last."""
-        fitted = _curves(self.solution, self.runs, "fit")
+        told = series.curves if self.measured else _curves
+        fitted = told(self.solution, self.runs, "fit")
         return fitted + tuple(
-            c for s, run in zip(self.predictions, self.validation, strict=True) for c in _curves(s, [run], "validation")
+            c for s, run in zip(self.predictions, self.validation, strict=True) for c in told(s, [run], "validation")
         )
 
     @cached_property
     def motion(self) -> tuple[Modelled, ...]:
-        """The law's own x, v, a and F with their bands, one table per run, validation runs last."""
-        return modelled(self)
+        """The law's own x, v, a and F with their bands, one table per run, validation runs last.
+
+        Where friction itself was measured, the law tells no motion: none.
+        """
+        return () if self.measured else modelled(self)
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
@@ -119,10 +133,13 @@ class Fit:
     def errors(self) -> dict[str, Any]:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
-        out = errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
+        if self.measured:
+            out, held = series.errors_of(self.solution.responses), (None, rms)
+        else:
+            out, held = errors_of([c for c in self.curves if c.role == "fit"], self.weighed), (rms * 1e6, None)
         return out | {
-            "heldout_rms_um": rms * 1e6,
-            "heldout_rms_N": None,
+            "heldout_rms_um": held[0],
+            "heldout_rms_N": held[1],
             "heldout": how,
             "reduced_chi2": self.reduced_chi2,
         }
@@ -134,11 +151,12 @@ class Fit:
             "model": self.model.names,
             "domain": self.domain,
             "search": self.search,
-            "parameters": {k: vars(e) for k, e in self.parameters.items()},
+            "parameters": {k: e.json() for k, e in self.parameters.items()},
             "friction_scatter": None
             if scatter is None
             else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
             "correlations": [list(c) for c in self.estimates.correlations],
+            "remarks": self.estimates.remarks,
             "errors": self.errors,
             "per_run": self._per_run(),
             "collisions": self.collisions,
@@ -153,6 +171,10 @@ class Fit:
         ]
 
     def _per_run(self) -> list[dict[str, Any]]:
+        if self.measured:
+            rows = [series.row(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
+            told = zip(self.predictions, self.validation, strict=True)
+            return rows + [series.row(s, 0, run, "validation") for s, run in told]
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.weighed)]
         rows += [
             _row(s, 0, weighed(run, self.reference.mass), "validation", self.curves)

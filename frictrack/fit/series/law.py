@@ -1,0 +1,142 @@
+"""The law of a measured friction: from nothing to least squares, its deviations, and what it says of hidden frames.
+
+The cell's white noise comes from its own third differences. What a law misses is mostly far above that and alike from
+frame to frame, so deviations come from what blocks of frames, longer than this likeness, pull the law to; and blocks
+are what is held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import t as student
+
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.covariance import covariance_of
+from frictrack.fit.heldout import UNSEEN, _predictable
+from frictrack.fit.layout import Layout
+from frictrack.fit.problem import Piece
+from frictrack.fit.scatter import restraint_rows
+from frictrack.fit.series.problem import SeriesProblem, spans_of_series
+from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.fit.start import _first_guess, _needs_scan, grow, reordered, settled
+from frictrack.models import Model
+from frictrack.records import Array, Mask
+
+LONGER = 2.0  # times the likeness of the residual: length of a block
+FEWEST = 8  # blocks that a run is cut into at least
+BATCHES = 2  # blocks per unknown at least
+Z95 = 1.96
+
+
+def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model from scratch: linear effects first, then one scanned effect after the other, in two orders.
+
+    Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
+    """
+    plain = tuple(e for e in model.effects if not _needs_scan(e))
+    if not plain:
+        raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
+    layout = Layout(Model(plain), names, spans_of_series(pieces, fps))
+    problem = SeriesProblem(layout.model, layout, pieces)
+    base = settle_scatter(problem, _first_guess(problem), problem.first_starts())
+    scanned = [e for e in model.effects if _needs_scan(e)]
+    orders = [scanned, scanned[::-1]] if len(scanned) > 1 else [scanned]
+    tried = [settled(reordered(_grown(base, order), model)) for order in orders]
+    return min(tried, key=lambda s: s.objective)
+
+
+def _grown(solution: Solution, effects: Sequence[Effect]) -> Solution:
+    for effect in effects:
+        solution = grow(solution, effect)
+    return solution
+
+
+def likeness(r: Array) -> int:
+    """Frames over which a residual (n,) is alike: where its autocorrelation falls below 1/e; 0 for white noise."""
+    n = len(r)
+    if n < 8:
+        return 0
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[: n // 2]
+    rho = rho / max(float(rho[0]), 1e-300)
+    if rho[1] < 3.0 / np.sqrt(n):
+        return 0
+    below = np.flatnonzero(rho < np.exp(-1.0))
+    return int(below[0]) if len(below) else n // 2
+
+
+def blocks(solution: Solution) -> list[list[slice]]:
+    """Every run cut into blocks of frames: longer than the residual is alike, enough of them for the unknowns."""
+    enough = max(FEWEST, -(-BATCHES * len(solution.p) // len(solution.responses)))
+    return [_cut(len(r.r), likeness(r.r), enough) for r in solution.responses]
+
+
+def _cut(n: int, alike: int, enough: int) -> list[slice]:
+    length = min(max(int(np.ceil(LONGER * alike)), 1), max(n // enough, 1))
+    edges = np.linspace(0, n, max(n // length, 1) + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def covariance(solution: Solution) -> Array:
+    """Covariance of the unknowns (P, P): that of white noise where the residual is, else the scatter of blocks."""
+    plain, _ = covariance_of(solution)
+    if all(likeness(r.r) == 0 for r in solution.responses):
+        return plain
+    pulls = []
+    for r, cut in zip(solution.responses, blocks(solution), strict=True):
+        for rows in cut:
+            pulls.append(np.zeros(len(solution.p)))
+            pulls[-1][r.active] = r.jac[rows].T @ r.r[rows]
+    count = len(pulls)
+    widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    each = np.array(pulls)
+    return np.asarray(plain @ (widen * each.T @ each + held.T @ held) @ plain)
+
+
+def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
+    """Root mean square of the held-out residual, N, and how it was held out: "run" or "frames".
+
+    By run: the shared parameters from the other runs, the run's own from its even blocks, its odd blocks are scored.
+    Otherwise the even blocks of all runs fit and the odd ones score. `by` asks for one of the two.
+    """
+    problem = solution.problem
+    hidden = [_odd(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]
+    if by == "frames" or len(problem.pieces) < 2 or (by is None and not _predictable(solution)):
+        half = problem.over(problem.layout, [_without(p, h) for p, h in zip(problem.pieces, hidden, strict=True)])
+        found = refine(half, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=10)
+        return _rms(found, hidden), "frames"
+    squares = [_left_out(solution, i, h) ** 2 for i, h in enumerate(hidden)]
+    return float(np.sqrt(np.average(squares, weights=[np.sum(h) for h in hidden]))), "run"
+
+
+def _left_out(solution: Solution, i: int, hidden: Mask) -> float:
+    """Root mean square residual, N, over the hidden frames of one run, predicted by the others."""
+    problem, layout = solution.problem, solution.problem.layout
+    piece = problem.pieces[i]
+    own = np.array([s.run == piece.run for s in layout.slots])
+    others = problem.over(layout, [p for p in problem.pieces if p is not piece])
+    known = refine(others, solution.p, others.first_starts(), tau=solution.tau or 0.03, free=~own, max_steps=10)
+    alone = problem.over(replace(layout, levels_free=True), [_without(piece, hidden)])
+    return _rms(refine(alone, known.p, alone.first_starts(), free=own, max_steps=10), [hidden])
+
+
+def _odd(n: int, cut: Sequence[slice]) -> Mask:
+    out = np.zeros(n, dtype=bool)
+    for rows in cut[1::2]:
+        out[rows] = True
+    return out
+
+
+def _without(piece: Piece, hidden: Mask) -> Piece:
+    return replace(piece, sigma=np.where(hidden, UNSEEN, 1.0) * piece.sigma)
+
+
+def _rms(solution: Solution, hidden: Sequence[Mask]) -> float:
+    left = [(r.piece.y - r.model_y)[h] for r, h in zip(solution.responses, hidden, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))

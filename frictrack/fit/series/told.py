@@ -1,0 +1,81 @@
+"""What a law fitted to a measured friction is told by: curves, errors in newtons, one row per run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.problem import Response
+from frictrack.fit.series.law import likeness
+from frictrack.fit.solve import Solution
+from frictrack.records import Array, Curve, Run
+
+UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
+
+
+def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
+    """Model beside measurement at the compared frames of every run; x, v and a are the measured motion itself."""
+    return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
+
+
+def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
+    piece, model = response.piece, solution.problem.model
+    values, level = solution.problem.layout.values(solution.p, piece.run)
+    path = piece.along(piece.path.x, piece.path.v, level)
+    parts = {
+        name: np.asarray(block @ model.coefficients(name, values))[piece.at]
+        for name, block in model.force_columns(path, values).items()
+    }
+    rows = piece.frames
+    return Curve(
+        t=run.motion.t[rows],
+        x=run.motion.x[rows],
+        sigma_x=run.motion.sigma_x[rows],
+        x_model=run.motion.x[rows],
+        v_model=run.motion.v[rows],
+        a_model=run.motion.a[rows],
+        F_model=response.model_y,
+        run=run.name,
+        role=role,
+        parts=parts,
+    )
+
+
+def errors_of(responses: Sequence[Response]) -> dict[str, Any]:
+    """Errors of a law over some runs, in N; what needs a displacement of the model is null."""
+    left = np.concatenate([r.piece.y - r.model_y for r in responses])
+    force = np.concatenate([r.piece.y for r in responses])
+    return dict.fromkeys(UNKNOWN) | {
+        "rms_N": _rms(left),
+        "noise_N": noise(responses),
+        "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
+    }
+
+
+def noise(responses: Sequence[Response]) -> float:
+    """White noise of the cell, N, rms."""
+    return _rms(np.concatenate([r.piece.sigma for r in responses]))
+
+
+def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
+    """One run in the JSON of `fit`: level, noise, over how long the residual is alike, errors."""
+    response = next(r for r in solution.responses if r.piece.run == index)
+    _, level = solution.problem.layout.values(solution.p, index)
+    interval = float(np.median(np.diff(run.motion.t)))
+    return {
+        "run": run.name,
+        "role": role,
+        "level": level,
+        "noise_um": None,
+        "noise_N": noise([response]),
+        "correlated_s": likeness(response.r) * interval,
+        "segments": 1,
+        "segment_s": float(response.piece.t[-1] - response.piece.t[0]),
+        "errors": errors_of([response]),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
