@@ -346,5 +346,5 @@ def test_runs_that_cannot_be_fitted_are_refused_in_one_sentence(runs, said):
 def test_an_effect_whose_need_the_runs_lack_is_refused():
     blind = parabola(0)
     blind = replace(blind, displacement=replace(blind.displacement, pixel_pitch=None))
-    with pytest.raises(FrictrackError, match="peak_locking needs pixel_pitch of every run; give scale in"):
+    with pytest.raises(FrictrackError, match="peak_locking needs the pixel pitch of every run; give scale in"):
         fit("coulomb,peak_locking", [blind])

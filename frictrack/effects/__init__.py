@@ -9,25 +9,35 @@ from typing import Any
 from frictrack.effects.asymmetry import asymmetry
 from frictrack.effects.atm2 import atm2
 from frictrack.effects.base import Effect, Parameter, Path, Span
+from frictrack.effects.beam_vibration import beam_vibration
 from frictrack.effects.camera_shake import camera_shake
 from frictrack.effects.collision import collision
 from frictrack.effects.coulomb import coulomb
+from frictrack.effects.decaying_vibration import decaying_vibration
 from frictrack.effects.drag import drag
+from frictrack.effects.drift import drift
+from frictrack.effects.drive_error import drive_error
+from frictrack.effects.dropped_frame import dropped_frame
 from frictrack.effects.formula import formula
 from frictrack.effects.friction_lag import friction_lag
 from frictrack.effects.lens import lens
 from frictrack.effects.load_modulation import load_modulation
 from frictrack.effects.lugre import lugre
+from frictrack.effects.measured_load import measured_load
 from frictrack.effects.patch import patch
 from frictrack.effects.peak_locking import peak_locking
 from frictrack.effects.presliding import presliding
 from frictrack.effects.slope import slope
 from frictrack.effects.spring import spring
 from frictrack.effects.stribeck import stribeck
+from frictrack.effects.target_rotation import target_rotation
 from frictrack.effects.texture import texture
+from frictrack.effects.thermal import thermal
+from frictrack.effects.timebase import timebase
 from frictrack.effects.user import DECLARED, effect
 from frictrack.effects.vibration import vibration
 from frictrack.effects.viscous import viscous
+from frictrack.effects.viscous_modulation import viscous_modulation
 from frictrack.errors import FrictrackError
 
 __all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue", "effect", "formula", "get", "known"]
@@ -35,8 +45,9 @@ __all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue"
 LIBRARY: dict[str, Effect] = {
     e.name: e
     for e in (
-        *(coulomb, stribeck, viscous, drag, vibration, texture, patch, spring, collision),
-        *(asymmetry, slope, load_modulation, lens, peak_locking, camera_shake),
+        *(coulomb, stribeck, viscous, drag, vibration, decaying_vibration, beam_vibration, texture, patch, spring),
+        *(collision, thermal, drift, asymmetry, slope, load_modulation, measured_load, viscous_modulation),
+        *(drive_error, lens, peak_locking, camera_shake, dropped_frame, timebase, target_rotation),
         *(presliding, friction_lag, lugre),
     )
 }

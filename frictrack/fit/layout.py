@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
+from frictrack.effects.settings import Tie
+from frictrack.fit.rules import MASS, Rule, follow, quoted, rules_of
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -35,6 +37,8 @@ class Slot:
 class Layout:
     """The unknowns of a model over some runs.
 
+    `fixed` holds values that are known; `rules` say what follows from unknowns (ties). `led` are the places of unknowns
+    that others follow: the law answers them with more than their own columns.
     `absent` holds pairs (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
     """
 
@@ -45,14 +49,18 @@ class Layout:
     levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
+    rules: tuple[Rule, ...] = field(init=False)
+    led: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
         slots: list[Slot] = []
         fixed: dict[tuple[str, str], float] = {}
         for effect in self.model.effects:
             for p in effect.parameters:
-                if p.fixed is not None:
-                    fixed[effect.name, p.name] = p.fixed
+                held = told(p, self.span)
+                if held is not None:
+                    fixed[effect.name, p.name] = held
+                if held is not None or p.tie is not None:
                     continue
                 for run in self._runs_of(effect, p.per_run):
                     bounds = reach(p, self.span if run is None else self.spans[run])
@@ -61,6 +69,22 @@ class Layout:
             slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
         object.__setattr__(self, "slots", tuple(slots))
         object.__setattr__(self, "fixed", fixed)
+        object.__setattr__(self, "rules", rules_of(self.model))
+        object.__setattr__(self, "led", frozenset(self._leaders()))
+
+    def _leaders(self) -> list[int]:
+        """Places of the unknowns that others follow."""
+        targets, whole = set(), False
+        for rule in self.rules:
+            whole = whole or rule.quoted
+            if isinstance(rule.told, Tie):
+                targets.add((rule.told.effect, rule.told.parameter))
+        scaled = any(not isinstance(r.told, Tie) for r in self.rules)
+        return [
+            i
+            for i, s in enumerate(self.slots)
+            if (whole and s.effect != LEVEL) or (s.effect, s.parameter) in targets or (scaled and s.effect == MASS)
+        ]
 
     def _runs_of(self, effect: Effect, per_run: bool) -> list[int | None]:
         if not per_run:
@@ -74,8 +98,9 @@ class Layout:
 
     @property
     def scales(self) -> bool:
-        """Whether any effect follows the run's friction level."""
-        return any(e.scales_with == "load" for e in self.model.effects)
+        """Whether any effect follows the run's friction level, and no coefficient of its own says it for each run."""
+        own = any(p.loaded and p.per_run and not p.role for e in self.model.effects for p in e.parameters)
+        return not own and any(e.scales_with == "load" for e in self.model.effects)
 
     @property
     def names(self) -> list[str]:
@@ -117,7 +142,29 @@ class Layout:
         for e in self.model.effects:  # a cause that this run does not show
             if (e.name, run) in self.absent:
                 out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}
+        follow(self.model, self.rules, out)
         return out, level
+
+    def quoted(self, p: Array) -> dict[str, float]:
+        """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
+        each = [self.values(p, r)[0] for r in range(len(self.run_names))]
+        out = {}
+        for e in self.model.effects:
+            for q in e.parameters:
+                told = [quoted(self.model, values, e.name, q.name) for values in each]
+                if self.own(e, q):
+                    out |= {f"{e.name}.{q.name}[{self.run_names[r]}]": told[r] for r in self._runs_of(e, True) if r is not None}
+                else:
+                    out[f"{e.name}.{q.name}"] = float(np.mean(told))
+        return out
+
+    def own(self, effect: Effect, p: Parameter) -> bool:
+        """Whether a parameter has a value in every run; a tied one has where the one that it follows has."""
+        if p.tie is None:
+            return p.per_run and p.fixed is None
+        tie = Tie.read(p.tie)
+        leader = next(e for e in self.model.effects if e.name == tie.effect)
+        return self.own(leader, leader.parameter(tie.parameter))
 
     def index(self, effect: str, parameter: str, run: int | None = None) -> int:
         """Position of one unknown."""
@@ -125,6 +172,14 @@ class Layout:
             if (s.effect, s.parameter, s.run) == (effect, parameter, run):
                 return i
         raise KeyError((effect, parameter, run))
+
+
+def told(p: Parameter, span: Span) -> float | None:
+    """The value of a parameter that is fixed, or that the runs tell: its scan has one value. None where it is free."""
+    if p.fixed is not None or p.scan is None:
+        return p.fixed
+    grid = p.scan(span)
+    return float(grid[0]) if len(grid) == 1 else None
 
 
 def reach(p: Parameter, span: Span) -> tuple[float, float]:
@@ -149,6 +204,8 @@ def together(spans: Sequence[Span]) -> Span:
         v_min=min(s.v_min for s in spans),
         v_max=max(s.v_max for s in spans),
         fps=spans[0].fps,
+        clamp_x=spans[0].clamp_x,
+        beam_length=spans[0].beam_length,
     )
 
 

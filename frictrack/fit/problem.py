@@ -298,6 +298,9 @@ class Problem:
 
     def __init__(self, model: Model, layout: Layout, pieces: Sequence[Piece]) -> None:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
+        paths = [piece.path for piece in self.pieces]
+        if lacking := [said for effect in model.effects if (said := effect.lacks(paths))]:
+            raise FrictrackError("; ".join(lacking))
         self._guess = [piece.a_hat for piece in self.pieces]
 
     def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:

@@ -78,10 +78,10 @@ class Family:
 def families(solution: Solution, effect: Effect, basis: Basis) -> list[Family]:
     """The forms of one effect over the fitted runs: one family, or one per run when its scan is the run's own.
 
-    Empty when the runs lack what the effect needs (the pixel pitch, a drive).
+    Empty when the runs lack what the effect needs, see `Effect.lacks`.
     """
     pieces = solution.problem.pieces
-    if any(getattr(p.path, need) is None for p in pieces for need in effect.needs):
+    if effect.lacks([p.path for p in pieces]):
         return []
     if any(p.scan is not None and p.per_run for p in effect.nonlinear):
         runs = sorted({p.run for p in pieces})

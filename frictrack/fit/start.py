@@ -127,7 +127,7 @@ def _grown(solution: Solution, effect: Effect) -> Solution:
     basis = solution.basis
     made = families(solution, effect, basis)
     if not made:
-        raise FrictrackError(f"{effect.name} needs {', '.join(effect.needs)} of every run; give scale in [camera]")
+        raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
     data = solution.unlevelled()[:, None]
     shrink = basis.shrink(solution.tau)
     on_basis = basis.u.T @ data
@@ -178,7 +178,8 @@ def _start_values(solution: Solution, effect: Effect, made: list[Family], picks:
         if p.scan is not None or p.fixed is not None:
             out |= {(p.name, r): point[p.name] for r in (runs if p.per_run else [None])}
     if not any(p.role == "phase" for p in effect.parameters):
-        return out | {(p.name, None): float(v) for p, v in zip(effect.linear, c, strict=True)}, frozenset()
+        sizes = [p for p in effect.parameters if p.linear or p.role == "depth"]
+        return out | {(p.name, None): float(v) for p, v in zip(sizes, c, strict=True)}, frozenset()
     size = np.hypot(*c.reshape(-1, 2).T)
     phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
     for p in effect.parameters:

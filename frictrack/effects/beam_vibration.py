@@ -1,0 +1,106 @@
+"""Beam vibration: the beam under the course rings, and its frequency falls as the mass moves away from the clamp."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
+from frictrack.records import Array
+
+HIGHEST = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
+SLOW = 0.25  # cycles over the longest run by which neighbouring mass ratios may differ
+MOST = 40  # mass ratios tried
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """sin(integral of omega(x(t)) dt since release + phase), shape (n, 1): N per N of amplitude."""
+    return wave(_cycles(path, nonlinear), nonlinear["phase"])
+
+
+def shape(x: Array, length: Array) -> tuple[Array, Array]:
+    """Static shape of a cantilever, (3 l x^2 - x^3)/(2 l^3), 1 at its free end, and its slope; x (m) from the clamp."""
+    u = x / length
+    return (3 * u**2 - u**3) / 2, (6 * u - 3 * u**2) / (2 * length)
+
+
+def _cycles(path: Path, nonlinear: Nonlinear) -> Array:
+    """Cycles (n,) since release, the way before the path included: trapezoids with their end correction, order 4."""
+    assert path.clamp_x is not None
+    own = [np.broadcast_to(nonlinear[name], path.t.shape) for name in ("frequency", "r")]
+    own.append(np.broadcast_to(path.beam_length or nonlinear["beam_length"], path.t.shape))
+    first = list(path.starts)
+    rate, change = _rate(path, path.x, path.v, own)
+    since = _running(path.t, rate, change, first)
+    return np.asarray(since + path.each(_lead(path, [q[first] for q in own]) - since[first]))
+
+
+def _lead(path: Path, own: list[Array]) -> Array:
+    """Cycles from release to the first frame of every individual, (P,)."""
+    way = np.stack([path.t, path.x, path.v])[:, None, list(path.starts)]
+    if path.before is not None:
+        alike = np.broadcast_to(path.before[:, :, None], (*path.before.shape, way.shape[2]))
+        way = np.concatenate([alike, way], axis=1)
+    t, x, v = way
+    rate, change = _rate(path, x, v, own)
+    return np.asarray(t[0] * rate[0] + np.sum(_steps(np.diff(t, axis=0), rate, change), axis=0))
+
+
+def _rate(path: Path, x: Array, v: Array, own: list[Array]) -> tuple[Array, Array]:
+    """Frequency at places x, Hz, and its change in time, Hz/s."""
+    frequency, r, length = own
+    away = x - float(path.clamp_x or 0.0)
+    phi, slope = shape(np.abs(away), length)
+    heavy = r * path.mass_ratio
+    rate = frequency / np.sqrt(1 + heavy * phi**2)
+    return rate, -rate * heavy * phi * slope * np.sign(away) * v / (1 + heavy * phi**2)
+
+
+def _steps(h: Array, rate: Array, change: Array) -> Array:
+    return np.asarray(h / 2 * (rate[1:] + rate[:-1]) + h**2 / 12 * (change[:-1] - change[1:]))
+
+
+def _running(t: Array, rate: Array, change: Array, first: list[int]) -> Array:
+    return np.concatenate([[0.0], np.cumsum(_steps(np.diff(t), rate, change))])
+
+
+def frequencies(span: Span) -> Array:
+    """Frequencies of the bare beam worth trying, Hz: half a Rayleigh cell apart."""
+    lowest = max(1.0 / span.duration, 2.0)
+    return np.arange(lowest, max(min(0.2 * span.fps, HIGHEST), 2 * lowest), 0.5 / span.duration)
+
+
+def ratios(span: Span) -> Array:
+    """Mass ratios worth trying."""
+    return np.geomspace(0.05, 5.0, 13)
+
+
+def lengths(span: Span) -> Array:
+    """The length of the beam where it is known, else lengths worth trying, m, from the farthest place on."""
+    if span.beam_length is not None:
+        return np.array([span.beam_length])
+    clamp = span.x_min if span.clamp_x is None else span.clamp_x
+    return max(abs(span.x_min - clamp), abs(span.x_max - clamp)) * np.array([1.0, 1.4, 2.0])
+
+
+beam_vibration = Effect(
+    name="beam_vibration",
+    acts_on="force",
+    equation=(
+        "amplitude sin(2 pi integral of frequency/sqrt(1 + r phi^2) dt + phase), "
+        "phi = (3 l x^2 - x^3)/(2 l^3) from the clamp, l = beam_length"
+    ),
+    parameters=(
+        Parameter("amplitude", "N", linear=True, role="amplitude"),
+        Parameter("frequency", "Hz", scan=frequencies),
+        Parameter("r", "1", scan=ratios),
+        Parameter("beam_length", "m", scan=lengths),
+        Parameter("phase", "rad", per_run=True, role="phase"),
+    ),
+    columns=columns,
+    what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
+    looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
+    mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",
+    confirm="Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there.",
+    source="Rayleigh's quotient with the static shape of an end-loaded cantilever",
+    needs=("clamp_x",),
+)

@@ -1,0 +1,28 @@
+"""Drift: dry friction rises or falls steadily with time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """L s t, shape (n, 1): N per N/s of k; t since release."""
+    return np.asarray(path.load * (path.s * path.t)[:, None])
+
+
+drift = Effect(
+    name="drift",
+    acts_on="force",
+    equation="k L s t",
+    parameters=(Parameter("k", "N/s", linear=True, loaded=True),),
+    columns=columns,
+    scales_with="load",
+    what="Dry friction changes steadily during a run: lubricant is squeezed out (k > 0), surfaces warm up (k < 0).",
+    looks_like="a slow change of deceleration that follows the clock, whatever the place and the speed",
+    mistaken_for="viscous friction (as the mass slows steadily), thermal, a spring in one direction",
+    confirm="Film slow and fast runs over the same course: the change per second stays, that per metre does not.",
+    source="textbook: linear drift",
+)

@@ -1,0 +1,27 @@
+"""Time base: the frame rate drifts during a run, so that the recorded clock is not the true one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.records import Array
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """V t^2/2, shape (n, 1): m per 1/s of k; the true time is t + k t^2/2."""
+    return np.asarray((path.v * path.t**2 / 2)[:, None])
+
+
+timebase = Effect(
+    name="timebase",
+    acts_on="measurement",
+    equation="y: k v t^2/2",
+    parameters=(Parameter("k", "1/s", linear=True, role="amplitude"),),
+    columns=columns,
+    what="The camera's clock runs faster or slower as it goes: at the end of a run every frame comes late or early.",
+    looks_like="a false deceleration that grows with the speed and hardly depends on the mass",
+    mistaken_for="viscous friction and drag, unless runs of two masses are there",
+    confirm="Film a counter, a flashing diode or a second clock in the same picture.",
+    source="textbook: a clock with a linear rate; y(t) = x(t + k t^2/2)",
+)
