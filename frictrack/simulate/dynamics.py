@@ -4,6 +4,10 @@ Gauss-Legendre collocation with three nodes per panel (order 6 at the panel edge
 Solving Ordinary Differential Equations I, II.7). All panels are solved at once by Newton's method: linearised,
 every panel is a 3 x 3 system and panels are chained by a triangular banded system. The same linear operator
 returns sensitivities: how x responds to any small force along the solved motion.
+
+A force with memory depends on the whole motion so far, which no slope at a node tells. Its response is found by
+GMRES (Saad & Schultz 1986, SIAM J. Sci. Stat. Comput. 7) on directional differences of the law itself, the response
+without memory as preconditioner (Newton-Krylov: Knoll & Keyes 2004, J. Comput. Phys. 193).
 """
 
 from __future__ import annotations
@@ -33,6 +37,12 @@ _BA = _B @ _A
 MOST_STEPS = 30
 RUNAWAY = 1e6  # m, beyond which there is no motion to speak of
 SETTLING = 1e-6  # m, a Newton step below which the linear response is kept
+
+STIR = 3e-9  # of the motion's own size: a change small enough for a difference of the law
+KRYLOV = 80  # directions at most
+ACCURATE, ROUGH = 1e-7, 1e-4  # relative residual of a response with memory: of a sensitivity, of a Newton step
+NEARLY = 1e-10  # m, to which a stretch is solved before the next one
+STRETCH = 16  # panels solved at a time where all at once do not settle
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
 
@@ -119,23 +129,123 @@ def _chain(step: Array) -> Array:
     return band
 
 
-def slopes(acceleration: Acceleration, x: Array, v: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Acceleration and its slopes in x and v at the nodes, by differences."""
-    ex = 1e-7 * max(float(np.ptp(x)), 1e-3)
-    ev = 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
-    f = acceleration(x, v, t)
-    return f, (acceleration(x + ex, v, t) - f) / ex, (acceleration(x, v + ev, t) - f) / ev
+class Remembering:
+    """The linear response of a motion under a law with memory, with the interface of `Linear`.
+
+    `tangent(a, start)` (3 p,) is the change of the law's acceleration along a small change of the motion.
+    """
+
+    def __init__(self, local: Linear, tangent: Callable[[Array, Array], Array]) -> None:
+        self._local, self._tangent = local, tangent
+
+    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Node accelerations (3 p, k) and edge states (p + 1, 2, k) for inputs g (3 p, k), start (2, k)."""
+        pairs = [self.along(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
+        return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
+
+    def along(self, g: Array, start: Array, accuracy: float = ACCURATE) -> tuple[Array, Array]:
+        """Node accelerations (3 p,) and edge states (p + 1, 2) for one input and start."""
+        a, edges = (q[..., 0] for q in self._local.respond(g[:, None], start[:, None]))
+        rest = g + self._tangent(a, start) - a
+        if np.any(rest):
+            size = max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+            more, bent = self._corrected(rest, accuracy * size)
+            a, edges = a + more, edges + bent
+        return a, edges
+
+    def _corrected(self, rest: Array, tolerance: float) -> tuple[Array, Array]:
+        """What is to be added where `rest` is left of the equation: GMRES, preconditioned from the right."""
+        still = np.zeros(2)
+        basis, moves, hessenberg = [rest / np.linalg.norm(rest)], [], np.zeros((KRYLOV + 1, KRYLOV))
+        right = np.zeros(KRYLOV + 1)
+        right[0] = np.linalg.norm(rest)
+        for k in range(KRYLOV):
+            a, edges = (q[..., 0] for q in self._local.respond(basis[k][:, None], still[:, None]))
+            moves.append((a, edges))
+            w = a - self._tangent(a, still)
+            for i, b in enumerate(basis):
+                hessenberg[i, k] = b @ w
+                w = w - hessenberg[i, k] * b
+            hessenberg[k + 1, k] = np.linalg.norm(w)
+            y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], right[: k + 2], rcond=None)[0]
+            left = float(np.linalg.norm(right[: k + 2] - hessenberg[: k + 2, : k + 1] @ y))
+            if left <= tolerance or hessenberg[k + 1, k] <= 1e-14 * right[0]:
+                break
+            basis.append(w / hessenberg[k + 1, k])
+        a = np.sum([c * m[0] for c, m in zip(y, moves, strict=True)], axis=0)
+        return a, np.sum([c * m[1] for c, m in zip(y, moves, strict=True)], axis=0)
+
+
+Response = Linear | Remembering
+
+
+@dataclass(frozen=True)
+class _Law:
+    """What is to be solved: the law, its panels and start; with memory the law is given the start before the nodes."""
+
+    acceleration: Acceleration
+    panels: Panels
+    start: tuple[float, float]
+    memory: bool
+
+    def at(self, x: Array, v: Array, start: tuple[float, float] | None = None) -> Array:
+        """Acceleration at the nodes, (3 p,)."""
+        t = self.panels.t
+        if not self.memory:
+            return self.acceleration(x, v, t)
+        x0, v0 = start or self.start
+        whole = np.append(x0, x), np.append(v0, v), np.append(self.panels.edges[0], t)
+        return self.acceleration(*whole)[1:]
+
+    def local(self, x: Array, v: Array) -> tuple[Array, Linear]:
+        """Acceleration at the nodes, and the response by its slopes in x and v there, by differences."""
+        ex = 1e-7 * max(float(np.ptp(x)), 1e-3)
+        ev = 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
+        f = self.at(x, v)
+        # to and fro from panel to panel: where the way so far counts, a shift of the whole course would say nothing
+        e = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2)) if self.memory else ex
+        return f, Linear(self.panels, (self.at(x + e, v) - f) / e, (self.at(x, v + ev) - f) / ev)
+
+    def response(self, local: Linear, f: Array, x: Array, v: Array) -> Response:
+        """The response about a motion x, v under which the law is f."""
+        if not self.memory:
+            return local
+        size = np.array([max(float(np.ptp(x)), 1e-6), max(float(np.max(np.abs(v))), 1e-6)])
+
+        def tangent(a: Array, start: Array) -> Array:
+            dx, dv, _, _ = self.panels.integrate(a, float(start[0]), float(start[1]))
+            largest = max(float(np.max(np.abs(dx))) / size[0], float(np.max(np.abs(dv))) / size[1])
+            if not largest > 0:
+                return np.zeros_like(f)
+            e = STIR / largest
+            begin = self.start[0] + e * float(start[0]), self.start[1] + e * float(start[1])
+            return (self.at(x + e * dx, v + e * dv, begin) - f) / e
+
+        return Remembering(local, tangent)
 
 
 def solve(
-    acceleration: Acceleration, panels: Panels, start: tuple[float, float], guess: Array, *, tolerance: float = 1e-13
-) -> tuple[Motion6, Linear]:
+    acceleration: Acceleration,
+    panels: Panels,
+    start: tuple[float, float],
+    guess: Array,
+    *,
+    tolerance: float = 1e-13,
+    memory: bool = False,
+) -> tuple[Motion6, Response]:
     """Solve x'' = acceleration(x, v, t) from start = (x0, v0); guess is x'' at the nodes, shape (3 p,).
 
+    A law with `memory` depends on the whole motion so far: it is given the start and the nodes, (1 + 3 p,).
     Returns the motion and its linear response. Raises FrictrackError when Newton's method does not settle.
     """
+    law = _Law(acceleration, panels, start, memory)
+    guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a wild law runs off to infinity, which is answered below
-        solved = _newton(acceleration, panels, start, np.array(guess, dtype=float), tolerance)
+        solved = _newton(law, guess, tolerance)
+        if solved is None and memory:
+            marched = _marched(law, guess)
+            solved = None if marched is None else _newton(law, marched, tolerance)
     if solved is None:
         raise FrictrackError(
             "the motion under this law could not be integrated; check mass, drive and the sign of incline "
@@ -144,24 +254,39 @@ def solve(
     return solved
 
 
-def _newton(
-    acceleration: Acceleration, panels: Panels, start: tuple[float, float], a: Array, tolerance: float
-) -> tuple[Motion6, Linear] | None:
-    """Newton's iterations from node accelerations a (3 p,); None when they do not settle."""
+def _newton(law: _Law, a: Array, tolerance: float, until: int | None = None) -> tuple[Motion6, Response] | None:
+    """Newton's iterations from node accelerations a (3 p,) for the panels `until`; None when they do not settle."""
     moved = np.inf
+    panels, still = law.panels, np.zeros((2, 1))
+    last = len(panels.edges) if until is None else until + 1
     for _ in range(MOST_STEPS):
-        x, v, x_edge, v_edge = panels.integrate(a, *start)
-        if moved > SETTLING:  # near the solution the slopes no longer change
-            f, f_x, f_v = slopes(acceleration, x, v, panels.t)
-            response = Linear(panels, f_x, f_v)
+        x, v, x_edge, v_edge = panels.integrate(a, *law.start)
+        if moved > SETTLING or law.memory:  # near the solution the slopes no longer change
+            f, local = law.local(x, v)
+            response = law.response(local, f, x, v)
         else:
-            f = acceleration(x, v, panels.t)
-        step, edges = response.respond((f - a)[:, None], np.zeros((2, 1)))
-        a = a + step[:, 0]
-        moved = float(np.max(np.abs(edges[:, 0])))
-        if not max(moved, float(np.max(np.abs(x_edge)))) < RUNAWAY:
+            f = law.at(x, v)
+        rest = f - a
+        rest[3 * (last - 1) :] = 0.0
+        if isinstance(response, Remembering):
+            step, edges = response.along(rest, np.zeros(2), ROUGH)
+        else:
+            step, edges = (q[..., 0] for q in response.respond(rest[:, None], still))
+        a = a + step
+        moved = float(np.max(np.abs(edges[:last, 0])))
+        if not max(moved, float(np.max(np.abs(x_edge[:last])))) < RUNAWAY:
             return None
-        if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
-            x, v, x_edge, v_edge = panels.integrate(a, *start)
+        if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge[:last])))):
+            x, v, x_edge, v_edge = panels.integrate(a, *law.start)
             return Motion6(panels, x, v, a, x_edge, v_edge), response
     return None
+
+
+def _marched(law: _Law, a: Array) -> Array | None:
+    """Node accelerations (3 p,) solved stretch after stretch: what comes later does not touch what came before."""
+    for until in range(STRETCH, len(law.panels.h) + STRETCH, STRETCH):
+        found = _newton(law, a, NEARLY, min(until, len(law.panels.h)))
+        if found is None:
+            return None
+        a = found[0].a
+    return a
