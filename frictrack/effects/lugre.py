@@ -7,6 +7,7 @@ import numpy as np
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
 from frictrack.effects.memory import followed, travel
 from frictrack.effects.presliding import lengths
+from frictrack.effects.stribeck import SLOW
 from frictrack.records import Array
 
 
@@ -28,6 +29,8 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 def speeds(span: Span) -> Array:
     """Stribeck velocities worth trying, m/s."""
+    if span.v_max < SLOW:
+        return log_grid(max(span.v_min / 6, span.v_max / 100), 2 * span.v_max, 4)
     return log_grid(min(max(1e-3, span.v_min / 6), 1.0), 2.0, 4)
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
 from frictrack.records import Array
 
+SLOW = 0.05  # m/s: a machine that is never faster is looked at on its own scale
+
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s exp(-(|v|/v_s)^delta), shape (n, 1): N per N of F_s - F_c."""
@@ -16,6 +18,8 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 def speeds(span: Span) -> Array:
     """Stribeck velocities worth trying, m/s: one far below the slowest speed seen would leave no trace."""
+    if span.v_max < SLOW:
+        return log_grid(max(span.v_min / 6, span.v_max / 100), 2 * span.v_max, 8)
     return log_grid(min(max(0.02, span.v_min / 6), 1.0), 2.0, 8)
 
 
