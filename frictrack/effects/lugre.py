@@ -48,7 +48,7 @@ lugre = Effect(
     parameters=(
         Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
         Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("sigma_0", "N/m", (0.0, np.inf), scan=lambda span: lengths(span)[::2]),
+        Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lambda span: lengths(span)[::2]),
         Parameter("F_s", "N", (1.0, 10.0), scan=lambda span: np.array([1.2, 1.6, 2.5])),
         Parameter("v_s", "m/s", scan=speeds),
         Parameter("delta", "1", (0.5, 2.0), fixed=2.0),

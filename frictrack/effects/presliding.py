@@ -98,7 +98,7 @@ presliding = Effect(
     acts_on="force",
     equation="coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - w sgn v)^exponent",
     parameters=(
-        Parameter("stiffness", "N/m", (0.0, np.inf), scan=lengths),
+        Parameter("stiffness", "N/m", (1e-9, np.inf), scan=lengths),
         Parameter("exponent", "1", (0.0, 2.0), fixed=1.0),
     ),
     columns=columns,

@@ -104,7 +104,7 @@ def items_of(along: Along) -> list[Item]:
         scanned = [p for p in effect.nonlinear if p.scan is not None and p.fixed is None]
         if any(p.per_run for p in scanned):
             out += [Item(effect.name, g, r) for r in along.runs if (effect.name, r) not in along.layout.absent]
-        elif scanned:
+        elif scanned and effect.linear:
             out.append(Item(effect.name, g))
     return out
 
