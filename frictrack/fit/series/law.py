@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.stats import t as student
 
-from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
+from frictrack.fit.along import Along, Block, Projected, Search, State
 from frictrack.fit.covariance import covariance_of
 from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.layout import Layout
@@ -23,10 +23,11 @@ from frictrack.fit.problem import Piece
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.series.problem import SeriesProblem, spans_of_series
 from frictrack.fit.solve import Solution, refine, settle_scatter
-from frictrack.fit.start import _first_guess, _needs_scan, grow, reordered, settled
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
+PICKS = 3  # points of a grid that are refined
+TRIALS = 200  # points of a grid over what reshapes dry friction, at most
 LONGER = 2.0  # times the likeness of the residual: length of a block
 FEWEST = 8  # blocks that a run is cut into at least
 BATCHES = 2  # blocks per unknown at least
@@ -34,26 +35,61 @@ Z95 = 1.96
 
 
 def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
-    """Fit a model from scratch: linear effects first, then one scanned effect after the other, in two orders.
+    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
 
-    Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
+    Raises FrictrackError when the runs lack what an effect needs.
     """
-    plain = tuple(e for e in model.effects if not _needs_scan(e))
-    if not plain:
-        raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = Layout(Model(plain), names, spans_of_series(pieces, fps))
-    problem = SeriesProblem(layout.model, layout, pieces)
-    base = settle_scatter(problem, _first_guess(problem), problem.first_starts())
-    scanned = [e for e in model.effects if _needs_scan(e)]
-    orders = [scanned, scanned[::-1]] if len(scanned) > 1 else [scanned]
-    tried = [settled(reordered(_grown(base, order), model)) for order in orders]
-    return min(tried, key=lambda s: s.objective)
+    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
+    if any(lacking):
+        raise FrictrackError(next(filter(None, lacking)))
+    layout = Layout(model, names, spans_of_series(pieces, fps))
+    along = Along(layout, [_block(p) for p in pieces])
+    state = _reshaped(Projected(along, along.data), Search(along)())
+    problem = SeriesProblem(model, layout, pieces)
+    return settle_scatter(problem, along.law(state.numbers, state.coefficients), problem.first_starts())
 
 
-def _grown(solution: Solution, effects: Sequence[Effect]) -> Solution:
-    for effect in effects:
-        solution = grow(solution, effect)
-    return solution
+def _block(piece: Piece) -> Block:
+    """The compared frames of a run as the search sees them."""
+    weight = 1.0 / piece.sigma
+    return Block(
+        run=piece.run,
+        path=piece.path,
+        data=piece.y * weight,
+        forward=lambda rows: rows[..., piece.at] * weight,
+        picture=lambda rows: np.zeros_like(rows[..., piece.at]),
+        friction=-piece.a_hat / piece.path.load,
+    )
+
+
+def _reshaped(problem: Projected, state: State) -> State:
+    """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
+    everything = set(range(len(problem.along.groups)))
+    for g, group in enumerate(problem.along.groups):
+        if not any(e.modifies and not e.linear for e in group.model.effects):
+            continue
+        found = [problem.at(numbers, state.rows, {g}) for numbers in _grid(problem, state.numbers, g)]
+        best = sorted(found, key=lambda s: s.misfit)[:PICKS]
+        state = min((problem.refine(s, everything) for s in [state, *best]), key=lambda s: s.misfit)
+    return state
+
+
+def _grid(problem: Projected, numbers: Array, g: int) -> list[Array]:
+    """Numbers (P,) at the points of a coarse grid over the scanned ones of a group."""
+    layout = problem.layout
+    scanned = {}
+    for i in problem.along.groups[g].numbers:
+        slot = layout.slots[i]
+        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        if parameter.scan is not None:
+            scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
+    most = max(int(TRIALS ** (1 / max(len(scanned), 1))), 2)
+    axes = [axis[np.linspace(0, len(axis) - 1, min(most, len(axis))).round().astype(int)] for axis in scanned.values()]
+    out = []
+    for point in product(*axes):
+        out.append(numbers.copy())
+        out[-1][list(scanned)] = point
+    return out
 
 
 def likeness(r: Array) -> int:
