@@ -164,6 +164,11 @@ class Effect:
         """What the columns themselves depend on."""
         return tuple(p for p in self.parameters if not p.linear)
 
+    @property
+    def quoted(self) -> frozenset[str]:
+        """Parameters that are quoted otherwise than they are sought, such as F_s for F_s - F_c."""
+        return frozenset() if self.quote is None else frozenset(self.quote({p.name: 1.0 for p in self.parameters}, {}))
+
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
         return next(p for p in self.parameters if p.name == name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -31,6 +32,17 @@ class Slot:
         """Address: `vibration.frequency`, `vibration.phase[v3]`."""
         where = "" if self.run is None else f"[{runs[self.run]}]"
         return f"{self.effect}.{self.parameter}{where}"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter beside the runs; `slot` is its place, None where it is quoted otherwise."""
+
+    address: str
+    mean: float
+    std: float
+    slot: int | None
+    phase: bool
 
 
 @dataclass(frozen=True)
@@ -103,6 +115,12 @@ class Layout:
         return not own and any(e.scales_with == "load" for e in self.model.effects)
 
     @property
+    def anchored(self) -> bool:
+        """Whether a coefficient that carries the load is not free to be anything."""
+        loaded = [p for e in self.model.effects for p in e.parameters if p.loaded]
+        return any(not p.free or p.prior is not None or np.isfinite(p.bounds[1]) for p in loaded)
+
+    @property
     def names(self) -> list[str]:
         """Addresses of all unknowns, in order."""
         return [s.name(self.run_names) for s in self.slots]
@@ -151,12 +169,30 @@ class Layout:
         out = {}
         for e in self.model.effects:
             for q in e.parameters:
-                told = [quoted(self.model, values, e.name, q.name) for values in each]
+                found = [quoted(self.model, values, e.name, q.name) for values in each]
                 if self.own(e, q):
-                    out |= {f"{e.name}.{q.name}[{self.run_names[r]}]": told[r] for r in self._runs_of(e, True) if r is not None}
+                    out |= {
+                        f"{e.name}.{q.name}[{self.run_names[r]}]": found[r]
+                        for r in self._runs_of(e, True)
+                        if r is not None
+                    }
                 else:
-                    out[f"{e.name}.{q.name}"] = float(np.mean(told))
+                    out[f"{e.name}.{q.name}"] = float(np.mean(found))
         return out
+
+    @cached_property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of the unknowns, in order; one per run where the parameter has a value in every run."""
+        effects = {e.name: e for e in self.model.effects}
+        weighed = MASS not in effects
+        made = []
+        for i, slot in enumerate(self.slots):
+            prior = None if slot.effect == LEVEL else effects[slot.effect].parameter(slot.parameter).prior
+            if prior is not None:
+                effect = effects[slot.effect]
+                plain = slot.parameter not in effect.quoted and (weighed or not slot.linear)
+                made.append(Prior(self.names[i], *prior, i if plain else None, _role(effect, slot) == "phase"))
+        return tuple(made)
 
     def own(self, effect: Effect, p: Parameter) -> bool:
         """Whether a parameter has a value in every run; a tied one has where the one that it follows has."""
@@ -210,11 +246,16 @@ def together(spans: Sequence[Span]) -> Span:
 
 
 def settle(layout: Layout, p: Array) -> Array:
-    """The same law in its plain form: amplitudes positive, phases between -pi and pi."""
+    """The same law in its plain form: amplitudes positive, phases between -pi and pi.
+
+    What others follow, and a phase between narrower bounds, stays as it is.
+    """
     p = np.array(p, dtype=float)
     for effect in layout.model.effects:
         phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
         sizes = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _SIZES]
+        if layout.led & {*phases, *sizes} or any(np.ptp(layout.slots[i].bounds) < 2 * np.pi - 1e-9 for i in phases):
+            continue
         if phases and len(sizes) == 1 and p[sizes[0]] < 0:
             p[sizes[0]] *= -1
             p[phases] += np.pi
@@ -229,10 +270,11 @@ def settle(layout: Layout, p: Array) -> Array:
 def balanced(layout: Layout, p: Array) -> Array:
     """The same law with levels about one: their common factor is given to the coefficients that carry the load.
 
-    The factor is the one that brings the levels closest to one; the motion does not change.
+    The factor is the one that brings the levels closest to one; the motion does not change. What is known of a
+    coefficient beside the runs already says what a level of one is.
     """
     levels = layout.levels
-    if not levels or layout.levels_free:
+    if not levels or layout.levels_free or layout.anchored:
         return p
     factor = float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
     p = np.array(p)

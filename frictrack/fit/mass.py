@@ -20,10 +20,10 @@ from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
 from frictrack.fit.problem import Piece
+from frictrack.fit.rules import MASS as NAME
 from frictrack.models import Model
 from frictrack.records import Array, Run
 
-NAME = "mass"
 HEAVIEST = 1e-6  # q at the heaviest mass that is looked for
 
 
@@ -93,7 +93,8 @@ def _drive(piece: Piece) -> Array:
 def in_units(piece: Piece, mass: float) -> Piece:
     """The same piece with its equation of motion in units of another mass."""
     drive = _drive(piece)
-    return replace(piece, mass=mass, known=piece.known - drive / piece.mass + drive / mass)
+    known = piece.known - drive / piece.mass + drive / mass
+    return replace(piece, mass=mass, known=known, path=replace(piece.path, mass=mass))
 
 
 def ratio(layout: Layout, p: Array) -> float:

@@ -238,6 +238,7 @@ def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
         s=still + np.sign(np.median(motion.v[rows])),
         load=1.0 if run.mass is None else (run.load or 1.0) / begin.reference.load,
         mass_ratio=float(run.mass or begin.reference.mass) / begin.reference.mass,
+        mass=float(run.mass or begin.reference.mass),
         pixel_pitch=run.pixel_pitch,
         drive=None if drive_at is None else drive_at(nodes),
         drive_at=drive_at,
@@ -375,9 +376,10 @@ class Problem:
         g = np.zeros((len(path.t), len(active)))
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            if slot.linear and slot.effect in columns:
+            led = i in self.layout.led
+            if slot.linear and slot.effect in columns and not led:
                 g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
-            elif not slot.linear:
+            elif led or not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
                 moved = self.model.force(piece.along(motion.x, motion.v, level_i), values_i)
@@ -408,8 +410,9 @@ class Problem:
         pictures = {e.name for e in self.model.effects if e.acts_on == "measurement"}
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            if slot.effect in pictures:
-                step = 1.0 if slot.linear else _step(p[i], slot.bounds)
+            led = i in self.layout.led
+            if slot.effect in pictures or led:
+                step = 1.0 if slot.linear and not led else _step(p[i], slot.bounds)
                 direct[:, j] = (total(_moved(p, i, step), x) - shift) / step
         return shift, slope, direct
 

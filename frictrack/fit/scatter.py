@@ -7,6 +7,7 @@ Patterson & Thompson 1971 (REML); Searle, Casella & McCulloch, Variance Componen
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -29,17 +30,18 @@ class Basis:
     prior: Array  # (P', P'), to be divided by tau^2
     n_levels: int
     random: bool  # the level is a random effect; otherwise free up to its mean
+    held: Array | float = 0.0  # (P', P'), what priors of parameters add
 
     def shrink(self, tau: float) -> Array:
         """(I + prior / tau^2)^-1: what the prior leaves of the basis, (P', P')."""
         weight = 1 / tau**2 if self.random else 1e8
-        return np.asarray(np.linalg.inv(np.eye(len(self.prior)) + weight * self.prior), dtype=np.float64)
+        return np.asarray(np.linalg.inv(np.eye(len(self.prior)) + self.held + weight * self.prior), dtype=np.float64)
 
     def logdet(self, tau: float) -> float:
         """Determinant part of the restricted likelihood at this spread."""
         if not self.random:
             return 0.0
-        _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.prior / tau**2)
+        _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.held + self.prior / tau**2)
         return float(value) + 2 * self.n_levels * np.log(tau)
 
     def misfit(self, on_basis: Array, total: Array, tau: float) -> Array:
@@ -60,8 +62,11 @@ class Basis:
         return float(np.exp(found.x))
 
 
-def basis_of(jac: Array, levels: list[int]) -> Basis:
-    """Orthonormal basis of a whitened Jacobian (N, P) whose columns `levels` are friction levels."""
+def basis_of(jac: Array, levels: list[int], known: Array | None = None) -> Basis:
+    """Orthonormal basis of a whitened Jacobian (N, P) whose columns `levels` are friction levels.
+
+    `known` (m, P) are the rows of parameters' priors.
+    """
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
     u, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
@@ -71,22 +76,78 @@ def basis_of(jac: Array, levels: list[int]) -> Basis:
     seen = back[levels]
     if not random and levels:
         seen = seen.mean(axis=0, keepdims=True)
-    return Basis(u[:, keep], seen.T @ seen, len(levels), random)
+    held = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
+    return Basis(u[:, keep], seen.T @ seen, len(levels), random, held)
 
 
-def restraint_rows(layout: Layout, tau: float) -> Array:
-    """Rows (m, P) that hold the levels about one: each to within tau, or their mean when there are too few runs."""
+def restraint_rows(layout: Layout, tau: float, p: Array | None = None) -> Array:
+    """Rows (m, P) of what is known beside the runs: the levels about one, then the priors of parameters.
+
+    Each level to within tau, or their mean when there are too few runs. `p` (P,) is where priors are linearised, which
+    matters only where the mass is fitted too.
+    """
     levels = layout.levels
     pick = np.zeros((len(levels), len(layout.slots)))
     pick[np.arange(len(levels)), levels] = 1.0
     if layout.levels_free or not levels:
-        return pick[:0]
-    return pick / tau if len(levels) >= MIN_RUNS else pick.mean(axis=0, keepdims=True) * 1e4
+        held = pick[:0]
+    else:
+        held = pick / tau if len(levels) >= MIN_RUNS else pick.mean(axis=0, keepdims=True) * 1e4
+    return np.vstack([held, prior_rows(layout, p)])
 
 
 def restraint(layout: Layout, p: Array, tau: float) -> Array:
-    """Departure of the levels from one, as `restraint_rows` weighs it, (m,)."""
-    at_one = np.zeros(len(p))
+    """Departure of the unknowns p (P,) from what is known beside the runs, as `restraint_rows` weighs it, (m,)."""
+    at_one = np.array(p)
     at_one[layout.levels] = 1.0
-    departure: Array = restraint_rows(layout, tau) @ (p - at_one)
-    return departure
+    count = len(layout.priors)
+    levels = restraint_rows(layout, tau, p) @ (p - at_one)
+    return np.concatenate([levels[: len(levels) - count], prior_departure(layout, p)])
+
+
+def prior_departure(layout: Layout, p: Array) -> Array:
+    """Departure of every parameter that has a prior from its mean, in standard deviations, (m,)."""
+    if not layout.priors:
+        return np.empty(0)
+    shown = layout.quoted(p)
+    return np.array([(_nearest(shown[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
+
+
+def prior_rows(layout: Layout, p: Array | None = None) -> Array:
+    """Derivative of `prior_departure` in the unknowns, (m, P)."""
+    rows = np.zeros((len(layout.priors), len(layout.slots)))
+    curved = [q for q in layout.priors if q.slot is None]
+    for row, q in zip(rows, layout.priors, strict=True):
+        if q.slot is not None:
+            row[q.slot] = 1 / q.std
+    if curved:
+        which = [i for i, q in enumerate(layout.priors) if q.slot is None]
+        rows[which] = _differences(layout, np.ones(len(layout.slots)) if p is None else p)[which]
+    return rows
+
+
+def _differences(layout: Layout, p: Array) -> Array:
+    base = prior_departure(layout, p)
+    out = np.zeros((len(base), len(p)))
+    for i in range(len(p)):
+        step = np.zeros(len(p))
+        step[i] = 1e-6 * max(abs(p[i]), 1e-3)
+        out[:, i] = (prior_departure(layout, p + step) - base) / step[i]
+    return out
+
+
+def prior_misfit(layout: Layout, points: Array) -> Array:
+    """Sum of squared departures from priors of a population of unknowns (n, P), shape (n,)."""
+    total = np.zeros(len(points))
+    for q in layout.priors:
+        if q.slot is not None:
+            total += (_nearest(points[:, q.slot] - q.mean, q.phase) / q.std) ** 2
+    if any(q.slot is None for q in layout.priors):
+        curved = np.array([q.slot is None for q in layout.priors])
+        total += np.array([np.sum(prior_departure(layout, p)[curved] ** 2) for p in points])
+    return total
+
+
+def _nearest(departure: Any, phase: bool) -> Any:
+    """A departure, that of a phase the short way round."""
+    return (departure + np.pi) % (2 * np.pi) - np.pi if phase else departure

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import balanced, settle
 from frictrack.fit.problem import Problem, Response
-from frictrack.fit.scatter import Basis, basis_of, restraint, restraint_rows
+from frictrack.fit.scatter import Basis, basis_of, prior_departure, prior_rows, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
 PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
@@ -49,12 +49,20 @@ class Solution:
     @property
     def basis(self) -> Basis:
         """Orthonormal basis of the linearised model."""
-        return basis_of(self.jac, self.problem.layout.levels)
+        layout = self.problem.layout
+        return basis_of(self.jac, layout.levels, prior_rows(layout, self.p))
 
     def unlevelled(self) -> Array:
-        """Residual with the fitted departures of the levels from one put back: data of the random effect, (N,)."""
-        levels = self.problem.layout.levels
-        return self.residual + self.jac[:, levels] @ (self.p[levels] - 1)
+        """Residual with the fitted departures of the levels from one put back: data of the random effect, (N,).
+
+        Departures from priors of parameters are put back likewise.
+        """
+        layout = self.problem.layout
+        away = np.zeros(len(self.p))
+        if layout.priors:
+            away = np.linalg.pinv(prior_rows(layout, self.p)) @ prior_departure(layout, self.p)
+        away[layout.levels] += self.p[layout.levels] - 1
+        return self.residual + self.jac @ away
 
 
 def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
@@ -152,7 +160,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     n = len(state.p)
     layout = state.problem.layout
     rows, right = _compressed(state.responses, n)
-    rows = np.vstack([rows, restraint_rows(layout, state.tau)])
+    rows = np.vstack([rows, restraint_rows(layout, state.tau, state.p)])
     right = np.concatenate([right, -restraint(layout, state.p, state.tau)])
     rows[:, bounds[1] <= bounds[0]] = 0.0
     norm = np.linalg.norm(rows, axis=0)

@@ -55,6 +55,7 @@ class Conditions:
             s=np.full(np.shape(t), s),
             load=self.load,
             mass_ratio=self.mass_ratio,
+            mass=self.mass,
             pixel_pitch=self.pixel_pitch,
             drive=None if self.drive is None else self.drive(t),
             drive_at=self.drive,

@@ -1,0 +1,198 @@
+"""What a user sets of one effect, as an `[[effect]]` table says it: fixed values, bounds, priors, ties, per run.
+
+A table with a formula defines an effect. Settings change a copy of the effect's parameters; a model is made of such
+copies and so carries its settings.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NoReturn
+
+import numpy as np
+
+from frictrack import effects
+from frictrack.effects.base import Effect, Parameter
+from frictrack.errors import FrictrackError
+
+TIE = re.compile(
+    r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
+)
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One `[[effect]]` table. ``False`` as a fixed value frees what the library fixes."""
+
+    effect: str
+    fix: Mapping[str, float | Literal[False]] = field(default_factory=dict)
+    bounds: Mapping[str, Pair] = field(default_factory=dict)
+    prior: Mapping[str, Pair] = field(default_factory=dict)  # mean and standard deviation
+    tie: Mapping[str, str] = field(default_factory=dict)
+    per_run: Mapping[str, bool] = field(default_factory=dict)
+    formula: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    acts_on: Literal["force", "measurement"] = "force"
+
+    def defined(self) -> Effect | None:
+        """The effect that the table's formula defines, None without a formula."""
+        if self.formula is None:
+            if self.units:
+                self._refuse("expected units only beside a formula; the library knows its own")
+            return None
+        if effects.is_library(self.effect) or not re.fullmatch(r"[A-Za-z]\w*", self.effect, re.ASCII):
+            self._refuse("expected a name of its own for a formula (letters, digits and _), not one of the library")
+        return effects.formula(self.effect, self.formula, units=self.units, bounds=self.bounds, acts_on=self.acts_on)
+
+    def applied(self, effect: Effect) -> Effect:
+        """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
+        changes: dict[str, dict[str, Any]] = {}
+        for key, told in (("fixed", self.fix), ("bounds", self.bounds), ("prior", self.prior), ("tie", self.tie)):
+            for name, value in told.items():
+                self._check_name(effect, name)
+                changes.setdefault(name, {})[key] = None if value is False else value
+        for name, own in self.per_run.items():
+            self._check_name(effect, name)
+            changes.setdefault(name, {})["per_run"] = own
+        for name, change in changes.items():
+            self._check(effect, effect.parameter(name), change)
+        return effect.adjusted(**changes)
+
+    def _check_name(self, effect: Effect, name: str) -> None:
+        known = [p.name for p in effect.parameters]
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+            self._refuse(f'unknown parameter "{name}"; {hint}')
+
+    def _check(self, effect: Effect, p: Parameter, change: Mapping[str, Any]) -> None:
+        """What the settings of one parameter must be to each other."""
+        low, high = change.get("bounds", p.bounds)
+        given = [word for word, key in (("fixed", "fixed"), ("tied", "tie")) if change.get(key) is not None]
+        if len(given) == 2:
+            self._refuse(f"expected {p.name} to be either fixed or tied but got both")
+        if given and "prior" in change:
+            self._refuse(f"expected no prior of {p.name}, which is {given[0]} and so not sought")
+        if not low < high:
+            self._refuse(
+                f"bounds: expected the lower bound of {p.name} below the upper one but got [{low:g}, {high:g}]"
+            )
+        if "bounds" in change and p.name in effect.quoted:
+            self._refuse(
+                f"bounds: {p.name} is not sought itself but as its distance from another parameter, and cannot be "
+                f"held between bounds; give prior = {{{p.name} = [mean, std]}} or fix it"
+            )
+        if p.name in effect.quoted:
+            low, high = -np.inf, np.inf
+        value = change.get("fixed")
+        if value is not None and not low <= value <= high:
+            self._refuse(f"fix: expected {p.name} between {low:g} and {high:g} {p.unit} but got {value:g}")
+        if "prior" in change:
+            self._check_prior(p, change["prior"], (low, high))
+        if change.get("tie") is not None and not TIE.fullmatch(change["tie"]):
+            self._refuse(
+                f'tie: expected another parameter for {p.name}, as in "vibration.frequency" or '
+                f'"2*vibration.frequency", but got "{change["tie"]}"'
+            )
+
+    def _check_prior(self, p: Parameter, prior: Pair, bounds: Pair) -> None:
+        mean, std = prior
+        if not (np.isfinite(mean) and 0 < std < np.inf):
+            self._refuse(f"prior: expected [mean, standard deviation above 0] of {p.name} but got [{mean:g}, {std:g}]")
+        if not bounds[0] <= mean <= bounds[1]:
+            self._refuse(
+                f"prior: expected a mean of {p.name} between {bounds[0]:g} and {bounds[1]:g} {p.unit} but got {mean:g}"
+            )
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise FrictrackError(f'[[effect]] "{self.effect}": {what}', usage=True)
+
+
+@dataclass(frozen=True)
+class Tie:
+    """What a parameter equals: `factor` times another effect's (or its own effect's) parameter."""
+
+    effect: str
+    parameter: str
+    factor: float = 1.0
+
+    @classmethod
+    def read(cls, text: str) -> Tie:
+        """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `Settings` has checked."""
+        found = TIE.fullmatch(text)
+        if found is None:
+            raise FrictrackError(f'expected a tie such as "vibration.frequency" but got "{text}"', usage=True)
+        return cls(found["of"], found["name"], float(found["factor"] or 1.0))
+
+
+def read(table: Mapping[str, Any]) -> Settings:
+    """Settings from a table as TOML gives it; raises FrictrackError (usage) for keys and values of another kind."""
+    name = table.get("effect")
+    if not isinstance(name, str):
+        raise FrictrackError(f"[[effect]]: expected effect = the name of an effect but got {name!r}", usage=True)
+    made = Settings(name)
+    unknown = [key for key in table if key not in Settings.__dataclass_fields__]
+    if unknown:
+        made._refuse(f'unknown key "{unknown[0]}"; known are {", ".join(Settings.__dataclass_fields__)}')
+    shaped = {key: _shaped(made, key, value) for key, value in table.items()}
+    return Settings(**shaped)
+
+
+def _shaped(made: Settings, key: str, value: Any) -> Any:
+    if key == "per_run" and isinstance(value, list):
+        return dict.fromkeys(value, True)
+    if key in _SHAPES:
+        fits, words = _SHAPES[key]
+        if not isinstance(value, Mapping) or not all(fits(v) for v in value.values()):
+            made._refuse(f"{key}: expected {words} but got {value!r}")
+        return {k: tuple(map(float, v)) if isinstance(v, list | tuple) else v for k, v in value.items()}
+    if not isinstance(value, str):
+        made._refuse(f"{key}: expected a text but got {value!r}")
+    return value
+
+
+def _number(v: Any) -> bool:
+    return isinstance(v, int | float) and not isinstance(v, bool)
+
+
+def _pair(v: Any) -> bool:
+    return isinstance(v, list | tuple) and len(v) == 2 and all(map(_number, v))
+
+
+_SHAPES: dict[str, tuple[Any, str]] = {
+    "fix": (lambda v: v is False or _number(v), "{parameter = value}"),
+    "bounds": (_pair, "{parameter = [low, high]}"),
+    "prior": (_pair, "{parameter = [mean, std]}"),
+    "tie": (lambda v: isinstance(v, str), '{parameter = "effect.parameter"}'),
+    "per_run": (lambda v: isinstance(v, bool), "[parameter] or {parameter = true or false}"),
+    "units": (lambda v: isinstance(v, str), '{parameter = "unit"}'),
+}
+
+
+def definitions(told: Iterable[Settings]) -> list[Effect]:
+    """The effects that tables define by a formula; raises FrictrackError (usage) for a table of no effect."""
+    told = list(told)
+    made = [effect for one in told if (effect := one.defined()) is not None]
+    for one in told:
+        one.applied(effects.get(one.effect, made))  # the nearest right name, before any work
+    return made
+
+
+def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:
+    """What sets an effect apart from the one it was made from, by the keys of an `[[effect]]` table."""
+    out: dict[str, dict[str, Any]] = {}
+    for p, was in zip(effect.parameters, base.parameters, strict=True):
+        for key, now, before in (
+            ("fix", p.fixed, was.fixed),
+            ("bounds", p.bounds, was.bounds),
+            ("prior", p.prior, was.prior),
+            ("tie", p.tie, was.tie),
+            ("per_run", p.per_run, was.per_run),
+        ):
+            if now != before:
+                out.setdefault(key, {})[p.name] = False if now is None else now
+    return out
