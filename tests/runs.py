@@ -7,7 +7,7 @@ are what the code under test is held against. `runs` makes measured runs with fr
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from frictrack import models
 from frictrack.models import Model
 from frictrack.motion import differentiate, low_pass
+from frictrack.records import GRAVITY as G
 from frictrack.records import Displacement, Run
 from frictrack.simulate.slide import Conditions, simulate
 
@@ -40,17 +41,61 @@ HIDDEN = {
     "peak_locking": {"amplitude": 0.05, "phase": 0.5},
     "camera_shake": {"amplitude": 4e-5, "frequency": 83.0, "phase": 0.9},
 }
+# The same for effects that need more than place, velocity and time: the way so far, or what was measured beside x.
+TOLD = {
+    "decaying_vibration": {"amplitude": 1.5, "frequency": 61.3, "tau": 0.03, "phase": 0.7},
+    "beam_vibration": {"amplitude": 1.0, "frequency": 45.3, "r": 0.8, "beam_length": 0.9, "phase": 0.4},
+    "viscous_modulation": {"depth": 0.3, "frequency": 47.0, "phase": -0.4},
+    "measured_load": {"coefficient": 1.0},
+    "thermal": {"dF": 2.0, "length": 0.08},
+    "drift": {"k": 20.0},
+    "drive_error": {"e": 0.2, "tau": 0.003},
+    "dropped_frame": {"frames": 1.0, "time": 0.0400 + 0.5 / FPS},
+    "timebase": {"k": 0.02},
+    "target_rotation": {"along": 0.03, "across": 0.02},
+}
+REMEMBERED = ("presliding", "friction_lag", "lugre")  # held against an integrator of their own in test_memory
+
+
+def drive(t):
+    """A push that grows from nothing and swings, N."""
+    return 6.0 * (1 - cos(2 * pi * 25.0 * np.maximum(t, 0.0)))
+
+
+def lift(t):
+    """Vertical acceleration of a mass on a shaking course, m/s^2."""
+    return 4.0 * sin(2 * pi * 33.0 * t + 0.5)
+
+
+def angle(t):
+    """By how much a rocking target has turned, rad."""
+    return 0.08 * sin(2 * pi * 35.0 * t + 0.3)
+
+
+# What the runs of an effect must tell.
+KNOWN = {
+    "beam_vibration": {"clamp_x": -0.1, "beam_length": 0.9},
+    "measured_load": {"lift": lift},
+    "drive_error": {"drive": drive},
+    "target_rotation": {"angle": angle},
+}
 
 
 @dataclass(frozen=True)
 class Slider:
-    """What holds in one run besides the law: push (N) is the drive less gravity along the course."""
+    """What holds in one run besides the law: push (N) is the drive less gravity along the course.
+
+    `slid` (m) and `turns` (cycles of the beam) are the way so far.
+    """
 
     mass: float = MASS
     load: float = 1.0
     mass_ratio: float = 1.0
     pitch: float = PITCH
     push: Callable[[float], float] = lambda t: 0.0
+    clamp_x: float = KNOWN["beam_vibration"]["clamp_x"]
+    slid: float = 0.0
+    turns: float = 0.0
 
 
 def sine(q, frequency, t, phase="phase"):
@@ -80,7 +125,18 @@ LAWS = {
     "spring": lambda q, x, v, t, s, slider: q["k"] * x + q["x_0"],  # the linear coefficient x_0 is k x_0, N
     "asymmetry": lambda q, x, v, t, s, slider: q["dF"] * slider.load + q["dF_v"] * abs(v),
     "slope": lambda q, x, v, t, s, slider: q["F"] * slider.mass_ratio + 0 * v,
+    "decaying_vibration": lambda q, x, v, t, s, slider: q["amplitude"] * exp(-t / q["tau"]) * sine(q, "frequency", t),
+    "beam_vibration": lambda q, x, v, t, s, slider: q["amplitude"] * sin(2 * pi * slider.turns + q["phase"]),
+    "thermal": lambda q, x, v, t, s, slider: -slider.load * s * q["dF"] * (1 - exp(-slider.slid / q["length"])),
+    "drift": lambda q, x, v, t, s, slider: slider.load * s * q["k"] * t,
+    "drive_error": lambda q, x, v, t, s, slider: -q["e"] * drive(t - q["tau"]),
     "atm2:1": _atm2_1,
+}
+# What multiplies the effects that a modifier reshapes, all of them dry friction but in one case.
+FACTORS = {
+    "load_modulation": lambda q, t: 1 + q["depth"] * sine(q, "frequency", t),
+    "measured_load": lambda q, t: np.maximum(G + q["coefficient"] * lift(t), 0) / G,
+    "viscous_modulation": lambda q, t: 1 + q["depth"] * sine(q, "frequency", t),
 }
 # Metres that each effect shifts the picture.
 SHIFTS = {
@@ -88,29 +144,50 @@ SHIFTS = {
     "peak_locking": lambda q, x, t, slider: q["amplitude"] * slider.pitch * sin(2 * pi * x / slider.pitch + q["phase"]),
     "camera_shake": lambda q, x, t, slider: q["amplitude"] * cos(2 * pi * q["frequency"] * t + q["phase"] - pi / 2),
 }
-DRY = ("coulomb", "stribeck")  # what a load modulation reshapes
+# The same of a mass that moves at v.
+MOVED = {
+    "dropped_frame": lambda q, v, t: np.where(t > q["time"], q["frames"] * v / FPS, 0.0),
+    "timebase": lambda q, v, t: v * q["k"] * t**2 / 2,
+    "target_rotation": lambda q, v, t: (complex(q["along"], q["across"]) * (exp(1j * angle(t)) - 1)).real,
+}
+DRY = ("coulomb", "stribeck")  # what a modulation of the load reshapes
+
+
+def reshaped(values, name, t):
+    """What modifiers make of the force of one effect, as a factor."""
+    modifiers = {"viscous_modulation"} if name == "viscous" else {"load_modulation", "measured_load"}
+    touched = modifiers & values.keys() if name in (*DRY, "viscous") else ()
+    return np.prod([FACTORS[m](values[m], t) for m in touched], axis=0)
 
 
 def force(values, x, v, t, s, slider=Slider()):
     """Friction force in N."""
-    swing = values.get("load_modulation")
-    factor = 1 + swing["depth"] * sine(swing, "frequency", t) if swing else 1.0
     return sum(
-        LAWS[name](q, x, v, t, s, slider) * (factor if name in DRY else 1.0)
-        for name, q in values.items()
-        if name in LAWS
+        LAWS[name](q, x, v, t, s, slider) * reshaped(values, name, t) for name, q in values.items() if name in LAWS
     )
 
 
-def picture(values, x, t, slider=Slider()):
+def picture(values, x, t, slider=Slider(), v=None):
     """Measurement shift in m of a mass at x at time t."""
-    return sum(SHIFTS[name](q, x, t, slider) for name, q in values.items() if name in SHIFTS)
+    still = sum(SHIFTS[name](q, x, t, slider) for name, q in values.items() if name in SHIFTS)
+    return still + sum(MOVED[name](q, v, t) for name, q in values.items() if name in MOVED)
+
+
+def tone(values, x, slider):
+    """Frequency of the beam with the mass at x, Hz."""
+    q = values.get("beam_vibration")
+    if q is None:
+        return 0.0
+    away, l = x - slider.clamp_x, q["beam_length"]  # noqa: E741 - as in the formula
+    shape = (3 * l * away**2 - away**3) / (2 * l**3)
+    return q["frequency"] / np.sqrt(1 + slider.mass_ratio * q["r"] * shape**2)
 
 
 def integrate(values, slider, t, start, *, max_step=np.inf):
     """Displacement (n,) by scipy's order-8 Runge-Kutta, from event to event: sliding, stop, sticking, release."""
     x = np.full(len(t), np.nan)
     now, place, speed = t[0], *start
+    way = [0.0, 0.0]  # slid, turns
     while now < t[-1]:
         s = np.sign(speed) or _sets_off(values, slider, now, place)
         if s == 0:
@@ -120,9 +197,9 @@ def integrate(values, slider, t, start, *, max_step=np.inf):
             continue
         inside = (t >= now - 1e-12) & np.isnan(x)
         solved = solve_ivp(
-            lambda tau, z, s=s: [z[1], (slider.push(tau) - force(values, z[0], z[1], tau, s, slider)) / slider.mass],
+            lambda tau, z, s=s: _moves(values, slider, tau, z, s),
             (now, t[-1]),
-            [place, speed],
+            [place, speed, *way],
             method="DOP853",
             dense_output=True,
             events=_stops(s),
@@ -133,8 +210,18 @@ def integrate(values, slider, t, start, *, max_step=np.inf):
         end = solved.t[-1]
         here = inside & (t <= end)
         x[here] = solved.sol(np.maximum(t[here], now))[0]
-        now, place, speed = end, solved.y[0, -1], 0.0
+        now, place, speed, way = end, solved.y[0, -1], 0.0, solved.y[2:, -1]
     return x
+
+
+def _moves(values, slider, t, z, s):
+    here = replace(slider, slid=z[2], turns=z[3]) if TOLD.keys() & values.keys() else slider
+    return [
+        z[1],
+        (slider.push(t) - force(values, z[0], z[1], t, s, here)) / slider.mass,
+        abs(z[1]),
+        tone(values, z[0], slider),
+    ]
 
 
 def _stops(s):
@@ -173,7 +260,10 @@ class Spec:
 
 # Three speeds, a double mass, two reversed. The slowest nearly stops.
 SIX = (Spec(2.2, 1, 0.075), Spec(4.0), Spec(6.0), Spec(4.5, 2), Spec(-4.0), Spec(-5.5))
-PER_RUN_PHASE = ("vibration", "load_modulation", "camera_shake")
+PER_RUN_PHASE = (
+    *("vibration", "load_modulation", "camera_shake"),
+    *("decaying_vibration", "beam_vibration", "viscous_modulation"),
+)
 
 
 def measured(t, x, *, sigma, mass=MASS, name="run", pitch=PITCH, rng=None, valid=None, **known):
@@ -190,6 +280,7 @@ def study(model: Model | str = "tustin", values=BASE, specs=SIX, *, sigma=1e-8, 
     """Runs of one law, and the levels that their dry friction got; phases that belong to a run are redrawn."""
     rng = rng or np.random.default_rng(0)
     law = models.parse(model) if isinstance(model, str) else model
+    known = {key: value for name in values for key, value in KNOWN.get(name, {}).items()}
     made, levels = [], 1 + scatter * rng.standard_normal(len(specs))
     for i, (spec, level) in enumerate(zip(specs, levels, strict=True)):
         t = np.arange(round(spec.duration * FPS)) / FPS
@@ -197,15 +288,29 @@ def study(model: Model | str = "tustin", values=BASE, specs=SIX, *, sigma=1e-8, 
         for name in PER_RUN_PHASE:
             if name in own:
                 own[name]["phase"] = rng.uniform(-pi, pi)
-        held = Conditions(MASS * spec.ratio, spec.ratio * level, spec.ratio, PITCH)
+        held = Conditions(MASS * spec.ratio, spec.ratio * level, spec.ratio, PITCH, **known)
         slide = simulate(law, own, held, t, (0.0 if spec.speed > 0 else 0.6, spec.speed))
         valid = np.ones(len(t), bool)
         if gap:
             valid[gap] = False
-        made.append(measured(t, slide.x + slide.shift, sigma=sigma, mass=held.mass, name=f"r{i}", rng=rng, valid=valid))
+        run = measured(t, slide.x + slide.shift, sigma=sigma, mass=held.mass, name=f"r{i}", rng=rng, valid=valid)
+        made.append(telling(run, known))
     return made, levels
 
 
+def telling(run, known):
+    """The run with what else was measured exactly."""
+    t = run.motion.t
+    told = {key: value for key, value in known.items() if key in ("clamp_x", "beam_length")}
+    if "drive" in known:
+        told["drive"] = known["drive"](t)
+    if "lift" in known:
+        told["motion"] = replace(run.motion, a_y=known["lift"](t))
+    if "angle" in known:
+        told["displacement"] = replace(run.displacement, angle=known["angle"](t))
+    return replace(run, **told)
+
+
 def with_hidden(name):
-    """Tustin with one more effect of the library, and the values of `HIDDEN` for it."""
-    return models.tustin() + name, BASE | {name: HIDDEN[name]}
+    """Tustin with one more effect of the library, and its values in `HIDDEN` or `TOLD`."""
+    return models.tustin() + name, BASE | {name: (HIDDEN | TOLD)[name]}

@@ -175,7 +175,10 @@ class Tried:
     @property
     def input_hash(self) -> str:
         """Hash of the runs as the fit sees them."""
-        keys = [[w.run.name, w.run.role, w.run.group, w.key("friction"), w.key("motion")] for w in self._works]
+        keys = [
+            [w.run.name, w.run.role, w.run.group, w.run.clamp_x, w.run.beam_length, w.key("friction"), w.key("motion")]
+            for w in self._works
+        ]
         return digest([keys, self.study.mass])
 
     def _fit(self, spec: Spec) -> Any:
