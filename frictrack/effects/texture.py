@@ -17,7 +17,7 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 def periods(span: Span) -> Array:
     """Periods worth trying, m: equal steps in 1/period, a quarter of a cell of the travelled span apart."""
     travel = span.x_max - span.x_min
-    shortest = max(0.002, span.v_min / (0.2 * span.fps), travel / 200)
+    shortest = max(min(0.002, travel / 20), span.v_min / (0.2 * span.fps), travel / 200)
     return 1.0 / np.arange(1.0 / travel, 1.0 / shortest, 0.25 / travel)
 
 
