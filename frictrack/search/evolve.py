@@ -44,8 +44,8 @@ def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, populati
     genes = random_genes(population, ledger.dimension * bits, rng)
     costs = ledger(decode(genes, bits))
     for generation in ledger.generations():
-        if use.bits(generation) != bits:
-            unit, bits = decode(genes, bits), use.bits(generation)
+        if (length := use.bits(generation)) != bits:
+            unit, bits = decode(genes, bits), length
             _check(population, gap, bits)
             genes = encode(unit, bits)
             costs = ledger(decode(genes, bits))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +16,7 @@ from frictrack.search.ledger import Ledger
 
 def crossover_probability(generation: int, a: float, b: float) -> float:
     """Eq. 5: P_c = 1/(1 + exp(a G)) + b, from 1/2 + b down to b; cut at 1."""
-    return float(min(1.0, 1 / (1 + np.exp(min(a * generation, 700.0))) + b))
+    return min(1.0, 1 / (1 + math.exp(min(a * generation, 700.0))) + b)
 
 
 def mutation_probability(generation: int, fitness: Array, c: float, p_const: float) -> Array:
@@ -26,7 +27,11 @@ def mutation_probability(generation: int, fitness: Array, c: float, p_const: flo
     (e^cG - 1)/(e^cG + 1) = tanh(cG/2). The factor P is missing in print; without it an individual just above the
     average has every bit flipped late in the run, and with f the objective value the search is lost in 9-61 % of runs.
     """
-    return p_const * np.minimum(1.0, mutation_as_printed(generation, fitness, c, 1.0))
+    best, mean = fitness.max(), fitness.mean()
+    if best == mean:
+        return np.full(len(fitness), p_const)
+    share = math.tanh(c * generation / 2) * (best - fitness) / (best - mean)
+    return np.asarray(p_const * np.where(fitness > mean, share, 1.0))
 
 
 def mutation_as_printed(generation: int, f: Array, c: float, p_const: float) -> Array:
@@ -40,7 +45,7 @@ def mutation_as_printed(generation: int, f: Array, c: float, p_const: float) -> 
     best, mean = f.max(), f.mean()
     good = f > mean
     rate = np.full(len(f), p_const)
-    rate[good] = np.tanh(c * generation / 2) * (best - f[good]) / (best - mean)
+    rate[good] = math.tanh(c * generation / 2) * (best - f[good]) / (best - mean)
     return rate
 
 
@@ -54,14 +59,14 @@ def code_length(generation: int, limit: int, l_const: int, d: float, s: float) -
     """
     if generation >= 0.8 * limit:
         return 2 * l_const
-    return round(l_const * 2 / (1 + np.exp(-d * np.floor(generation / s + 0.5))))
+    return round(l_const * 2 / (1 + math.exp(-d * math.floor(generation / s + 0.5))))
 
 
 def code_length_as_printed(generation: int, limit: int, l_const: int, d: float, s: float) -> int:
     """Eq. 7 to the letter: L = L_const/(1 - exp(-d (Round(G/s) + 1))) for G < 0.8 G_max, 2 L_const after."""
     if generation >= 0.8 * limit:
         return 2 * l_const
-    return round(l_const / (1 - np.exp(-d * (np.floor(generation / s + 0.5) + 1))))
+    return round(l_const / (1 - math.exp(-d * (math.floor(generation / s + 0.5) + 1))))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from frictrack.records import Array, Mask
 from frictrack.search.coding import Genes
 
+TINY = float(np.finfo(float).tiny)  # the coldest temperature that can be divided by
+
 
 def rank_fitness(costs: Array) -> Array:
     """Linear ranking with selective pressure 2: fitness (P,) from 0 (worst) to 2 (best), mean 1.
@@ -17,10 +19,10 @@ def rank_fitness(costs: Array) -> Array:
     Equal costs share their mean position. "The fitness function is ordering distribution" (beam paper, 4.1);
     the pressure is not specified by the paper and is the one of the common toolbox.
     """
-    _, group, count = np.unique(-costs, return_inverse=True, return_counts=True)
-    last = np.cumsum(count)
-    position = last - (count - 1) / 2
-    return np.asarray((2 * (position - 1) / max(1, len(costs) - 1))[group] if len(count) > 1 else np.ones(len(costs)))
+    ordered, n = np.sort(costs), len(costs)
+    better, no_worse = ordered.searchsorted(costs, "left"), ordered.searchsorted(costs, "right")
+    out: Array = (2 * n - 1 - better - no_worse) / (n - 1)
+    return out
 
 
 def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -31,7 +33,7 @@ def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDAr
     """
     edges = np.cumsum(fitness)
     pointers = (rng.random() + np.arange(n)) * (edges[-1] / n)
-    return rng.permutation(np.searchsorted(edges[:-1], pointers, side="right"))
+    return rng.permutation(edges[:-1].searchsorted(pointers, "right"))
 
 
 def one_point_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
@@ -61,7 +63,7 @@ def metropolis(new: Array, old: Array, temperature: float, rng: np.random.Genera
     """
     rise = np.zeros(len(new))
     np.subtract(new, old, out=rise, where=new > old)
-    return np.asarray(rng.random(len(new)) < np.exp(-rise / max(temperature, np.finfo(float).tiny)))
+    return np.asarray(rng.random(len(new)) < np.exp(-rise / max(temperature, TINY)))
 
 
 def geometric_cooling(generation: int, limit: int, first: float, final: float) -> float:
