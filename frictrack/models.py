@@ -1,16 +1,23 @@
-"""Models: named sums of effects. `tustin() + "texture"` adds a cause, `- "viscous"` takes one away."""
+"""Models: named sums of effects. `tustin() + "texture"` adds a cause, `- "viscous"` takes one away.
+
+A model's effects carry their settings: fixed values, bounds, priors, ties. `to_toml` writes all, `from_toml` reads it.
+"""
 
 from __future__ import annotations
 
 import difflib
+import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
 from frictrack import effects
-from frictrack.effects import Effect, Path
+from frictrack.effects import Effect, Path, settings
+from frictrack.effects.settings import Settings
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
@@ -72,9 +79,101 @@ class Model:
         return Model(tuple(e for e in self.effects if e.name != name))
 
     def __str__(self) -> str:
-        force = [e.equation for e in self.effects if e.acts_on == "force"]
-        picture = [e.equation for e in self.effects if e.acts_on == "measurement"]
-        return "F = " + " + ".join(force) + "".join(f"; {p}" for p in picture)
+        return self.equation()
+
+    def equation(self, estimates: Mapping[str, Any] | None = None) -> str:
+        """The law as a sum; with `estimates` (by address, each with value and std) numbers stand for the symbols.
+
+        What has no value there, such as a phase of every run, stays a symbol.
+        """
+        force = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "force"]
+        picture = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "measurement"]
+        return "F = " + (" + ".join(force) or "0") + "".join(f"; y: {p}" for p in picture)
+
+    def _written(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
+        """The equation of one effect, the symbols of a further instance with its number."""
+        _, _, number = effect.name.partition(":")
+        text = effect.equation
+        others = {p.name: f"{e.name}.{p.name}" for e in self.effects for p in e.parameters if e is not effect}
+        own = {p.name: f"{effect.name}.{p.name}" for p in effect.parameters}
+        for name, address in (others | own).items():
+            found = estimates.get(address)
+            symbol = f"{name}_{number}" if number and name in own and effect.kind != effect.name else name
+            if found is not None and found.value is not None:
+                symbol = _number(found.value, found.std)
+            text = re.sub(rf"\b{name}\b", symbol, text)
+        return text
+
+    def base(self, effect: Effect) -> Effect:
+        """One of the effects as it is without settings: from the library, its formula, or its declaration.
+
+        Raises FrictrackError for one that is none of these.
+        """
+        if effect.formula is not None:
+            return effects.formula(
+                effect.kind,
+                effect.formula,
+                units={p.name: p.unit for p in effect.parameters},
+                bounds={p.name: p.bounds for p in effect.parameters},
+                acts_on=effect.acts_on,
+            ).called(effect.name)
+        try:
+            return effects.get(effect.name)
+        except FrictrackError as e:
+            raise FrictrackError(
+                f"{effect.name} is neither of the library nor a formula; declare it with @frictrack.effect first"
+            ) from e
+
+    @property
+    def settings(self) -> list[str]:
+        """What differs from the library, in words: `stribeck.delta free`, `vibration.frequency = 60 Hz`."""
+        out = []
+        for e in self.effects:
+            try:
+                different = settings.differences(e, self.base(e))
+            except FrictrackError:  # made by hand: nothing to differ from
+                continue
+            out += [_said(e, name, key, value) for key, of in different.items() for name, value in of.items()]
+        return out
+
+    def adjusted(self, told: Iterable[Settings]) -> Model:
+        """The model with the settings of those of its effects that `told` speaks of; the others wait."""
+        of = {one.effect: one for one in told}
+        return Model(tuple(of[e.name].applied(e) if e.name in of else e for e in self.effects))
+
+    def to_toml(self) -> str:
+        """The model as a study file has it: `model`, and an `[[effect]]` table where settings differ from the library.
+
+        Raises FrictrackError for an effect that is neither of the library nor a formula nor declared.
+        """
+        import tomlkit  # noqa: PLC0415 - only to write
+
+        document = tomlkit.document()
+        document["model"] = self.names
+        tables = tomlkit.aot()
+        for name, keys in self._tables().items():
+            table = tomlkit.table()
+            table["effect"] = name
+            for key, value in keys.items():
+                table[key] = value if isinstance(value, str) else _inline(value)
+            tables.append(table)
+        if len(tables):
+            document["effect"] = tables
+        return tomlkit.dumps(document)
+
+    def _tables(self) -> dict[str, dict[str, Any]]:
+        """Settings of every effect that has some, formulas among them."""
+        out: dict[str, dict[str, Any]] = {}
+        for e in self.effects:
+            if e.formula is not None:
+                shut = {p.name: p.bounds for p in e.parameters if np.any(np.isfinite(p.bounds))}
+                units = {p.name: p.unit for p in e.parameters if p.unit != "1"}
+                told = {"formula": e.formula, "acts_on": e.acts_on, "units": units, "bounds": shut}
+                out.setdefault(e.kind, {}).update({k: v for k, v in told.items() if v and v != "force"})
+            different = settings.differences(e, self.base(e))
+            if different:
+                out.setdefault(e.name, {}).update(different)
+        return out
 
     def next_instance(self, kind: str) -> str:
         """The name under which one more effect of that kind would enter."""
@@ -111,9 +210,47 @@ class Model:
         return np.array([values[name][p.name] for p in effect.linear])
 
 
-def of(names: Iterable[str | Effect]) -> Model:
-    """The model that sums the named effects."""
-    return Model(tuple(effects.get(n) if isinstance(n, str) else n for n in names))
+def _inline(value: Mapping[str, Any]) -> Any:
+    import tomlkit  # noqa: PLC0415
+
+    table = tomlkit.inline_table()
+    table.update({k: list(map(float, v)) if isinstance(v, tuple) else v for k, v in value.items()})
+    return table
+
+
+_KEYS = {
+    "fix": lambda p, v: f"{p.name} free" if v is False else f"{p.name} = {v:g} {p.unit}",
+    "bounds": lambda p, v: f"{p.name} in [{v[0]:g}, {v[1]:g}] {p.unit}",
+    "prior": lambda p, v: f"{p.name} known as {v[0]:g} \N{PLUS-MINUS SIGN} {v[1]:g} {p.unit}",
+    "tie": lambda p, v: f"{p.name} = {v}",
+    "per_run": lambda p, v: f"{p.name} {'per run' if v else 'shared'}",
+}
+
+
+def _said(effect: Effect, name: str, key: str, value: Any) -> str:
+    text: str = _KEYS[key](effect.parameter(name), value)
+    return f"{effect.name}.{text.removesuffix(' 1')}"
+
+
+def _number(value: float, std: float | None) -> str:
+    """8.01(2): the deviation in units of the last digit, two digits of it where it begins with 1."""
+    if not std or not np.isfinite(std):
+        text = f"{value:.4g}"
+        return f"({text})" if value < 0 else text
+    power = int(np.floor(np.log10(max(abs(value), std))))
+    shift = power if not -3 <= power <= 5 else 0
+    value, std = value / 10.0**shift, std / 10.0**shift
+    first = int(np.floor(np.log10(std)))
+    digits = max((1 if std / 10.0**first < 1.95 else 0) - first, 0)
+    doubt = f"{std:.{digits}f}" if std >= 1 else f"{std * 10.0**digits:.0f}"
+    text = f"{value:.{digits}f}({doubt})" + (f"e{shift}" if shift else "")
+    return f"({text})" if value < 0 else text
+
+
+def of(names: Iterable[str | Effect], extra: Iterable[Effect] = ()) -> Model:
+    """The model that sums the named effects; `extra` are effects beside the library's, such as a study's formulas."""
+    extra = list(extra)
+    return Model(tuple(effects.get(n, extra) if isinstance(n, str) else n for n in names))
 
 
 def tustin() -> Model:
@@ -161,13 +298,14 @@ NAMED: dict[str, Any] = {
 }
 
 
-def parse(text: str | Sequence[str]) -> Model:
-    """Model from its name (`tustin`, `atm1:2`), a comma list or a list of effects.
+def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
+    """Model from its name (`tustin`, `atm1:2`), a comma list or a list of effects, `extra` as in `of`.
 
     Raises FrictrackError (usage) for a name that is neither.
     """
+    extra = list(extra)
     if not isinstance(text, str):
-        return of(text)
+        return of(text, extra)
     kind, _, order = text.partition(":")
     if kind in ("atm1", "atm2"):
         if not order.isdigit() or int(order) < 1:
@@ -178,6 +316,29 @@ def parse(text: str | Sequence[str]) -> Model:
         named: Model = NAMED[text]()
         return named
     near = difflib.get_close_matches(text, NAMED, 1)
-    if near and "," not in text and kind not in effects.LIBRARY:
+    if near and "," not in text and kind not in effects.known(extra):
         raise FrictrackError(f'expected the name of a model but got "{text}"; did you mean "{near[0]}"?', usage=True)
-    return of([part.strip() for part in text.split(",") if part.strip()])
+    return of([part.strip() for part in text.split(",") if part.strip()], extra)
+
+
+def from_toml(source: str | FilePath) -> Model:
+    """The model that a TOML text or file holds: `to_toml`'s, or that of a study file (its `model` and `[[effect]]`).
+
+    Raises FrictrackError (usage) for what is not TOML, an unknown name, or settings that do not go together.
+    """
+    file = FilePath(source) if isinstance(source, FilePath) or str(source).endswith(".toml") else None
+    try:
+        raw = tomllib.loads(str(source) if file is None else file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, OSError) as e:
+        raise FrictrackError(
+            f"expected a model in TOML but got {file or 'a text'} that cannot be read: {e}", usage=True
+        ) from e
+    asked = raw.get("model", raw.get("study", {}).get("model"))
+    if not isinstance(asked, str | list):
+        raise FrictrackError(
+            'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]', usage=True
+        )
+    told = [settings.read(table) for table in raw.get("effect", [])]
+    model = parse(asked, settings.definitions(told)).adjusted(told)
+    settings.check_ties(model.effects)
+    return model

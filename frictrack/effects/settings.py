@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NoReturn
 
@@ -180,6 +180,45 @@ def definitions(told: Iterable[Settings]) -> list[Effect]:
     for one in told:
         one.applied(effects.get(one.effect, made))  # the nearest right name, before any work
     return made
+
+
+def check_ties(members: Sequence[Effect]) -> None:
+    """Raise FrictrackError (usage) for a tie that leads nowhere, to another unit, or in a circle."""
+    ties = {(e.name, p.name): Tie.read(p.tie) for e in members for p in e.parameters if p.tie}
+    for (effect, name), tie in ties.items():
+        p = next(e for e in members if e.name == effect).parameter(name)
+        target = _target(members, effect, p, tie)
+        if target.unit != p.unit:
+            _untied(effect, f"{name} is in {p.unit} but {tie.effect}.{tie.parameter} is in {target.unit}")
+        seen, at = {(effect, name)}, (tie.effect, tie.parameter)
+        while at in ties and at not in seen:
+            seen.add(at)
+            at = (ties[at].effect, ties[at].parameter)
+        if at in seen:
+            _untied(effect, f"expected a tie that ends at a free parameter but {name} leads back in a circle")
+
+
+def _target(members: Sequence[Effect], effect: str, p: Parameter, tie: Tie) -> Parameter:
+    """The parameter that another one is tied to."""
+    found = next((e for e in members if e.name == tie.effect), None)
+    if found is None:
+        _untied(
+            effect,
+            f"{p.name} follows {tie.effect}.{tie.parameter} but the model is {', '.join(e.name for e in members)}; "
+            f"add {tie.effect}, or take the tie out",
+        )
+    known = [q.name for q in found.parameters]
+    if tie.parameter not in known:
+        near = difflib.get_close_matches(tie.parameter, known, 1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+        _untied(effect, f'unknown parameter "{tie.parameter}" of {tie.effect}; {hint}')
+    if tie.parameter in found.quoted:
+        _untied(effect, f"{tie.effect}.{tie.parameter} is sought relative to another parameter and cannot be followed")
+    return found.parameter(tie.parameter)
+
+
+def _untied(effect: str, what: str) -> NoReturn:
+    raise FrictrackError(f'[[effect]] "{effect}": tie: {what}', usage=True)
 
 
 def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:

@@ -166,7 +166,7 @@ class Layout:
     def quoted(self, p: Array) -> dict[str, float]:
         """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
         each = [self.values(p, r)[0] for r in range(len(self.run_names))]
-        out = {}
+        out: dict[str, float] = {}
         for e in self.model.effects:
             for q in e.parameters:
                 found = [quoted(self.model, values, e.name, q.name) for values in each]
