@@ -13,6 +13,8 @@ from rich.table import Table
 
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
+    "rms_N": ("friction force, rms", "F / N", 1.0),
+    "noise_N": ("noise of the measured force", "noise / N", 1.0),
     "heldout_rms_um": ("held out, rms", "held out / µm", 1.0),
     "heldout_rms_N": ("held out, rms, N", "held out / N", 1.0),
     "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
@@ -83,9 +85,15 @@ def parameters(values: dict[str, Any]) -> Table:
     """One row per parameter: value ± deviation, unit, and what is to be said of it."""
     table = _table("parameter", "value", "unit", "")
     for name, p in values.items():
-        word = p.get("reason") or ("at its bound" if p.get("at_bound") else "")
+        word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
         table.add_row(escape(name), plus_minus(p["value"], p["std"]), p["unit"], escape(word))
     return table
+
+
+def _mu(p: dict[str, Any]) -> str:
+    """The coefficient of friction beside newtons, where the normal load is known."""
+    mu = p.get("mu")
+    return "" if mu is None else f"mu {plus_minus(mu['value'], mu['std'])}"
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
@@ -129,9 +137,16 @@ def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
         return
     table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the error")
     for s in spans:
-        ranges = [" to ".join(number(v) for v in s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
+        ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
         table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %")
     out.print(table)
+
+
+def _reach(ends: list[float]) -> str:
+    """Both ends of a span, with the digits that tell them apart."""
+    size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
+    digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
+    return " to ".join(number(end, digits) for end in ends)
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
