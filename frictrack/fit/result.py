@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.fit import routes, series
 from frictrack.fit.blows import collisions
-from frictrack.fit.estimate import Estimates, estimates
+from frictrack.fit.estimate import Estimate, Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.mass import friction_law, weighed
@@ -151,7 +151,7 @@ class Fit:
             "model": self.model.names,
             "domain": self.domain,
             "search": self.search,
-            "parameters": {k: e.json() for k, e in self.parameters.items()},
+            "parameters": {k: e.json() | self._mu(k, e) for k, e in self.parameters.items()},
             "friction_scatter": None
             if scatter is None
             else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
@@ -161,6 +161,17 @@ class Fit:
             "per_run": self._per_run(),
             "collisions": self.collisions,
         } | ({"optima": self._optima()} if len(self.found.optima) else {})
+
+    def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
+        """The coefficient of friction beside newtons that carry the load, where the load is known."""
+        effect, _, parameter = address.split("[")[0].rpartition(".")
+        made = next((e for e in self.model.effects if e.name == effect), None)
+        load = self.reference.load if self.measured or self.runs[0].mass is not None else float("nan")
+        if made is None or found.value is None or found.unit != "N" or not np.isfinite(load):
+            return {}
+        if not made.parameter(parameter).loaded:
+            return {}
+        return {"mu": {"value": found.value / load, "std": None if found.std is None else found.std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
         """The distinct optima within 1 % of the best that the search met, best first."""
