@@ -12,6 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.problem import Response
+from frictrack.fit.series import is_series
 from frictrack.fit.solve import Solution
 from frictrack.models import Model
 from frictrack.records import Array, Run
@@ -124,7 +125,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     spans = []
     total = 0.0
     for response in solution.responses:
-        force = residual_force(response) if missing is None else _unopposed(solution, response, missing)
+        force = _failure(solution, response, missing)
         run = runs[response.piece.run]
         total += float(np.sum(force.F**2))
         times = run.displacement.t[response.piece.frames]
@@ -134,12 +135,35 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     return sorted(spans, key=lambda s: -s["share_of_error"])
 
 
+def _failure(solution: Solution, response: Response, missing: str | None) -> ResidualForce:
+    if is_series(solution.problem):
+        return _left_over(solution, response, missing)
+    return residual_force(response) if missing is None else _unopposed(solution, response, missing)
+
+
+def _left_over(solution: Solution, response: Response, missing: str | None) -> ResidualForce:
+    """Measured less modelled friction of a run whose friction was measured, or the force of what is missing."""
+    piece = response.piece
+    x, v = piece.path.x[piece.at], piece.path.v[piece.at]
+    if missing is None:
+        return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.sigma)
+    values, level = solution.problem.layout.values(solution.p, piece.run)
+    path = piece.along(piece.path.x, piece.path.v, level)
+    model = solution.problem.model
+    force = (model.force(path, values) - (model - missing).force(path, values))[piece.at]
+    return ResidualForce(piece.t, x, v, force, _known(force))
+
+
+def _known(force: Array) -> Array:
+    """The deviation of a force that is known to a thousandth."""
+    return np.full(len(force), 1e-3 * max(float(np.max(np.abs(force))), 1e-12))
+
+
 def _unopposed(solution: Solution, response: Response, missing: str) -> ResidualForce:
     """The force of a missing effect as the failure it leaves, known to a thousandth."""
     piece, at = response.piece, response.piece.at
     force = effect_force(solution, response, missing)
-    noise = np.full(len(force), 1e-3 * max(float(np.max(np.abs(force))), 1e-12))
-    return ResidualForce(piece.t, response.motion.x_edge[at], response.motion.v_edge[at], force, noise)
+    return ResidualForce(piece.t, response.motion.x_edge[at], response.motion.v_edge[at], force, _known(force))
 
 
 def effect_force(solution: Solution, response: Response, name: str) -> Array:
