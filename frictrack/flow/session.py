@@ -173,7 +173,7 @@ class Session:
         return self._edit("-", effect, seed)
 
     def _edit(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
-        models.parse([effect])  # the nearest right name, before any work
+        models.effects.get(effect)  # the nearest right name, before any work
         before, after = self._edited(sign + effect, seed)
         return {
             "effect": effect,
