@@ -226,10 +226,10 @@ def _tabled(work: RunWork) -> Displacement:
 
 def _table_sigma(x: Array) -> Array:
     """White noise of a displacement whose table states none; at least that of its last digit."""
-    steps = np.abs(np.diff(x))
-    rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
+    steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
+    rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
     sigma = float(noise_level(x, np.ones(len(x), dtype=bool))[0])
-    return np.full(len(x), sigma if sigma > 0 else rounding)
+    return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
 def _filtered(work: RunWork, displacement: Displacement, sensors: Sensors) -> Filtered:
