@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.stats import t as student
 
-from frictrack.fit.estimate import Estimate, Estimates, _correlations, _inverse, _quoted, estimates
+from frictrack.fit.covariance import inverse
+from frictrack.fit.estimate import Estimates, estimates, told
 from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response
+from frictrack.fit.quoted import quoted_values, shown
 from frictrack.fit.scatter import MIN_RUNS, restraint_rows
 from frictrack.fit.solve import Solution, refine, settle_scatter
 from frictrack.motion.filter import weights
@@ -167,31 +169,26 @@ def sandwich(solution: Solution) -> Array:
     jac = solution.jac
     z = problem.noise_in(solution.responses, jac)
     rows = restraint_rows(layout, solution.tau or 0.03)
-    bread, _ = _inverse(np.vstack([jac, rows]))
+    bread, _ = inverse(np.vstack([jac, rows]))
     if len(layout.levels) < MIN_RUNS:
         return bread @ (z.T @ z) @ bread
     full = bread @ (z.T @ z + rows.T @ rows) @ bread
-    held, _ = _inverse(np.vstack([jac, rows * solution.tau / 1e-6]))
+    held, _ = inverse(np.vstack([jac, rows * solution.tau / 1e-6]))
     fixed = held @ (z.T @ z) @ held
     widen = float(student.ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
     return fixed + widen * (full - fixed)
 
 
-def linear_estimates(solution: Solution) -> Estimates:
-    """Parameters with deviations from the law linearised where it stands, best or not, in either domain."""
+def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
+    """Parameters with deviations from the law linearised where it stands, best or not, in either domain.
+
+    `covariance` (P, P) replaces the one that goes with the domain.
+    """
     plain = estimates(solution, profile=False)
-    layout, names = solution.problem.layout, solution.problem.layout.names
-    covariance = sandwich(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
-    _, jacobian = _quoted(solution, dict(zip(names, solution.p, strict=True)))
-    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
-    shown = [i for i, s in enumerate(layout.slots) if s.effect != "level"]
-    out = dict(plain.parameters)
-    for i, s in zip(shown, std, strict=True):
-        known = out[names[i]]
-        out[names[i]] = known if known.std is None else replace(known, std=float(s))
-    for address, why in _unsettled(solution, covariance).items():
-        out[address] = Estimate(None, None, out[address].unit, out[address].at_bound, why)
-    return Estimates(out, covariance, _correlations(names, shown, covariance))
+    if covariance is None:
+        covariance = sandwich(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
+    absent = {name: e.reason for name, e in plain.parameters.items() if e.value is None and e.reason}
+    return told(solution, covariance, absent | _unsettled(solution, covariance))
 
 
 def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
@@ -214,7 +211,6 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
 
 def quoted(solution: Solution, p: Array) -> dict[str, float]:
     """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
-    layout = solution.problem.layout
-    values, _ = _quoted(replace(solution, p=p), dict(zip(layout.names, p, strict=True)))
-    shown = [n for n, s in zip(layout.names, layout.slots, strict=True) if s.effect != "level"]
-    return dict(zip(shown, map(float, values), strict=True))
+    values = quoted_values(solution.problem, p)
+    names = [solution.problem.layout.names[i] for i in shown(solution.problem.layout)]
+    return dict(zip(names, map(float, values), strict=True))

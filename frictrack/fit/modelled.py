@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ndtri
 
 from frictrack.fit.blows import struck
-from frictrack.fit.estimate import _inverse
+from frictrack.fit.covariance import inverse
 from frictrack.fit.mass import friction_law, ratio
 from frictrack.fit.problem import Response
 from frictrack.fit.scatter import restraint_rows
@@ -60,7 +60,7 @@ def unknowns(fit: Fit) -> Array:
         return fit.estimates.covariance
     solution = fit.solution
     held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
-    return _inverse(np.vstack([solution.jac, held]))[0]
+    return inverse(np.vstack([solution.jac, held]))[0]
 
 
 def _predicted(fit: Fit, solution: Solution) -> Array:
@@ -74,11 +74,11 @@ def _predicted(fit: Fit, solution: Solution) -> Array:
     free = np.zeros((len(mine), len(mine)))
     free[np.ix_(told, told)] = known
     if own:
-        inverse, _ = _inverse(jac[:, own])
-        follow = -inverse @ jac[:, own].T @ jac[:, told]
+        beside, _ = inverse(jac[:, own])
+        follow = -beside @ jac[:, own].T @ jac[:, told]
         free[np.ix_(own, told)] = follow @ known
         free[np.ix_(told, own)] = free[np.ix_(own, told)].T
-        free[np.ix_(own, own)] = inverse + follow @ known @ follow.T
+        free[np.ix_(own, own)] = beside + follow @ known @ follow.T
     return free
 
 

@@ -73,10 +73,10 @@ def _of_scale(p: Mapping[str, Any], scale_error: float) -> str:
 
 
 def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
-    if p.get("reason"):
-        return str(p["reason"])
     if unresolved:
         return "not resolved: the impulse is known, a peak force is not"
+    if p.get("reason"):
+        return str(p["reason"])
     return "at its bound: the true value may lie beyond" if p.get("at_bound") else ""
 
 

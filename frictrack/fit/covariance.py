@@ -1,0 +1,78 @@
+"""How well the unknowns of a fitted law are known: their covariance from the linearised model."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+from frictrack.fit.scatter import MIN_RUNS, restraint_rows
+from frictrack.fit.solve import Solution
+from frictrack.records import Array
+
+Z95 = 1.96  # standard deviations of a normal law that hold 95 %
+STIR = 1.05  # factor on the spread, to see which variances follow it
+BATCHES = 2  # batches of segments per unknown at least
+NULL = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
+
+
+def plain_covariance(solution: Solution) -> tuple[Array, Array]:
+    """Covariance of the unknowns (P, P) as white noise and a known spread make it, and which are not seen, (P,).
+
+    It is what the curvature of the misfit says: a profile of the linearised law rises by one per such variance.
+    """
+    return inverse(np.vstack([solution.jac, restraint_rows(solution.problem.layout, solution.tau or 0.03)]))
+
+
+def covariance_of(solution: Solution) -> tuple[Array, Array]:
+    """Covariance of the unknowns (P, P), and which of them the data do not see, (P,).
+
+    A variance is known as well as the spread of few runs is, as far as it follows it: Student's t with
+    (runs - 1)/share^2 degrees of freedom, share = d log variance / d log spread^2 (Satterthwaite 1946).
+    """
+    layout = solution.problem.layout
+    tau = solution.tau or 0.03
+    full, unseen = plain_covariance(solution)
+    if any(p.cut for p in solution.problem.pieces):
+        return _by_segment(solution, full), unseen
+    if len(layout.levels) < MIN_RUNS:
+        return full, unseen
+    more, _ = inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau)]))
+    variance = np.maximum(np.diag(full), 1e-300)
+    share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
+    widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / Z95
+    return full * widen[:, None] * widen, unseen
+
+
+def batches_of(solution: Solution) -> int:
+    """Into how many batches the segments go: as many as there are segments in each, but enough for the unknowns."""
+    n = len(solution.responses)
+    return int(min(max(round(np.sqrt(n)), BATCHES * len(solution.p)), n))
+
+
+def _by_segment(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) where segments hold more than noise: the scatter of what batches of them pull the law to.
+
+    What is not modelled is alike within a segment (Liang & Zeger 1986, Biometrika 73) and often in its neighbours too:
+    as many batches as there are segments in each (batch means; Flegal & Jones 2010, Annals of Statistics 38), known
+    as well as so many scatter (Student's t).
+    """
+    pulls = np.zeros((len(solution.responses), len(solution.p)))
+    for pull, r in zip(pulls, solution.responses, strict=True):
+        pull[r.active] = r.jac.T @ r.r
+    count = batches_of(solution)
+    batches = np.array([part.sum(axis=0) for part in np.array_split(pulls, count)])
+    widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    return np.asarray(bread @ (widen * batches.T @ batches + held.T @ held) @ bread)
+
+
+def inverse(jac: Array) -> tuple[Array, Array]:
+    """(J'J)^-1 in the directions that the data see, (P, P), and which unknowns they do not see, (P,)."""
+    norm = np.linalg.norm(jac, axis=0)
+    dead = norm == 0
+    norm[dead] = 1.0
+    _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
+    keep = s > NULL * s[0]
+    unseen = dead | (np.max(np.abs(vt[~keep]), axis=0, initial=0.0) > 1e-2)
+    half = vt[keep] / s[keep, None] / norm
+    return half.T @ half, unseen
