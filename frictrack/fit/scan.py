@@ -14,6 +14,8 @@ from itertools import product
 import numpy as np
 
 from frictrack.effects import Effect, Path, Span
+from frictrack.effects.settings import Tie
+from frictrack.errors import FrictrackError
 from frictrack.fit.problem import Response
 from frictrack.fit.scatter import Basis
 from frictrack.fit.solve import Solution
@@ -91,10 +93,20 @@ def families(solution: Solution, effect: Effect, basis: Basis) -> list[Family]:
 
 def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Every combination of the scanned parameters, the rest at their place for a scan."""
-    scanned = [p for p in effect.nonlinear if p.scan is not None and p.fixed is None]
+    scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
     axes = [p.scan(span) for p in scanned if p.scan is not None]
-    return [rest | dict(zip([p.name for p in scanned], map(float, point), strict=True)) for point in product(*axes)]
+    names = [p.name for p in scanned]
+    return [_followed(effect, rest | dict(zip(names, map(float, point), strict=True))) for point in product(*axes)]
+
+
+def _followed(effect: Effect, point: dict[str, float]) -> dict[str, float]:
+    """A point of a grid where a parameter may be tied to another one of the same effect."""
+    for p in effect.nonlinear:
+        if p.tie:
+            tie = Tie.read(p.tie)
+            point[p.name] = tie.factor * point.get(tie.parameter, 0.0)
+    return point
 
 
 def per_run_coefficients(effect: Effect) -> bool:
@@ -133,14 +145,14 @@ def _columns(solution: Solution, response: Response, effect: Effect, grid: list[
     forms = [point | phase for point in grid for phase in _phases(effect)]
     if effect.acts_on == "measurement":
         path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
-        moved = np.concatenate([effect.columns(path, form) for form in forms], axis=1)
+        moved = np.concatenate([_formed(effect, path, form) for form in forms], axis=1)
     else:
         path = piece.along(motion.x, motion.v, level)
         if effect.modifies:
             dry = _modified(problem.model, effect, path, values)
             made = [effect.columns(path, form, dry) - dry for form in forms]
         else:
-            made = [effect.columns(path, form) for form in forms]
+            made = [_formed(effect, path, form) for form in forms]
         g = -np.concatenate(made, axis=1) / piece.mass
         _, edges = response.linear.respond(g, np.zeros((2, g.shape[1])))
         moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0]
@@ -149,8 +161,18 @@ def _columns(solution: Solution, response: Response, effect: Effect, grid: list[
     return clean
 
 
+def _formed(effect: Effect, path: Path, form: dict[str, float]) -> Array:
+    """Columns of one form; nothing where a user's formula is no number, such as a width of zero."""
+    if effect.formula is None:
+        return effect.columns(path, form)
+    try:
+        return effect.columns(path, form)
+    except FrictrackError:
+        return np.zeros((len(path.t), len(effect.linear)))
+
+
 def _phases(effect: Effect) -> list[dict[str, float]]:
-    names = [p.name for p in effect.nonlinear if p.role == "phase"]
+    names = [p.name for p in effect.nonlinear if p.role == "phase" and p.free]
     return [{n: q for n in names} for q in QUADRATURES] if names else [{}]
 
 

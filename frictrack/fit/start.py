@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from frictrack.effects import Effect
+from frictrack.effects import Effect, Parameter
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
 from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response, spans_of
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.fit.turns import follows, in_turn, known, untied
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -28,15 +29,14 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
     spans = spans_of(pieces, len(names), fps)
-    plain = tuple(e for e in model.effects if not _needs_scan(e))
+    plain, scanned = in_turn(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = Layout(Model(plain), names, spans)
+    layout = Layout(Model(tuple(plain)), names, spans)
     problem = Problem(layout.model, layout, pieces)
     solution = settle_scatter(problem, _first_guess(problem), problem.first_starts())
-    for effect in model.effects:
-        if _needs_scan(effect):
-            solution = grow(solution, effect)
+    for effect in scanned:
+        solution = grow(solution, effect)
     return until_stop(settled(reordered(solution, model)))
 
 
@@ -70,29 +70,25 @@ def _sliding(response: Response) -> int:
     return int(after[0]) if len(after) else len(piece.t)
 
 
-def _needs_scan(effect: Effect) -> bool:
-    return any(p.fixed is None for p in effect.nonlinear)
-
-
 def _first_guess(problem: Problem) -> Array:
     """Coefficients of a linear model by least squares on the smoothed acceleration."""
     layout = problem.layout
     rows, right = [], []
     p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
-    linear = [i for i, s in enumerate(layout.slots) if s.linear and s.run is None]
+    linear = [i for i, s in enumerate(layout.slots) if s.linear]
     for piece in problem.pieces:
-        values, level = layout.values(p, piece.run)
-        columns = problem.model.force_columns(piece.along(piece.x_hat, piece.v_hat, level), values)
-        block = [
-            columns[layout.slots[i].effect][:, problem.column(layout.slots[i].effect, layout.slots[i].parameter)]
-            if layout.slots[i].effect in columns
-            else np.zeros(len(piece.v_hat))
-            for i in linear
-        ]
-        rows.append(np.stack(block, axis=1) / piece.mass)
-        right.append(piece.known - piece.a_hat)
+        none = _acceleration(problem, piece, p)
+        units = [_acceleration(problem, piece, p + np.eye(len(p))[i]) - none for i in linear]
+        rows.append(np.stack(units, axis=1) if units else np.empty((len(none), 0)))
+        right.append(piece.a_hat - piece.known - none)
     p[linear] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-8)[0]
     return p
+
+
+def _acceleration(problem: Problem, piece: Piece, p: Array) -> Array:
+    """What the law p (P,) adds to the acceleration along the smoothed motion, (3 p,)."""
+    values, level = problem.layout.values(p, piece.run)
+    return np.asarray(-problem.model.force(piece.along(piece.x_hat, piece.v_hat, level), values) / piece.mass)
 
 
 def grow(solution: Solution, effect: Effect) -> Solution:
@@ -101,19 +97,18 @@ def grow(solution: Solution, effect: Effect) -> Solution:
     Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
     Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
     """
-    scanned = [e for e in solution.problem.model.effects if _needs_scan(e)]
+    plain, scanned = in_turn(solution.problem.model)
     try:
         return _grown(solution, effect)
     except FrictrackError:
         if not scanned:
             raise
-    plain = [e for e in solution.problem.model.effects if not _needs_scan(e)]
     if not plain:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
     layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
     problem = solution.problem.over(layout, solution.problem.pieces)
     grown = settle_scatter(problem, _first_guess(problem), problem.first_starts())
-    for e in [effect, *scanned]:
+    for e in [effect, *scanned] if follows(effect, plain) else [*scanned, effect]:
         grown = _grown(grown, e)
     return reordered(grown, Model((*solution.problem.model.effects, effect)))
 
@@ -125,7 +120,7 @@ def _grown(solution: Solution, effect: Effect) -> Solution:
     Raises FrictrackError when the runs lack what the effect needs.
     """
     basis = solution.basis
-    made = families(solution, effect, basis)
+    made = families(solution, known(solution, effect), basis)
     if not made:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
     data = solution.unlevelled()[:, None]
@@ -140,12 +135,19 @@ def _grown(solution: Solution, effect: Effect) -> Solution:
 
 def _loosened(solution: Solution, tied: Solution, effect: Effect, scan: tuple[list[Family], list[Pick]]) -> Solution:
     """The same effect with an amplitude per run, where one amplitude is significantly worse."""
-    sizes = {p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth")}
+    sizes = {p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth") and _loose(p)}
+    if not sizes:
+        return tied
     loose_effect = effect.adjusted(**sizes)
     loose = _refined(solution, loose_effect, _start_values(solution, loose_effect, *scan))
     freedom = len(solution.problem.layout.run_names) - 1
     worse = tied.objective - loose.objective
     return loose if worse > chi2_distribution.isf(TIE_ALPHA, freedom) else tied
+
+
+def _loose(p: Parameter) -> bool:
+    """Whether nothing is said of an amplitude beside the runs."""
+    return p.free and p.prior is None
 
 
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
@@ -174,12 +176,11 @@ def _start_values(solution: Solution, effect: Effect, made: list[Family], picks:
         return _event_values(solution, effect, picks)
     _, point, c = picks[0]
     out: dict[tuple[str, int | None], float] = {}
-    for p in effect.parameters:
-        if p.scan is not None or p.fixed is not None:
+    for p in effect.nonlinear:
+        if p.role not in ("phase", "depth"):
             out |= {(p.name, r): point[p.name] for r in (runs if p.per_run else [None])}
-    if not any(p.role == "phase" for p in effect.parameters):
-        sizes = [p for p in effect.parameters if p.linear or p.role == "depth"]
-        return out | {(p.name, None): float(v) for p, v in zip(sizes, c, strict=True)}, frozenset()
+    if not any(p.role == "phase" and p.free for p in effect.parameters):
+        return out | _sizes(effect, c, len(runs)), frozenset()
     size = np.hypot(*c.reshape(-1, 2).T)
     phase = np.arctan2(*c.reshape(-1, 2).T[::-1])
     for p in effect.parameters:
@@ -192,6 +193,16 @@ def _start_values(solution: Solution, effect: Effect, made: list[Family], picks:
         places: list[int | None] = [*runs] if p.per_run else [None]
         out |= {(p.name, r): float(np.resize(each, len(places))[i]) for i, r in enumerate(places)}
     return out, frozenset()
+
+
+def _sizes(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], float]:
+    """Coefficients of a scan without phases, of every run and for all."""
+    sizes = [p for p in effect.parameters if p.linear or p.role == "depth"]
+    out: dict[tuple[str, int | None], float] = {}
+    for p, column in zip(sizes, c.reshape(-1, len(sizes)).T, strict=True):
+        out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}
+        out[p.name, None] = float(np.mean(column))
+    return out
 
 
 def _event_values(solution: Solution, effect: Effect, picks: list[Pick]) -> Start:
@@ -216,9 +227,9 @@ def _refined(solution: Solution, effect: Effect, start: Start) -> Solution:
     values, absent = start
     old = solution.problem.layout
     layout = replace(old, model=old.model + effect, absent=old.absent | absent)
-    known = dict(zip(old.names, solution.p, strict=True))
+    there = dict(zip(old.names, solution.p, strict=True))
     p = [
-        known[name] if name in known else values[s.parameter, s.run]
+        there[name] if name in there else values[s.parameter, s.run]
         for name, s in zip(layout.names, layout.slots, strict=True)
     ]
     problem = rebuilt(solution.problem, layout)
@@ -255,7 +266,7 @@ def without(solution: Solution, name: str) -> Solution:
     """The model without one effect, refined from where it stands."""
     old = solution.problem.layout
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
-    layout = replace(old, model=old.model - name, absent=absent)
+    layout = replace(old, model=untied(solution, name), absent=absent)
     known = dict(zip(old.names, solution.p, strict=True))
     problem = solution.problem.over(layout, solution.problem.pieces)
     return settle_scatter(problem, np.array([known[n] for n in layout.names]), solution.starts, solution.tau or 0.03)
