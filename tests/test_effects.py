@@ -8,8 +8,31 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 from runs import (
-    BASE, FACTORS, FPS, HIDDEN, KNOWN, LAWS, MASS, MOVED, PER_RUN_PHASE, PITCH, REMEMBERED, SHIFTS, TOLD, Slider, Spec,
-    angle, drive, force, integrate, lift, measured, picture, sine, study, tone,
+    BASE,
+    FACTORS,
+    FPS,
+    HIDDEN,
+    KNOWN,
+    LAWS,
+    MASS,
+    MOVED,
+    PER_RUN_PHASE,
+    PITCH,
+    REMEMBERED,
+    SHIFTS,
+    TOLD,
+    Slider,
+    Spec,
+    angle,
+    drive,
+    force,
+    integrate,
+    lift,
+    measured,
+    picture,
+    sine,
+    study,
+    tone,
 )  # fmt: skip
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
@@ -307,17 +330,16 @@ def turned(slide, values):
 def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
     """Those of the rest of the library do in test_fit; the fit is read back from HDF5 without a search."""
     values = BASE | {name: TOLD[name]}
-    if name == "thermal":  # beside a Stribeck effect that only the slowest run shows
-        values = {k: q for k, q in values.items() if k != "stribeck"}
     runs, _ = study(models.of(values), values, sigma=1e-7)
     fitted = fit(list(values), runs)
     truth = {f"{e}.{p}": value for e, q in values.items() for p, value in q.items()}
-    if "stribeck" in values:
-        truth["stribeck.F_s"] += values["coulomb"]["F_c"]
+    truth["stribeck.F_s"] += values["coulomb"]["F_c"]
+    assert fitted.reduced_chi2 == pytest.approx(1.0, abs=0.2)
     for address, estimate in fitted.parameters.items():
         plain = address.split("[")[0]
         if plain.endswith("phase") and name in PER_RUN_PHASE:
             continue  # redrawn in every run
+        assert estimate.std <= 0.02 * abs(truth[plain]), address
         off = abs(estimate.value - truth[plain])
         assert off <= max(2e-3 * abs(truth[plain]), 5 * estimate.std), (address, estimate, truth[plain])
     store.write(tmp_path / "study.h5", {"state": Entry(state(fitted))})
@@ -325,3 +347,121 @@ def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
     assert again.parameters.keys() == fitted.parameters.keys()
     for address, estimate in fitted.parameters.items():
         assert again.parameters[address].value == pytest.approx(estimate.value, rel=1e-9), address
+
+
+# ---------------------------------------------------------------- the way so far
+
+
+def slow_and_back(n=2000):
+    """Place (m) and velocity of a mass that goes out and comes back, at n times."""
+    t = np.linspace(0.0, 0.3, n)
+    return t, 0.1 + 0.3 * np.sin(2 * np.pi * t / 0.6), 0.3 * 2 * np.pi / 0.6 * np.cos(2 * np.pi * t / 0.6)
+
+
+def beam_path(rows, **known):
+    t, x, v = (q[rows] for q in slow_and_back())
+    return Path(t, x, v, np.sign(v), clamp_x=-0.1, **known)
+
+
+def test_a_beam_rings_on_along_the_way_before_the_path():
+    q, beam = TOLD["beam_vibration"], LIBRARY["beam_vibration"]
+    whole = beam.columns(beam_path(slice(None)), q)
+    cut = slice(700, None)
+    before = np.stack(slow_and_back())[:, :700]
+    np.testing.assert_allclose(beam.columns(beam_path(cut, before=before), q), whole[cut], atol=1e-10)
+    assert np.max(np.abs(beam.columns(beam_path(cut), q) - whole[cut])) > 0.1  # without it the phase is lost
+
+
+def test_a_bare_beam_is_a_plain_vibration():
+    q = TOLD["beam_vibration"] | {"r": 0.0}
+    path = beam_path(slice(100, None))
+    np.testing.assert_allclose(
+        LIBRARY["beam_vibration"].columns(path, q), LIBRARY["vibration"].columns(path, q), atol=1e-11
+    )
+
+
+def test_a_known_length_of_the_beam_is_not_sought():
+    length = LIBRARY["beam_vibration"].parameter("beam_length")
+    np.testing.assert_array_equal(length.scan(replace(SPAN, clamp_x=-0.1, beam_length=0.9)), [0.9])
+    assert length.scan(replace(SPAN, clamp_x=-0.1))[0] == pytest.approx(0.7)  # from the clamp to the farthest place
+
+
+@pytest.mark.parametrize("name", ["thermal", "beam_vibration"])
+def test_individuals_end_to_end_each_begin_anew(name):
+    """A population's own non-linear values (n,), one individual after the other."""
+    q, effect = TOLD[name], LIBRARY[name]
+    before = np.stack(slow_and_back())[:, :300]
+    one = beam_path(slice(300, 800), before=before, travelled=0.2, begins=0.1)
+    alone = [effect.columns(one, q | {p.name: f * q[p.name] for p in effect.nonlinear}) for f in (0.7, 1.0, 1.6)]
+    tiled = {k: np.tile(getattr(one, k), 3) for k in ("t", "x", "v", "s")}
+    long = replace(one, starts=(0, 500, 1000), **tiled)
+    each = {p.name: np.repeat([f * q[p.name] for f in (0.7, 1.0, 1.6)], 500) for p in effect.nonlinear}
+    np.testing.assert_allclose(effect.columns(long, each), np.concatenate(alone), atol=1e-10)
+    if name == "thermal":
+        bare = replace(long, travelled=0.0, begins=None)
+        np.testing.assert_allclose(bare.distance[500:1000], np.abs(one.x - one.x[0]))
+
+
+def test_friction_wears_on_through_a_reversal():
+    """The distance slid does not shrink on the way back: a spring returns the mass."""
+    values = {"coulomb": {"F_c": 0.5}, "spring": {"k": 80.0, "x_0": 0.0}, "thermal": {"dF": 0.3, "length": 0.2}}
+    t = np.arange(1200) / FPS
+    slide = simulate(models.of(values), values, Conditions(MASS), t, (0.0, 2.0))
+    assert len(np.unique(np.sign(slide.v))) >= 2
+    assert np.max(np.abs(slide.x - integrate(values, Slider(), t, (0.0, 2.0)))) < 1e-10
+    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(slide.x)))])
+    moving = np.abs(slide.v) > 0.01
+    truth = 80.0 * slide.x + np.sign(slide.v) * (0.5 - 0.3 * (1 - np.exp(-slid / 0.2)))
+    np.testing.assert_allclose(slide.F[moving], truth[moving], atol=1e-4)  # the turn lies between two frames
+
+
+# ---------------------------------------------------------------- what a run must tell
+
+
+def test_contact_is_lost_where_the_mass_falls_faster_than_gravity():
+    path = replace(path_of(), lift=np.linspace(-2.0, 1.0, 40) * GRAVITY)
+    made = LIBRARY["measured_load"].columns(path, {"coefficient": 1.0}, np.full((40, 1), 3.0))[:, 0]
+    np.testing.assert_allclose(made, 3.0 * np.maximum(np.linspace(-1.0, 2.0, 40), 0.0), atol=1e-12)
+    inclined = replace(path, gravity=GRAVITY / 2)
+    assert LIBRARY["measured_load"].columns(inclined, {"coefficient": 1.0}, np.ones((40, 1)))[-1, 0] == 3.0
+
+
+def test_the_load_is_measured_by_the_vertical_motion_of_the_film():
+    """y is low-passed and differentiated as everywhere; up is positive."""
+    values = BASE | {"measured_load": {"coefficient": 1.0}}
+    made = []
+    for i, speed in enumerate((3.0, 5.0, -4.0)):
+        t = np.arange(480) / FPS
+        slide = simulate(models.of(values), values, Conditions(MASS, lift=lift), t, (0.0, speed))
+        rng = np.random.default_rng(i)
+        run = measured(t, slide.x, sigma=2e-6, name=f"r{i}", rng=rng)
+        y = -lift(t) / (2 * np.pi * 33.0) ** 2 + 2e-6 * rng.standard_normal(len(t))
+        seen = replace(run.displacement, y=y, sigma_y=np.full(len(t), 2e-6))
+        made.append(replace(run, displacement=seen, motion=differentiate(low_pass(seen, method="kalman"))))
+    found = fit([*BASE, "measured_load"], made)
+    assert found.parameters["measured_load.coefficient"].value == pytest.approx(1.0, abs=0.03)
+    assert found.reduced_chi2 < 1.5  # what noise of y is left in y'' is no friction
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("peak_locking", "peak_locking needs the pixel pitch of every run; give scale in [camera]"),
+        ("drive_error", 'drive_error needs a measured drive of every run; give drive = "drive.csv"'),
+        ("measured_load", "measured_load needs the vertical motion of every run; give a film, or a table with a"),
+        ("target_rotation", "target_rotation needs the angle of the target of every run; give a film"),
+        ("beam_vibration", 'beam_vibration needs the place of the clamp of every run; give clamp_x = "20 mm"'),
+    ],
+)
+def test_an_effect_says_what_its_runs_lack(name, said):
+    runs, _ = study(specs=(Spec(4.0), Spec(-4.0)), sigma=1e-5)
+    told, _ = study(models.of(BASE | {name: 0}), BASE | {name: SETTINGS[name]}, specs=(Spec(4.0),), sigma=1e-5)
+    assert not LIBRARY[name].lacks([p.path for p in fit("coulomb,viscous", told).solution.problem.pieces])
+    blind = [*told, replace(runs[1], displacement=replace(runs[1].displacement, pixel_pitch=None))]
+    with pytest.raises(FrictrackError) as caught:
+        fit(["coulomb", "viscous", name], blind)
+    assert said in str(caught.value)
+
+
+def test_only_those_effects_need_something():
+    assert {e.name for e in ALL if e.needs} == {*KNOWN, "peak_locking"}

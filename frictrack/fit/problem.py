@@ -219,7 +219,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Pie
         path=path,
         mass=mass,
         way=begin.way,
-        angle=None if path.angle is None else np.interp(t, nodes, path.angle),
+        angle=_bridged(times, run.displacement.angle, t),
     )
 
 
@@ -262,10 +262,10 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
     return at
 
 
-def _bridged(times: Array, series: Array, nodes: Array) -> Array | None:
-    """A series at the nodes, its gaps bridged linearly; None where most of it is unknown."""
+def _bridged(times: Array, series: Array, t: Array) -> Array | None:
+    """A series at other times, its gaps bridged linearly; None where most of it is unknown."""
     known = np.isfinite(series)
-    return np.interp(nodes, times[known], series[known]) if np.mean(known) > KNOWN else None
+    return np.interp(t, times[known], series[known]) if np.mean(known) > KNOWN else None
 
 
 @dataclass(frozen=True)
