@@ -37,7 +37,7 @@ drive_error = Effect(
     scales_with="drive",
     what="Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late.",
     looks_like="a residual force of the shape of the drive, in every run, whatever the speed",
-    mistaken_for="a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction, under a steady drive",
+    mistaken_for="a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)",
     confirm="Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not.",
     source="Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)",
     needs=("drive",),
