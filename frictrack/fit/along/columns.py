@@ -7,7 +7,7 @@ runs, every run has its own pair, and the amplitude they share is left to the re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path
+from frictrack.effects.settings import Tie
 from frictrack.fit.along.blocks import Block
 from frictrack.fit.layout import Layout
+from frictrack.fit.rules import follow
 from frictrack.models import Model
 from frictrack.records import Array
 
 Indices = NDArray[np.int_]
+Values = dict[str, dict[str, Any]]
 QUADRATURES = (0.0, np.pi / 2)
 
 
@@ -45,13 +48,18 @@ class Group:
     wave: bool
     pictured: bool
     numbers: tuple[int, ...]
-    columns: int  # of one run
-    deep: frozenset[tuple[str, str]]  # parameters that multiply whole columns
 
     @property
     def names(self) -> list[str]:
         """Its effects."""
         return self.model.names
+
+    def columns(self, path: Path, values: Values) -> Array:
+        """All its columns, (n, k)."""
+        if len(self.model.effects) == 1:
+            effect = self.model.effects[0]
+            return effect.columns(path, values[effect.name])
+        return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
 
 
 @dataclass(eq=False)
@@ -59,8 +67,8 @@ class Along:
     """A layout over blocks, ready to be evaluated for one law or a population.
 
     `free` are the positions in the layout of the non-linear numbers that are searched: all but levels and the phases
-    of waves. `coefficients` are the linear ones, K in all; `place[g][run]` (columns,) tells which of them the columns
-    of group g are in that run, -1 for none.
+    of waves. `coefficients` are the K linear ones; `place[g][run]` tells which of them the columns of group g are in
+    that run, -1 for none.
     """
 
     layout: Layout
@@ -74,198 +82,212 @@ class Along:
         self.blocks = list(self.blocks)
         self.runs = sorted({b.run for b in self.blocks})
         self.groups = [self._group(effects) for effects in _clusters(self.layout.model)]
-        self.coefficients, self.place = [], []
-        for group in self.groups:
-            self.place.append(self._placed(group))
+        self.coefficients = []
+        self.place = [self._placed(group) for group in self.groups]
         self.free = sorted({i for g in self.groups for i in g.numbers})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
         edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
         self.data = np.concatenate([b.data for b in self.blocks])
+        self._mine = [np.unique([i for at in place.values() for i in at if i >= 0]) for place in self.place]
         self._tiled: dict[tuple[int, int], Path] = {}
+        self._plans: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
 
     # --- where numbers stand
 
     def _group(self, effects: list[Effect]) -> Group:
-        names = {e.name for e in effects}
-        wave = len(effects) == 1 and is_wave(effects[0])
+        wave = len(effects) == 1 and self.is_wave(effects[0])
+        wanted = {(e.name, q.name) for e in effects for q in e.nonlinear if not (wave and q.role == "phase")}
+        wanted |= set(self._leaders(wanted))
         numbers = tuple(
             i
             for i, s in enumerate(self.layout.slots)
-            if s.effect in names
-            and not s.linear
-            and s.run in (None, *self.runs)
-            and not (wave and effects[0].parameter(s.parameter).role == "phase")
+            if (s.effect, s.parameter) in wanted and s.run in (None, *self.runs)
         )
-        deep = frozenset((e.name, p.name) for e in effects for p in e.parameters if p.role == "depth")
-        count = sum(len(e.linear) for e in effects) * (2 if wave else 1)
-        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", numbers, count, deep)
+        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", numbers)
+
+    def _leaders(self, followers: set[tuple[str, str]]) -> Iterable[tuple[str, str]]:
+        """Parameters that others are tied to, directly or through further ties."""
+        for rule in self.layout.rules:
+            if (rule.effect.name, rule.parameter.name) in followers and isinstance(rule.told, Tie):
+                leader = rule.told.effect, rule.told.parameter
+                yield leader
+                yield from self._leaders({leader})
+
+    def is_wave(self, effect: Effect) -> bool:
+        """Whether an effect is one amplitude times a sine of one phase, both free, so that quadratures are linear."""
+        sizes = [p for p in effect.linear if p.role == "amplitude"]
+        phases = [p for p in effect.nonlinear if p.role == "phase"]
+        if effect.modifies or len(effect.linear) != 1 or len(sizes) != 1 or len(phases) != 1:
+            return False
+        mine = [
+            i
+            for i, s in enumerate(self.layout.slots)
+            if s.effect == effect.name and s.parameter in (sizes[0].name, phases[0].name)
+        ]
+        free = {self.layout.slots[i].parameter for i in mine} == {sizes[0].name, phases[0].name}
+        return free and not self.layout.led & set(mine)
 
     def _placed(self, group: Group) -> dict[int, Indices]:
         place: dict[int, list[int]] = {run: [] for run in self.runs}
         for effect in group.model.effects:
             for p in effect.linear:
                 own = p.per_run or (group.wave and any(q.per_run for q in effect.nonlinear if q.role == "phase"))
-                bounds = self._bounds(effect.name, p.name)
+                shown = [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
                 for quadrature in (0, 1) if group.wave else (None,):
-                    limits = (-np.inf, np.inf) if quadrature is not None else bounds
-                    shown = [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
                     first = len(self.coefficients)
+                    bounds = (-np.inf, np.inf) if group.wave else self._bounds(effect.name, p.name)
                     self.coefficients += [
-                        Coefficient(effect.name, p.name, r, limits, quadrature, p.loaded)
+                        Coefficient(effect.name, p.name, r, bounds, quadrature, p.loaded)
                         for r in (shown if own else [None])
                     ]
                     for run in self.runs:
-                        at = first + shown.index(run) if own and run in shown else (-1 if own else first)
-                        place[run].append(at)
+                        place[run].append((first + shown.index(run) if own else first) if run in shown else -1)
         return {run: np.array(at, dtype=int) for run, at in place.items()}
 
     def _bounds(self, effect: str, parameter: str) -> tuple[float, float]:
         fixed = self.layout.fixed.get((effect, parameter))
         if fixed is not None:
             return fixed, fixed
-        return next(s.bounds for s in self.layout.slots if (s.effect, s.parameter) == (effect, parameter))
+        slots = (s for s in self.layout.slots if (s.effect, s.parameter) == (effect, parameter))
+        return next((s.bounds for s in slots), (-np.inf, np.inf))
 
-    def position(self, effect: str, parameter: str, run: int) -> int | None:
-        """Position in the layout of a parameter in one run; None where it has none (fixed or absent)."""
+    def position(self, effect: str, parameter: str, run: int | None = None) -> int | None:
+        """Position in the layout of a parameter in one run; None where it has none (fixed, tied or absent)."""
         for i, s in enumerate(self.layout.slots):
-            if s.effect == effect and s.parameter == parameter and s.run in (None, run):
+            if (s.effect, s.parameter) == (effect, parameter) and (run is None or s.run in (None, run)):
                 return i
         return None
 
+    def coefficients_of(self, g: int) -> Indices:
+        """Which coefficients belong to a group."""
+        return self._mine[g]
+
     # --- evaluation
 
-    def rows(self, g: int, b: int, numbers: Array | None, level: float = 1.0) -> Array:
-        """Forwarded rows (P, columns, m) of group g in block b; `numbers` (P, P_layout) or None for a group without."""
-        block, group = self.blocks[b], self.groups[g]
-        force = self.forces(g, b, numbers, level)
-        return (block.picture if group.pictured else block.forward)(force)
+    def rows(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+        """Forwarded rows (P, columns, m) of group g in block b for numbers (P, P_layout)."""
+        block = self.blocks[b]
+        return (block.picture if self.groups[g].pictured else block.forward)(self.forces(g, b, numbers, level))
 
-    def forces(self, g: int, b: int, numbers: Array | None, level: float = 1.0) -> Array:
+    def forces(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
         """Rows (P, columns, n) of group g along block b: N (or m) per unit of every coefficient."""
         group, block = self.groups[g], self.blocks[b]
-        p = 1 if numbers is None or not group.numbers else len(numbers)
-        turns = [{"phase": q} for q in QUADRATURES] if group.wave else [{}]
-        made = [self._evaluated(group, b, numbers, p, (turn, level)) for turn in turns]
-        return np.concatenate(made, axis=1).reshape(p, -1, len(block.path.t))
-
-    def _evaluated(
-        self, group: Group, b: int, numbers: Array | None, p: int, how: tuple[dict[str, float], float]
-    ) -> Array:
-        turn, level = how
-        block = self.blocks[b]
-        n = len(block.path.t)
-        path = block.path if p == 1 else self._end_to_end(b, p)
+        p = len(numbers) if group.numbers else 1
+        path = block.path if p == 1 else self.end_to_end(b, p)
         if level != 1.0:
             path = replace(path, load=path.load * level)
-        values = self._values(group, block.run, numbers, p, n)
-        if group.wave:
-            effect = group.model.effects[0]
-            phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-            values[effect.name][phase] = turn["phase"]
-        make = group.model.measurement_columns if group.pictured else group.model.force_columns
-        columns = np.concatenate(list(make(path, values).values()), axis=1)
-        out: Array = columns.T.reshape(columns.shape[1], p, n).transpose(1, 0, 2)
-        return out
+        values = self._values(g, b, numbers[:p])
+        if not group.wave:
+            return _by_individual(group.columns(path, values), p)
+        effect = group.model.effects[0]
+        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        own = values[effect.name]
+        return np.concatenate([_by_individual(effect.columns(path, own | {phase: q}), p) for q in QUADRATURES], axis=1)
 
-    def _values(self, group: Group, run: int, numbers: Array | None, p: int, n: int) -> dict[str, dict[str, Any]]:
-        values: dict[str, dict[str, Any]] = {name: {} for name in group.names}
-        for e in group.model.effects:
-            for q in e.nonlinear:
-                if (e.name, q.name) in self.layout.fixed:
-                    values[e.name][q.name] = self.layout.fixed[e.name, q.name]
-                elif (e.name, run) in self.layout.absent:
-                    values[e.name][q.name] = 1.0
-        for i in group.numbers:
-            slot = self.layout.slots[i]
-            if slot.run not in (None, run):
-                continue
-            assert numbers is not None
-            if p == 1:
-                values[slot.effect][slot.parameter] = float(numbers[0, i])
-            else:
-                each = np.repeat(numbers[:, i], n)
-                deep = (slot.effect, slot.parameter) in group.deep  # a depth multiplies whole columns (n, k)
-                values[slot.effect][slot.parameter] = each[:, None] if deep else each
+    def _values(self, g: int, b: int, numbers: Array) -> Values:
+        """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
+        n, run = len(self.blocks[b].path.t), self.blocks[b].run
+        if self.layout.rules:
+            return self._followed(g, b, numbers)
+        fixed, places = self._plan(g, run)
+        values = {name: own.copy() for name, own in fixed.items()}
+        for i, effect, parameter, deep in places:
+            values[effect][parameter] = spread(numbers[:, i], n, deep)
         return values
 
-    def _end_to_end(self, b: int, p: int) -> Path:
+    def _plan(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
+        """What is fixed in a group and where the rest stands, for one run."""
+        if (g, run) not in self._plans:
+            group, layout = self.groups[g], self.layout
+            fixed: Values = {e.name: {} for e in group.model.effects}
+            for e in group.model.effects:
+                for q in e.nonlinear:
+                    fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
+            places = [
+                (i, s.effect, s.parameter, _deep(group.model, s.effect, s.parameter))
+                for i in group.numbers
+                if (s := layout.slots[i]).run in (None, run)
+            ]
+            self._plans[g, run] = fixed, places
+        return self._plans[g, run]
+
+    def _followed(self, g: int, b: int, numbers: Array) -> Values:
+        """The same where some follow others: every number first, then what the rules say."""
+        model, block = self.layout.model, self.blocks[b]
+        whole: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
+        for (effect, name), value in self.layout.fixed.items():
+            whole[effect][name] = np.full(1, value)
+        for i, s in enumerate(self.layout.slots):
+            if s.effect in whole and s.run in (None, block.run) and not s.linear:
+                whole[s.effect][s.parameter] = numbers[:, i]
+        follow(model, tuple(r for r in self.layout.rules if not r.parameter.linear), whole)
+        mine = self.groups[g].model
+        return {
+            e.name: {q.name: spread(whole[e.name][q.name], len(block.path.t), q.role == "depth") for q in e.nonlinear}
+            for e in mine.effects
+        }
+
+    def end_to_end(self, b: int, p: int) -> Path:
         """One path through p individuals laid end to end."""
         if (b, p) not in self._tiled:
-            if len(self._tiled) > 8:
+            if len(self._tiled) > 2 * len(self.blocks):
                 self._tiled.clear()
             path = self.blocks[b].path
             n = len(path.t)
             long: dict[str, Any] = {
                 name: np.tile(value, p)
                 for name, value in vars(path).items()
-                if isinstance(value, np.ndarray) and value.shape[:1] == (n,)
+                if isinstance(value, np.ndarray) and value.shape == (n,)
             }
             self._tiled[b, p] = replace(path, starts=tuple(range(0, n * p, n)), **long)
         return self._tiled[b, p]
 
+    # --- the law in the layout's own unknowns
+
     def law(self, numbers: Array, coefficients: Array) -> Array:
-        """All unknowns (P,) of the layout: of a wave amplitude and phases, its amplitude shared as their mean."""
+        """All unknowns (P,) of the layout: of a wave its amplitude (shared: their mean) and phases."""
         p = np.array(numbers, dtype=float)
-        sizes: dict[int, list[float]] = {}
+        told: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}
         for c, value in zip(self.coefficients, coefficients, strict=True):
             if c.quadrature is not None:
                 pairs.setdefault((c.effect, c.run), []).append(float(value))
-                continue
-            i = self._slot(c.effect, c.parameter, c.run)
-            if i is not None:
-                p[i] = value
-        for (effect, run), pair in pairs.items():
-            for role, value in (("amplitude", np.hypot(pair[0], pair[1])), ("phase", np.arctan2(pair[1], pair[0]))):
-                name = next(
-                    q.name
-                    for e in self.layout.model.effects
-                    if e.name == effect
-                    for q in e.parameters
-                    if q.role == role
-                )
-                i = self._slot(effect, name, run)
-                if i is not None:
-                    sizes.setdefault(i, []).append(float(value))
-        for i, each in sizes.items():
+            elif (i := self.position(c.effect, c.parameter, c.run)) is not None:
+                told.setdefault(i, []).append(float(value))
+        for (effect, run), (a, b) in pairs.items():
+            names = {q.role: q.name for e in self.layout.model.effects if e.name == effect for q in e.parameters}
+            for role, value in (("amplitude", np.hypot(a, b)), ("phase", np.arctan2(b, a))):
+                if (i := self.position(effect, names[role], run)) is not None:
+                    told.setdefault(i, []).append(float(value))
+        for i, each in told.items():
             p[i] = np.mean(each)
         return p
 
-    def _slot(self, effect: str, parameter: str, run: int | None) -> int | None:
-        return next(
-            (
-                i
-                for i, s in enumerate(self.layout.slots)
-                if (s.effect, s.parameter) == (effect, parameter) and (run is None or s.run in (None, run))
-            ),
-            None,
-        )
 
-    def design(
-        self, numbers: Array, levels: Array | None = None, known: Array | None = None, only: set[int] | None = None
-    ) -> Array:
-        """All rows (K, M) of one law, numbers (P_layout,); of `known` those groups not in `only` are taken over."""
-        out = np.zeros((len(self.coefficients), self.size)) if known is None else known.copy()
-        for g in range(len(self.groups)) if only is None else only:
-            for b, block in enumerate(self.blocks):
-                level = 1.0 if levels is None else float(levels[block.run])
-                at = self.place[g][block.run]
-                kept = at >= 0
-                out[at[kept], self.slices[b]] = self.rows(g, b, numbers[None], level)[0][kept]
-        return out
+def spread(each: Array, n: int, deep: bool = False) -> Any:
+    """Values (P,) of a population frame by frame, (P n,); a single one stays a number.
+
+    A depth multiplies whole columns (n, k), so that it stands as (P n, 1).
+    """
+    if len(each) == 1:
+        return float(each[0])
+    long = np.repeat(each, n)
+    return long[:, None] if deep else long
 
 
-def is_wave(effect: Effect) -> bool:
-    """Whether an effect is one amplitude times a sine of one free phase, so that its quadratures are linear."""
-    phases = [p for p in effect.nonlinear if p.role == "phase" and p.fixed is None]
-    free = len(effect.linear) == 1 and effect.linear[0].role == "amplitude" and effect.linear[0].fixed is None
-    return free and len(phases) == 1 and not effect.modifies
+def _by_individual(columns: Array, p: int) -> Array:
+    """Columns (P n, k) of individuals laid end to end as rows (P, k, n)."""
+    return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
+
+
+def _deep(model: Model, effect: str, parameter: str) -> bool:
+    return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
 
 
 def _clusters(model: Model) -> list[list[Effect]]:
-    """Effects that are evaluated together, in the order of the model: modifiers with all that they modify."""
+    """Effects that are evaluated together: modifiers with all that they modify, the others by themselves."""
     kinds = {k for e in model.effects for k in e.modifies}
     joined = [e for e in model.effects if e.modifies or e.kind in kinds]
     out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]

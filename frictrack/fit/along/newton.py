@@ -6,26 +6,33 @@ that a step needs. Levels of friction are non-linear numbers here, held about on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from frictrack.fit.along.columns import Along
+from frictrack.fit.along.columns import Along, Indices
 from frictrack.fit.layout import LEVEL
 from frictrack.fit.scatter import restraint, restraint_rows
 from frictrack.records import Array, Mask
 
 STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns
 RIDGE = 1e-12  # of the columns' mean square, where two of them are alike
-FIRST_DAMPING, MOST_DAMPED = 1e-6, 1e6
+FIRST_DAMPING, MOST_DAMPED, LEAST_DAMPED = 1e-6, 1e6, 1e-10
+HOPE = 3.0  # times what a step promises: the most that a law is trusted to fall yet
+
+NONE: Indices = np.zeros(0, dtype=int)
+Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m) per unit of a number
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """One law: numbers (P_layout,), rows (K, M), coefficients (K,), which of these may move, and the misfit.
 
-    `misfit` is the sum of squared residuals and of what holds the levels about one.
+    `misfit` is the sum of squared residuals and of what holds the levels about one. Rows that are `out` take no part.
+    `changes` tells how rows answer each number; `stamps` tells rows of different evaluations apart, group by group.
     """
 
     numbers: Array
@@ -34,6 +41,9 @@ class State:
     moving: Mask
     residual: Array  # (M,)
     misfit: float
+    out: Mask
+    stamps: tuple[int, ...]
+    changes: dict[int, list[Change]] = field(default_factory=dict)
 
 
 def bounded(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
@@ -57,7 +67,9 @@ def bounded(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, 
 
 
 class Projected:
-    """The projected problem of one data set (M,): states, steps, refinement. `tau` is the spread of the levels."""
+    """The projected problem of one data set (M,): laws and their refinement. `tau` is the spread of the levels."""
+
+    _stamps = count(1)
 
     def __init__(self, along: Along, data: Array, tau: float = 0.03) -> None:
         self.along, self.data, self.tau = along, data, tau
@@ -65,115 +77,153 @@ class Projected:
         self.levels = self.layout.levels
         self.low, self.high = self.layout.bounds
         self._held = restraint_rows(self.layout, tau)
+        width = self.high - self.low
+        self._least = STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
+        self._loaded = np.array([c.loaded for c in along.coefficients], dtype=bool)
 
-    def state(self, numbers: Array, rows: Array) -> State:
-        """The law of given numbers and rows, its coefficients solved."""
-        c, moving = bounded(rows @ rows.T, rows @ self.data, self.along.low, self.along.high)
-        residual = self.data - c @ rows
-        held = restraint(self.layout, numbers, self.tau) if self.levels else np.zeros(0)
-        return State(numbers, rows, c, moving, residual, float(residual @ residual + held @ held))
+    def nothing(self, numbers: Array) -> State:
+        """No law at all: rows of zeros."""
+        k = len(self.along.coefficients)
+        zero = np.zeros((k, self.along.size))
+        none = np.zeros(k, dtype=bool)
+        return State(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, (0,) * len(self.along.groups))
 
-    def at(self, numbers: Array, known: Array | None = None, only: set[int] | None = None) -> State:
-        """The law of given numbers; rows of groups not in `only` are taken from `known`."""
-        levels = self._levels(numbers)
-        return self.state(numbers, self.along.design(numbers, levels, known, only))
+    def without(self, state: State, coefficients: Sequence[int] | Array) -> State:
+        """The same law with some of its rows gone, the others' coefficients solved again."""
+        out = state.out.copy()
+        out[coefficients] = True
+        return self._solved(state.numbers, state.rows, out, (state.stamps, state.changes))
 
-    def refine(self, state: State, groups: set[int], steps: int = 12, enough: float = 1e-5) -> State:
-        """Levenberg-Marquardt over the numbers of the given groups (and the levels) until a step promises nothing.
+    def at(
+        self,
+        numbers: Array,
+        known: State | None = None,
+        groups: Iterable[int] | None = None,
+        taken: Indices | None = None,
+    ) -> State:
+        """The law of given numbers (P_layout,); rows of groups other than `groups` are taken from `known`.
 
-        `enough` is the promised fall of the misfit, as a share of it, that is not worth a step.
+        `taken` (default all of these groups) are the coefficients that take part from now on, if they did not before.
         """
-        free = [i for g in groups for i in self.along.groups[g].numbers] + self.levels
-        if not free:
-            return state
+        base = known or self.nothing(numbers)
+        rows, out = base.rows.copy(), base.out.copy()
+        changes, stamps = dict(base.changes), list(base.stamps)
+        chosen = range(len(self.along.groups)) if groups is None or self.levels else groups
+        for g in chosen:
+            self._evaluate(g, numbers, rows, changes)
+            stamps[g] = next(self._stamps)
+            out[self.along.coefficients_of(g) if taken is None else taken] = False
+        return self._solved(numbers, rows, out, (tuple(stamps), changes))
+
+    def _evaluate(self, g: int, numbers: Array, rows: Array, changes: dict[int, list[Change]]) -> None:
+        """Rows of one group and how they answer its numbers, all from one evaluation."""
+        along, group = self.along, self.along.groups[g]
+        for i in group.numbers:
+            changes[i] = [c for c in changes.get(i, []) if c[0] != g]
+        for b, block in enumerate(along.blocks):
+            mine = [i for i in group.numbers if along.layout.slots[i].run in (None, block.run)]
+            moved = np.tile(numbers, (1 + len(mine), 1))
+            steps = np.maximum(STEP * np.abs(numbers[mine]), self._least[mine])
+            moved[np.arange(1, len(moved)), mine] += steps
+            level = float(numbers[self.levels[block.run]]) if self.levels else 1.0
+            made = along.rows(g, b, moved, level)
+            at = along.place[g][block.run]
+            kept = at >= 0
+            rows[at[kept], along.slices[b]] = made[0, kept]
+            for j, i in enumerate(mine):
+                changes[i].append((g, b, (made[1 + j] - made[0]) / steps[j]))
+
+    def _solved(
+        self, numbers: Array, rows: Array, out: Mask, kept: tuple[tuple[int, ...], dict[int, list[Change]]]
+    ) -> State:
+        gram, right = rows @ rows.T, rows @ self.data
+        if out.any():
+            gram[out], gram[:, out], right[out] = 0.0, 0.0, 0.0
+        c, moving = bounded(gram, right, self.along.low, self.along.high)
+        residual = self.data - c @ rows
+        misfit = float(residual @ residual)
+        if self.levels:
+            held = restraint(self.layout, numbers, self.tau)
+            misfit += float(held @ held)
+        return State(numbers, rows, c, moving, residual, misfit, out, *kept)
+
+    def refine(
+        self,
+        state: State,
+        groups: Iterable[int] | None = None,
+        *,
+        steps: int = 12,
+        enough: float = 1e-5,
+        below: float = np.inf,
+    ) -> State:
+        """Levenberg-Marquardt over the numbers of some groups (default all) and the levels.
+
+        Ends when a step promises less than a share `enough` of the misfit, or no hope is left to come below `below`.
+        """
+        chosen = sorted(set(range(len(self.along.groups)) if groups is None else groups))
+        free = sorted({i for g in chosen for i in self.along.groups[g].numbers}) + self.levels
+        touched = [g for g in chosen if self.along.groups[g].numbers]
         damping = FIRST_DAMPING
-        slope: tuple[Array, Array] | None = None
-        for _ in range(steps):
-            if slope is None:
-                slope = self._slope(state, free)
-            step, promised = self._step(state, slope, free, damping)
-            if promised < enough * state.misfit or damping > MOST_DAMPED:
+        linear = self._linearised(state, free) if free else None
+        for _ in range(steps if free else 0):
+            assert linear is not None
+            step, promised = self._step(state, linear, free, damping)
+            hopeless = state.misfit - HOPE * promised > below
+            if promised < enough * state.misfit or damping > MOST_DAMPED or hopeless:
                 break
             numbers = state.numbers.copy()
             numbers[free] += step
-            trial = self.at(numbers, state.rows, self._touched(groups))
+            trial = self.at(numbers, state, touched, NONE)
             if trial.misfit < state.misfit:
-                state, slope, damping = trial, None, max(damping * 0.1, 1e-10)
+                state, linear, damping = trial, self._linearised(trial, free), max(0.1 * damping, LEAST_DAMPED)
             else:
-                damping = max(damping * 30, 1e-3)
+                damping = max(30 * damping, 1e-3)
         return state
 
-    def _touched(self, groups: set[int]) -> set[int]:
-        return set(range(len(self.along.groups))) if self.levels else groups
-
-    def _levels(self, numbers: Array) -> Array | None:
-        return numbers[self.levels] if self.levels else None
-
-    def _slope(self, state: State, free: list[int]) -> tuple[Array, Array]:
-        """Change (d, M) of the law per unit of every free number, coefficients held, and the Gram matrix beside it."""
-        out = np.zeros((len(free), self.along.size))
-        for j, i in enumerate(free):
-            slot = self.layout.slots[i]
-            if slot.effect == LEVEL:
-                self._by_level(state, i, out[j])
-            else:
-                self._by_number(state, i, out[j])
-        return out, out @ state.rows.T
-
-    def _by_number(self, state: State, i: int, out: Array) -> None:
-        along = self.along
-        g = next(k for k, group in enumerate(along.groups) if i in group.numbers)
-        width = self.high[i] - self.low[i]
-        step = STEP * max(abs(state.numbers[i]), 1e-3 * width if np.isfinite(width) else 1.0)
-        moved = state.numbers.copy()
-        moved[i] += step
-        levels = self._levels(state.numbers)
-        for b, block in enumerate(along.blocks):
-            if self.layout.slots[i].run not in (None, block.run):
-                continue
-            at = along.place[g][block.run]
-            kept = at >= 0
-            level = 1.0 if levels is None else float(levels[block.run])
-            rows = along.rows(g, b, moved[None], level)[0][kept]
-            change = (rows - state.rows[at[kept], along.slices[b]]) / step
-            out[along.slices[b]] = state.coefficients[at[kept]] @ change
-
-    def _by_level(self, state: State, i: int, out: Array) -> None:
-        run = self.layout.slots[i].run
-        loaded = np.array([c.loaded for c in self.along.coefficients])
-        for b, block in enumerate(self.along.blocks):
-            if block.run == run:
-                rows = state.rows[loaded, self.along.slices[b]]
-                out[self.along.slices[b]] = state.coefficients[loaded] @ rows / state.numbers[i]
-
-    def _step(self, state: State, slope: tuple[Array, Array], free: list[int], damping: float) -> tuple[Array, float]:
-        """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""
-        change, beside = slope[0], slope[1][:, state.moving]
-        normal = change @ change.T
-        gradient = change @ state.residual
-        if state.moving.any():
-            gram = state.rows[state.moving] @ state.rows[state.moving].T
+    def _linearised(self, state: State, free: list[int]) -> tuple[Array, Array]:
+        """Normal matrix (d, d) and gradient (d,) of the free numbers beside the coefficients."""
+        slope = np.zeros((len(free), self.along.size))
+        for row, i in zip(slope, free, strict=True):
+            if self.layout.slots[i].effect == LEVEL:
+                self._by_level(state, i, row)
+            for g, b, change in state.changes.get(i, []):
+                at = self.along.place[g][self.along.blocks[b].run]
+                row[self.along.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
+        rows = state.rows[state.moving]
+        normal, gradient = slope @ slope.T, slope @ state.residual
+        if len(rows):
+            gram, beside = rows @ rows.T, rows @ slope.T
             size = np.sqrt(gram.diagonal())
             unit = gram / size / size[:, None]
             unit.flat[:: len(size) + 1] += RIDGE
-            normal = normal - (beside / size) @ np.linalg.solve(unit, (beside / size).T)
+            beside /= size[:, None]
+            normal -= beside.T @ np.linalg.solve(unit, beside)
         if self.levels:
             held = self._held[:, free]
-            normal = normal + held.T @ held
+            normal += held.T @ held
             gradient = gradient - held.T @ restraint(self.layout, state.numbers, self.tau)
-        return self._within(state, free, normal, gradient, damping)
+        return normal, gradient
 
-    def _within(
-        self, state: State, free: list[int], normal: Array, gradient: Array, damping: float
-    ) -> tuple[Array, float]:
-        size = np.sqrt(np.maximum(normal.diagonal(), 1e-300))
+    def _by_level(self, state: State, i: int, out: Array) -> None:
+        run = self.layout.slots[i].run
+        for b, block in enumerate(self.along.blocks):
+            if block.run == run:
+                rows = state.rows[self._loaded, self.along.slices[b]]
+                out[self.along.slices[b]] = state.coefficients[self._loaded] @ rows / state.numbers[i]
+
+    def _step(self, state: State, linear: tuple[Array, Array], free: list[int], damping: float) -> tuple[Array, float]:
+        """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""
+        normal, gradient = linear
+        own = normal.diagonal()
         low, high = self.low[free] - state.numbers[free], self.high[free] - state.numbers[free]
-        stuck = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (normal.diagonal() <= 0)
+        stuck = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
+        size = np.sqrt(np.where(own > 0, own, 1.0))
         unit = normal / size / size[:, None]
-        unit.flat[:: len(size) + 1] += damping + 1e-12
-        unit[stuck] = 0.0
-        unit[:, stuck] = 0.0
-        unit[stuck, stuck] = 1.0
+        unit.flat[:: len(size) + 1] += damping + RIDGE
+        if stuck.any():
+            unit[stuck] = 0.0
+            unit[:, stuck] = 0.0
+            unit[stuck, stuck] = 1.0
         step = np.linalg.solve(unit, np.where(stuck, 0.0, gradient / size)) / size
-        step = np.clip(step, low, high)
+        step = np.minimum(np.maximum(step, low), high)
         return step, float(2 * gradient @ step - step @ normal @ step)

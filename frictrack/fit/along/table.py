@@ -5,7 +5,7 @@ Tables depend on the motion alone, so they serve every data set along it. Instan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -15,7 +15,7 @@ from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import State
 from frictrack.records import Array
 
-ABSORBED = 1e-9  # share of a column's square that must remain beside the law for it to count
+ABSORBED = 1e-6  # share of a column's square that must remain beside the law for it to count
 APART = 3  # steps of the grid within which a second pick is the same one
 CROWD = 64  # forms evaluated at once
 
@@ -31,19 +31,37 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Rows of every form: of block b (G c_b, m_b), its columns being coefficients `at[b]` of the C of a form."""
+    """Rows of every form: of block b (G c_b, m_b), its columns being coefficients `at[b]` of the C of a form.
+
+    In single precision: they only say where to look.
+    """
 
     grid: Grid
-    rows: list[Array]
+    rows: list[NDArray[np.float32]]
     at: list[NDArray[np.int_]]
     gram: Array  # (G, C, C)
 
-    def against(self, slices: list[slice], rows: Array) -> Array:
-        """Inner products with rows (J, M): (G, C, J)."""
+    crosses: dict[int, tuple[int, Array]] = field(default_factory=dict)  # by group: stamp, products with its rows
+    measured: list[Array] = field(default_factory=list)  # the last data and the products with them
+
+    def against(self, along: Along, state: State, data: Array) -> tuple[Array, Array]:
+        """Inner products with the rows of a law (G, C, K), and with its residual (G, C)."""
+        out = np.zeros((*self.gram.shape[:2], len(state.coefficients)))
+        for g, stamp in enumerate(state.stamps):
+            mine = along.coefficients_of(g)
+            if self.crosses.get(g, (None,))[0] != stamp:
+                self.crosses[g] = stamp, self._products(along.slices, state.rows[mine])
+            out[:, :, mine] = self.crosses[g][1]
+        if not self.measured or self.measured[0] is not data:
+            self.measured[:] = [data, self._products(along.slices, data[None])[:, :, 0]]
+        return out, self.measured[1] - out @ state.coefficients
+
+    def _products(self, slices: list[slice], rows: Array) -> Array:
         g, c = self.gram.shape[:2]
         out = np.zeros((g, c, len(rows)))
+        short = rows.astype(np.float32)
         for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
-            out[:, at] += (mine @ rows[:, cut].T).reshape(g, len(at), -1)
+            out[:, at] += (mine @ short[:, cut].T).reshape(g, len(at), -1)
         return out
 
 
@@ -154,6 +172,13 @@ class Tables:
             self._made[key] = self._build(item, state)
         return self._made[key]
 
+    def scan(self, item: Item, state: State, data: Array) -> Scan:
+        """What every form of an item gains beside a law without it."""
+        table = self.table(item, state)
+        mine = coefficients_of(self.along, item)
+        cross, right = table.against(self.along, state, data)
+        return _scanned(table, state, (cross, right), (self.along.low[mine], self.along.high[mine]))
+
     def _build(self, item: Item, state: State) -> Table:
         along, grid = self.along, self.grid(item)
         numbers = np.tile(state.numbers, (len(grid.values), 1))
@@ -163,6 +188,7 @@ class Tables:
                     numbers[:, i] = values
         mine = coefficients_of(along, item)
         rows, at = [], []
+        gram = np.zeros((len(numbers), len(mine), len(mine)))
         for b, block in enumerate(along.blocks):
             place = along.place[item.g][block.run]
             kept = np.flatnonzero(np.isin(place, mine))
@@ -170,12 +196,10 @@ class Tables:
                 kept = kept[:0]
             parts = [along.rows(item.g, b, part)[:, kept] for part in _crowds(numbers)] if len(kept) else []
             made = np.concatenate(parts) if parts else np.zeros((len(numbers), 0, len(block.data)))
-            rows.append(np.ascontiguousarray(made.reshape(-1, len(block.data))))
-            at.append(np.searchsorted(mine, place[kept]))
-        gram = np.zeros((len(numbers), len(mine), len(mine)))
-        for made, a in zip(rows, at, strict=True):
-            cube = made.reshape(len(numbers), len(a), -1)
-            gram[np.ix_(np.arange(len(numbers)), a, a)] += cube @ cube.transpose(0, 2, 1)
+            a = np.searchsorted(mine, place[kept])
+            gram[np.ix_(np.arange(len(numbers)), a, a)] += made @ made.transpose(0, 2, 1)
+            rows.append(made.reshape(-1, len(block.data)).astype(np.float32))
+            at.append(a)
         return Table(grid, rows, at, gram)
 
 
@@ -183,22 +207,22 @@ def _crowds(numbers: Array) -> list[Array]:
     return np.array_split(numbers, max(1, -(-len(numbers) // CROWD)))
 
 
-def scan(table: Table, state: State, slices: list[slice], low: Array, high: Array) -> Scan:
-    """Gains of all forms beside a law that has none of them; coefficients out of bounds gain nothing."""
-    rows = state.rows[state.moving]
-    products = table.against(slices, np.vstack([rows, state.residual]))
-    beside, right = products[:, :, :-1], products[:, :, -1]
+def _scanned(table: Table, state: State, products: tuple[Array, Array], box: tuple[Array, Array]) -> Scan:
+    """Gains of all forms beside a law that has none of them, from products with its rows (G, C, K) and residual."""
+    cross, right = products
     schur = table.gram.copy()
+    rows = state.rows[state.moving]
     if len(rows):
-        size = np.linalg.norm(rows, axis=1)
-        unit = (rows @ rows.T) / size / size[:, None]
+        gram = rows @ rows.T
+        size = np.sqrt(gram.diagonal())
+        unit = gram / size / size[:, None]
         unit.flat[:: len(size) + 1] += 1e-12
-        beside = beside / size
-        schur -= beside @ np.linalg.inv(unit) @ beside.transpose(0, 2, 1)
-    c = _solve(schur, right, np.einsum("gcc->gc", table.gram))
-    gains = np.einsum("gc,gc->g", c, right)
-    gains[np.any((c < low) | (c > high), axis=1)] = 0.0
-    return Scan(table.grid, gains, c)
+        beside = cross[:, :, state.moving] / size
+        flat = beside.reshape(-1, len(size))
+        schur -= (flat @ np.linalg.inv(unit)).reshape(beside.shape) @ beside.transpose(0, 2, 1)
+    c = np.clip(_solve(schur, right, np.einsum("gcc->gc", table.gram)), *box)
+    pull = (schur @ c[:, :, None])[:, :, 0]
+    return Scan(table.grid, np.einsum("gc,gc->g", c, 2 * right - pull), c)
 
 
 def _solve(schur: Array, right: Array, full: Array) -> Array:

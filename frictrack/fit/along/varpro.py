@@ -8,17 +8,21 @@ scan, beside all the others, says where else it may stand; each such place is re
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import Projected, State
-from frictrack.fit.along.table import Item, Scan, Tables, coefficients_of, items_of, scan
+from frictrack.fit.along.table import Grid, Item, Scan, Tables, coefficients_of, items_of
 from frictrack.records import Array
 
 PICKS = 3  # places of one scan that are tried
 ROUGH = 3  # steps while the law is incomplete
 SLACK = 0.1  # of what an effect explains: how far behind a place may look before it is refined
 NOISE = 12.0  # the same in units of the noise
+COUPLED = 0.1  # share of each other that two effects explain, for them to be sought anew together
+UNSAID = 30.0  # in units of the noise: more than the best of a thousand forms gains by chance
 GAIN = 1e-6  # of the misfit that a trial must gain to be kept
 
 
@@ -36,7 +40,7 @@ class Search:
         """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
         problem = Projected(self.along, self.along.data if data is None else data, self.tau)
         first = self.first() if numbers is None else numbers
-        state = problem.at(first, np.zeros((len(self.along.coefficients), self.along.size)), self.plain)
+        state = problem.at(first, problem.nothing(first), self.plain)
         state = self._complete(problem, state)
         return self._exchanged(problem, state)
 
@@ -53,21 +57,15 @@ class Search:
         """Take in one effect after the other, the one that gains most first."""
         left = list(self.items)
         while left:
-            kinds = {self.along.groups[i.g].model.effects[0].columns: i for i in reversed(left)}
-            scans = {i: self._scanned(i, state) for i in kinds.values()}
+            scans = self._scans(problem, state, left)
             item = max(scans, key=lambda i: float(scans[i].gains.max()))
             left.remove(item)
             state = self._taken(problem, state, item, scans[item], int(np.argmax(scans[item].gains)))
-            state = problem.refine(state, self._inside(left), ROUGH, 1e-3)
+            state = problem.refine(state, self._inside(left), steps=ROUGH, enough=1e-3)
         return state
 
     def _inside(self, left: list[Item]) -> set[int]:
         return set(range(len(self.along.groups))) - {i.g for i in left}
-
-    def _scanned(self, item: Item, state: State) -> Scan:
-        mine = self.mine[item]
-        low, high = self.along.low[mine], self.along.high[mine]
-        return scan(self.tables.table(item, state), state, self.along.slices, low, high)
 
     def _taken(self, problem: Projected, state: State, item: Item, found: Scan, g: int) -> State:
         """The law with an item at one point of its scan."""
@@ -76,40 +74,142 @@ class Search:
             for i, s in enumerate(self.along.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
                     numbers[i] = value
-        return problem.at(numbers, state.rows, {item.g})
+        return problem.at(numbers, state, {item.g}, self.mine[item])
 
     def _exchanged(self, problem: Projected, state: State) -> State:
-        """Try other places for every effect until none helps."""
-        everything = set(range(len(self.along.groups)))
-        state = problem.refine(state, everything)
+        """Try other places for every effect, then for pairs of them, until none helps."""
+        state = problem.refine(state)
         waiting = list(self.items)
         while waiting:
             item = waiting.pop(0)
             better = self._elsewhere(problem, state, item)
+            if better is None and not waiting:
+                better = self._paired(problem, state)
             if better is not None:
                 state = better
-                waiting = [i for i in self.items if i != item]
+                waiting = [i for i in self.items if i != item] or list(self.items)
         return state
 
+    def _paired(self, problem: Projected, state: State) -> State | None:
+        """A better law with two effects elsewhere: two lines in place of one, or two that trade places."""
+        shares = self._shares(state)
+        unsaid = self._unsaid(problem, state)
+        for other in self.items:
+            bare = problem.without(state, self.mine[other])
+            for one in self.items:
+                better = None
+                if self._alike(one, other):
+                    better = self._split(problem, (state, bare), one, other)
+                if better is None and one != other and (unsaid or shares(one, other) > COUPLED):
+                    better = self._anew(problem, state, one, other)
+                if better is not None:
+                    return better
+        return None
+
+    def _unsaid(self, problem: Projected, state: State) -> bool:
+        """Whether one more effect of any kind would explain far more than chance does: something stands wrong."""
+        best = max(float(s.gains.max()) for s in self._scans(problem, state, self.items).values())
+        return best > UNSAID * state.misfit / self.along.size
+
+    def _scans(self, problem: Projected, state: State, items: list[Item]) -> dict[Item, Scan]:
+        """What one more of every kind of effect would gain."""
+        kinds = {(self.along.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
+        return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
+
     def _elsewhere(self, problem: Projected, state: State, item: Item) -> State | None:
-        rows = state.rows.copy()
-        rows[self.mine[item]] = 0.0
-        bare = problem.state(state.numbers, rows)
-        found = self._scanned(item, bare)
-        noise = state.misfit / self.along.size
-        near = state.misfit + SLACK * (bare.misfit - state.misfit) + NOISE * noise
+        bare = problem.without(state, self.mine[item])
+        found = self.tables.scan(item, bare, problem.data)
+        near = self._near(state, bare)
         for g in found.picks(PICKS):
             if bare.misfit - found.gains[g] > near or self._stands(item, state, found, g):
                 continue
-            trial = self._taken(problem, bare, item, found, g)
-            trial = problem.refine(trial, set(range(len(self.along.groups))))
-            if trial.misfit < state.misfit * (1 - GAIN):
-                return trial
+            better = self._kept(problem, state, self._taken(problem, state, item, found, g))
+            if better is not None:
+                return better
         return None
+
+    def _near(self, state: State, bare: State) -> float:
+        """How large a misfit on the grid may be, and the law still be worth refining, beside one with effects out."""
+        return state.misfit + SLACK * (bare.misfit - state.misfit) + NOISE * state.misfit / self.along.size
+
+    def _split(self, problem: Projected, laws: tuple[State, State], one: Item, other: Item) -> State | None:
+        """Two lines in place of `one`, the `other` (gone from the bare law) taken for it.
+
+        What a line and its derivative would gain together says whether it is worth trying.
+        """
+        state, bare = laws
+        where = self._where(one, self.tables.grid(one).names)
+        slopes = [c for i in where for c in state.changes[i]]
+        rows = np.zeros((sum(len(c[2]) for c in slopes), self.along.size))
+        k = 0
+        for _, b, change in slopes:
+            rows[k : k + len(change), self.along.slices[b]] = change
+            k += len(change)
+        gain = _gain(np.vstack([bare.rows[bare.moving], rows]), bare.residual)
+        if bare.misfit - gain > self._near(state, bare):
+            return None
+        grid = self.tables.grid(one)
+        k = self._nearest(grid, state, where)
+        low, high = grid.values[max(k - 1, 0)], grid.values[min(k + 1, len(grid.values) - 1)]
+        numbers = state.numbers.copy()
+        numbers[where], numbers[self._where(other, grid.names)] = low, high
+        return self._kept(problem, state, problem.at(numbers, state, {one.g, other.g}))
+
+    def _anew(self, problem: Projected, state: State, one: Item, other: Item) -> State | None:
+        """Both out; the best place for `one` first, then beside it for the `other`."""
+        both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
+        first = self.tables.scan(one, both, problem.data)
+        middle = self._taken(problem, both, one, first, int(np.argmax(first.gains)))
+        bare = problem.without(middle, self.mine[other])
+        second = self.tables.scan(other, bare, problem.data)
+        g = int(np.argmax(second.gains))
+        if bare.misfit - second.gains[g] > self._near(state, both):
+            return None
+        return self._kept(problem, state, self._taken(problem, middle, other, second, g))
+
+    def _kept(self, problem: Projected, state: State, trial: State) -> State | None:
+        trial = problem.refine(trial, below=state.misfit)
+        return trial if trial.misfit < state.misfit * (1 - GAIN) else None
+
+    def _alike(self, one: Item, other: Item) -> bool:
+        """Whether two items are instances of one effect, found by one number."""
+        a, b = (self.along.groups[i.g].model.effects[0] for i in (one, other))
+        return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
+
+    def _shares(self, state: State) -> Callable[[Item, Item], float]:
+        """How much of each other's rows two items explain, all others projected out."""
+        rows = np.where(state.out[:, None], 0.0, state.rows)
+        gram = rows @ rows.T
+        size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+        inverse = np.linalg.inv(gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
+
+        def share(one: Item, other: Item) -> float:
+            a, b = self.mine[one], self.mine[other]
+            across = inverse[np.ix_(a, b)]
+            ahead = np.linalg.solve(inverse[np.ix_(a, a)], across)
+            return float(np.trace(ahead @ np.linalg.solve(inverse[np.ix_(b, b)], across.T)))
+
+        return share
+
+    def _where(self, item: Item, names: tuple[str, ...]) -> list[int]:
+        """Positions in the layout of the numbers that an item is scanned over."""
+        found = (self.along.position(item.effect, name, item.run) for name in names)
+        return [i for i in found if i is not None]
+
+    @staticmethod
+    def _nearest(grid: Grid, state: State, where: list[int]) -> int:
+        away = (grid.values - state.numbers[where]) / np.maximum(np.ptp(grid.values, axis=0), 1e-300)
+        return int(np.argmin(np.sum(away**2, axis=1)))
 
     def _stands(self, item: Item, state: State, found: Scan, g: int) -> bool:
         """Whether the law has the item at that place already, within a step of its scan."""
-        where = [self.along.position(item.effect, name, item.run or 0) for name in found.grid.names]
-        own = np.array([state.numbers[i] for i in where])
-        nearest = np.argmin(np.sum(((found.grid.values - own) / np.ptp(found.grid.values, axis=0)) ** 2, axis=1))
+        nearest = self._nearest(found.grid, state, self._where(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))
+
+
+def _gain(rows: Array, residual: Array) -> float:
+    """What rows (K, M) explain of a residual (M,)."""
+    size = np.linalg.norm(rows, axis=1)
+    rows = rows[size > 0] / size[size > 0, None]
+    right = rows @ residual
+    return float(right @ np.linalg.solve(rows @ rows.T + 1e-9 * np.eye(len(rows)), right))
