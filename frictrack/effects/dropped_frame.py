@@ -12,10 +12,9 @@ MOST = 2000  # moments tried in one run
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """V dt from `time` on, shape (n, 1): m per frame that is missing; it comes in over one frame interval dt."""
-    dt = np.float64(np.median(np.diff(path.t)))
+    dt = float(np.median(np.diff(path.t)))
     after = np.clip((path.t - nonlinear["time"]) / dt + 0.5, 0.0, 1.0)
-    shift: Array = path.v * dt * after
-    return shift[:, None]
+    return np.asarray(path.v * dt * after, dtype=np.float64)[:, None]
 
 
 def times(span: Span) -> Array:
