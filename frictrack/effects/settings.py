@@ -120,6 +120,9 @@ class Tie:
     parameter: str
     factor: float = 1.0
 
+    def __str__(self) -> str:
+        return ("" if self.factor == 1 else f"{self.factor:g}*") + f"{self.effect}.{self.parameter}"
+
     @classmethod
     def read(cls, text: str) -> Tie:
         """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `Settings` has checked."""

@@ -20,7 +20,7 @@ def plain_covariance(solution: Solution) -> tuple[Array, Array]:
 
     It is what the curvature of the misfit says: a profile of the linearised law rises by one per such variance.
     """
-    return inverse(np.vstack([solution.jac, restraint_rows(solution.problem.layout, solution.tau or 0.03)]))
+    return inverse(np.vstack([solution.jac, restraint_rows(solution.problem.layout, solution.tau or 0.03, solution.p)]))
 
 
 def covariance_of(solution: Solution) -> tuple[Array, Array]:
@@ -36,7 +36,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
         return _by_segment(solution, full), unseen
     if len(layout.levels) < MIN_RUNS:
         return full, unseen
-    more, _ = inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau)]))
+    more, _ = inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau, solution.p)]))
     variance = np.maximum(np.diag(full), 1e-300)
     share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
     widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / Z95
@@ -62,7 +62,7 @@ def _by_segment(solution: Solution, bread: Array) -> Array:
     count = batches_of(solution)
     batches = np.array([part.sum(axis=0) for part in np.array_split(pulls, count)])
     widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
-    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03, solution.p)
     return np.asarray(bread @ (widen * batches.T @ batches + held.T @ held) @ bread)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from frictrack.fit.covariance import covariance_of
 from frictrack.fit.identifiable import partners, remarks, unsettled
 from frictrack.fit.mass import NAME as MASS
-from frictrack.fit.quoted import quoted, shown
+from frictrack.fit.quoted import gradient_of, quoted, shown
 from frictrack.fit.solve import Solution
 from frictrack.records import Array
 
@@ -80,8 +80,23 @@ def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Esti
     for (effect, parameter), value in layout.fixed.items():
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
+    out |= _tied(solution, covariance, out)
     alike = correlations(names, shown(layout), covariance)
     return Estimates(out, covariance, alike, remarks(solution, alike, list(reasons)))
+
+
+def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Parameters that follow others, as well known as these."""
+    layout = solution.problem.layout
+    out: dict[str, Estimate] = {}
+    for address, tie, unit in layout.tied():
+        value, gradient = gradient_of(solution.problem, solution.p, address)
+        leader = known.get(f"{tie.effect}.{tie.parameter}")
+        lost = leader is not None and leader.value is None
+        std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
+        why = f"tied to {tie}" if not lost else f"tied to {tie}, which these runs do not determine"
+        out[address] = Estimate(None if lost else value, None if lost else std, unit, False, why)
+    return out
 
 
 def _absorbed(solution: Solution, unseen: Array) -> dict[str, str]:

@@ -165,19 +165,33 @@ class Layout:
 
     def quoted(self, p: Array) -> dict[str, float]:
         """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
-        each = [self.values(p, r)[0] for r in range(len(self.run_names))]
-        out: dict[str, float] = {}
+        q = 1.0 + sum(float(p[i]) for i, s in enumerate(self.slots) if s.effect == MASS)
+        scaled = {e.name for e in self.model.effects if e.acts_on == "force" and e.name != MASS}
+        out = {
+            name: float(p[i]) / (q if s.linear and s.effect in scaled else 1.0)
+            for i, (s, name) in enumerate(zip(self.slots, self.names, strict=True))
+            if s.effect != LEVEL
+        }
+        out |= {f"{effect}.{name}": value for (effect, name), value in self.fixed.items()}
+        curved = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
+        each = [self.values(p, run)[0] for run in range(len(self.run_names))] if curved else []
+        for e, r in curved:
+            found = [quoted(self.model, values, e.name, r.name) for values in each]
+            if self.own(e, r):
+                there = [run for run in self._runs_of(e, True) if run is not None]
+                out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in there}
+            else:
+                out[f"{e.name}.{r.name}"] = float(np.mean(found))
+        return out
+
+    def tied(self) -> list[tuple[str, Tie, str]]:
+        """Address, tie and unit of every parameter that follows another one, run by run where that has its own."""
+        out = []
         for e in self.model.effects:
-            for q in e.parameters:
-                found = [quoted(self.model, values, e.name, q.name) for values in each]
-                if self.own(e, q):
-                    out |= {
-                        f"{e.name}.{q.name}[{self.run_names[r]}]": found[r]
-                        for r in self._runs_of(e, True)
-                        if r is not None
-                    }
-                else:
-                    out[f"{e.name}.{q.name}"] = float(np.mean(found))
+            for p in (p for p in e.parameters if p.tie):
+                runs = [r for r in self._runs_of(e, True) if r is not None] if self.own(e, p) else [None]
+                places = ["" if r is None else f"[{self.run_names[r]}]" for r in runs]
+                out += [(f"{e.name}.{p.name}{place}", Tie.read(str(p.tie)), p.unit) for place in places]
         return out
 
     @cached_property

@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import LEVEL, Layout
-from frictrack.fit.mass import ratio, rescaled
+from frictrack.fit.mass import ratio
 from frictrack.fit.problem import Problem
 from frictrack.records import Array
 
@@ -24,18 +24,8 @@ def shown(layout: Layout) -> list[int]:
 def quoted_values(problem: Problem, p: Array) -> Array:
     """The quoted unknowns of a law p (P,), (A,), in the order of `shown`."""
     layout = problem.layout
-    q = ratio(layout, p)  # forces were fitted as q times themselves
-    known = dict(zip(layout.names, rescaled(layout, p, q), strict=True))
-    out = known | {"mass.m": problem.pieces[0].mass / q}
-    for effect in layout.model.effects:
-        if effect.quote is not None:
-            own = {
-                s.parameter: known[n]
-                for n, s in zip(layout.names, layout.slots, strict=True)
-                if s.effect == effect.name
-            }
-            out |= {f"{effect.name}.{k}": v for k, v in effect.quote(own, known).items()}
-    return np.array([out[layout.names[i]] for i in shown(layout)])
+    known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / ratio(layout, p)}
+    return np.array([known[layout.names[i]] for i in shown(layout)])
 
 
 def quoted(problem: Problem, p: Array) -> tuple[Array, Array]:
@@ -48,6 +38,18 @@ def quoted(problem: Problem, p: Array) -> tuple[Array, Array]:
         moved[j] += step
         jacobian[:, j] = (quoted_values(problem, moved) - base) / step
     return base, jacobian
+
+
+def gradient_of(problem: Problem, p: Array, address: str) -> tuple[float, Array]:
+    """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
+    base = problem.layout.quoted(p)[address]
+    gradient = np.zeros(len(p))
+    for j in range(len(p)):
+        step = 1e-6 * max(abs(p[j]), 1e-3)
+        moved = p.copy()
+        moved[j] += step
+        gradient[j] = (problem.layout.quoted(moved)[address] - base) / step
+    return base, gradient
 
 
 @dataclass(frozen=True)

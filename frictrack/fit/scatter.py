@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from frictrack.fit.layout import Layout
+from frictrack.fit.rules import MASS
 from frictrack.records import Array
 
 TAU = (1e-4, 0.5)  # where the relative spread of the level is looked for
@@ -122,8 +123,13 @@ def prior_rows(layout: Layout, p: Array | None = None) -> Array:
             row[q.slot] = 1 / q.std
     if curved:
         which = [i for i, q in enumerate(layout.priors) if q.slot is None]
-        rows[which] = _differences(layout, np.ones(len(layout.slots)) if p is None else p)[which]
+        rows[which] = _differences(layout, _anywhere(layout) if p is None else p)[which]
     return rows
+
+
+def _anywhere(layout: Layout) -> Array:
+    """Unknowns (P,) at which no quotient vanishes, the mass as it is counted."""
+    return np.array([0.0 if s.effect == MASS else 1.0 for s in layout.slots])
 
 
 def _differences(layout: Layout, p: Array) -> Array:
