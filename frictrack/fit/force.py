@@ -196,7 +196,7 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     out: dict[str, str] = {}
-    for effect in (e for e in layout.model.effects if e.kind == "stribeck"):
+    for effect in (e for e in layout.model.effects if e.kind == "stribeck" and layout.seeks(e.name, "F_s", "v_s")):
         rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
         why = None
         if solution.p[rise] < CERTAIN * std[rise]:
@@ -205,7 +205,7 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
             why = "v_s is not bounded on both sides"
         if why:
             text = f"{why}; the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
-            out |= {f"{effect.name}.{p.name}": text for p in effect.parameters if p.fixed is None}
+            out |= {f"{effect.name}.{p.name}": text for p in effect.parameters if p.free}
     return out
 
 

@@ -31,9 +31,10 @@ def unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
     """
     out: dict[str, str] = {}
     for effect in solution.problem.model.effects:
-        why = _stribeck(solution, covariance, effect) if effect.kind == "stribeck" else None
+        whole = effect.kind == "stribeck" and solution.problem.layout.seeks(effect.name, "F_s", "v_s")
+        why = _stribeck(solution, covariance, effect) if whole else None
         if why:
-            free = [p.name for p in effect.parameters if p.fixed is None]
+            free = [p.name for p in effect.parameters if p.free]
             out |= {f"{effect.name}.{name}": why for name in free}
         elif effect.name != MASS:
             out |= dict(_open(solution, covariance, effect))
@@ -50,9 +51,10 @@ def _stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | No
     if solution.p[rise] > CLEAR * std[rise] and _from_bounds(solution, speed) > FAR * std[speed]:
         return None
     whole = f"{effect.name}.F_s"
-    rises = f"{whole} - coulomb.F_c" if "coulomb" in layout.model else whole
-    walk = Walk(solution, quantity(layout, rises), covariance)
-    if solution.p[rise] <= 0 or not walk.excluded(0.0):
+    beside = layout.seeks("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
+    walk = Walk(solution, quantity(layout, f"{whole} - coulomb.F_c" if beside else whole), covariance)
+    level = 0.0 if beside else layout.quoted(solution.p).get("coulomb.F_c", 0.0)
+    if solution.p[rise] <= 0 or not walk.excluded(level):
         return f"F_s - F_c is not distinguishable from zero; {settled}"
     why = _unbounded(solution, covariance, speed)
     return f"v_s is not bounded on both sides: {why}; {settled}" if why else None

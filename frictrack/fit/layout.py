@@ -216,6 +216,11 @@ class Layout:
         leader = next(e for e in self.model.effects if e.name == tie.effect)
         return self.own(leader, leader.parameter(tie.parameter))
 
+    def seeks(self, effect: str, *parameters: str) -> bool:
+        """Whether all these parameters of an effect are unknowns that the runs share."""
+        shared = {s.parameter for s in self.slots if s.effect == effect and s.run is None}
+        return shared.issuperset(parameters)
+
     def index(self, effect: str, parameter: str, run: int | None = None) -> int:
         """Position of one unknown."""
         for i, s in enumerate(self.slots):
