@@ -302,10 +302,9 @@ def effects(out: Console, result: dict[str, Any]) -> None:
     """The library: what each effect adds, looks like, and is mistaken for."""
     table = Table("effect", "equation", "parameters", "looks like", "mistaken for", show_lines=True)
     for e in result["effects"]:
-        units = "\n".join(f"{p['name']} {p['unit']}".strip() for p in e["parameters"])
-        table.add_row(
-            *(escape(text) for text in (e["name"], e["equation"], units)), e["looks_like"], _cell(e["mistaken_for"])
-        )
+        units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
+        units += "".join(f"\nneeds {what}" for what in e["needs"])
+        table.add_row(*(escape(e[key]) for key in ("name", "equation")), escape(units), e["looks_like"], e["mistaken_for"])
     out.print(table)
     out.print("`frictrack add STUDY EFFECT` puts one into the model")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from frictrack.effects.asymmetry import asymmetry
 from frictrack.effects.atm2 import atm2
-from frictrack.effects.base import Effect, Parameter, Path, Span
+from frictrack.effects.base import NEEDS, Effect, Parameter, Path, Span
 from frictrack.effects.beam_vibration import beam_vibration
 from frictrack.effects.camera_shake import camera_shake
 from frictrack.effects.collision import collision
@@ -109,4 +109,5 @@ def _entry(effect: Effect) -> dict[str, Any]:
         "mistaken_for": effect.mistaken_for,
         "confirm": effect.confirm,
         "source": effect.source,
+        "needs": [NEEDS[need][0] for need in effect.needs],
     }

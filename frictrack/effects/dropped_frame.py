@@ -13,14 +13,14 @@ MOST = 2000  # moments tried in one run
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """V dt from `time` on, shape (n, 1): m per frame that is missing; it comes in over one frame interval dt."""
     dt = float(np.median(np.diff(path.t)))
-    after = np.clip((path.t - nonlinear["time"]) / dt + 0.5, 0.0, 1.0)
-    return np.asarray(path.v * dt * after, dtype=np.float64)[:, None]
+    after: Array = np.clip((path.t - nonlinear["time"]) / dt + 0.5, 0.0, 1.0)
+    return np.asarray((path.v * dt * after)[:, None])
 
 
 def times(span: Span) -> Array:
     """Moments worth trying, s since release: between any two frames, not too near to either end."""
     n = round(span.duration * span.fps)
-    between = np.arange(3, max(n - 3, 5)) + 0.5
+    between: Array = np.arange(3.5, max(n - 3, 5))
     return between[:: max(1, len(between) // MOST)] / span.fps
 
 

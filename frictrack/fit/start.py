@@ -199,6 +199,8 @@ def _sizes(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], 
     """Coefficients of a scan without phases, of every run and for all."""
     sizes = [p for p in effect.parameters if p.linear or p.role == "depth"]
     out: dict[tuple[str, int | None], float] = {}
+    if not sizes:  # a modifier without a size, such as a lag
+        return out
     for p, column in zip(sizes, c.reshape(-1, len(sizes)).T, strict=True):
         out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}
         out[p.name, None] = float(np.mean(column))
