@@ -304,7 +304,8 @@ def effects(out: Console, result: dict[str, Any]) -> None:
     for e in result["effects"]:
         units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
         units += "".join(f"\nneeds {what}" for what in e["needs"])
-        table.add_row(*(escape(e[key]) for key in ("name", "equation")), escape(units), e["looks_like"], e["mistaken_for"])
+        cells = e["name"], e["equation"], units, e["looks_like"], e["mistaken_for"]
+        table.add_row(*(escape(text) for text in cells))
     out.print(table)
     out.print("`frictrack add STUDY EFFECT` puts one into the model")
 
