@@ -165,6 +165,7 @@ class Walk:
         """Unknowns and starts on the line through the two nearest points of this side, or along the curvature."""
         side = [q for q in self.points if (q.c - self.best.c) * (c - self.best.c) >= 0]
         near, *more = sorted(side, key=lambda q: abs(q.c - c))
+        more = [q for q in more if q.c != near.c]
         if not more:
             return near.p + self.pull * (c - near.c), near.starts
         share = (c - near.c) / (near.c - more[0].c)
