@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.problem import Response
-from frictrack.fit.series import is_series
+from frictrack.fit.series import SeriesPiece
 from frictrack.fit.solve import Solution
 from frictrack.models import Model
 from frictrack.records import Array, Run
@@ -69,9 +69,13 @@ def _entry(i: int, fit: Fit) -> dict[str, Any]:
 def residual_force(response: Response, scale: float | None = None) -> ResidualForce:
     """Residual displacement of one piece turned into force: -m times its second derivative, with its noise.
 
-    `scale` (s) is the width over which it is smoothed; None takes the one at which it stands out most.
+    `scale` (s) is the width over which it is smoothed; None takes the one at which it stands out most. Where friction
+    itself was measured it is the residual as it stands.
     """
     piece = response.piece
+    if isinstance(piece, SeriesPiece):
+        x, v = piece.path.x[piece.at], piece.path.v[piece.at]
+        return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.sigma)
     left = response.r_full * piece.sigma
     tried = [curvature(left, piece.sigma, piece.t, s) for s in ([scale] if scale else _scales(piece.t))]
     a, sigma = max(tried, key=lambda pair: float(np.max(np.abs(pair[0]) / pair[1])))
@@ -125,7 +129,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     spans = []
     total = 0.0
     for response in solution.responses:
-        force = _failure(solution, response, missing)
+        force = residual_force(response) if missing is None else _unopposed(solution, response, missing)
         run = runs[response.piece.run]
         total += float(np.sum(force.F**2))
         times = run.displacement.t[response.piece.frames]
@@ -133,25 +137,6 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     for span in spans:
         span["share_of_error"] = round(span["share_of_error"] / max(total, 1e-300), 4)
     return sorted(spans, key=lambda s: -s["share_of_error"])
-
-
-def _failure(solution: Solution, response: Response, missing: str | None) -> ResidualForce:
-    if is_series(solution.problem):
-        return _left_over(solution, response, missing)
-    return residual_force(response) if missing is None else _unopposed(solution, response, missing)
-
-
-def _left_over(solution: Solution, response: Response, missing: str | None) -> ResidualForce:
-    """Measured less modelled friction of a run whose friction was measured, or the force of what is missing."""
-    piece = response.piece
-    x, v = piece.path.x[piece.at], piece.path.v[piece.at]
-    if missing is None:
-        return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.sigma)
-    values, level = solution.problem.layout.values(solution.p, piece.run)
-    path = piece.along(piece.path.x, piece.path.v, level)
-    model = solution.problem.model
-    force = (model.force(path, values) - (model - missing).force(path, values))[piece.at]
-    return ResidualForce(piece.t, x, v, force, _known(force))
 
 
 def _known(force: Array) -> Array:
@@ -171,8 +156,11 @@ def effect_force(solution: Solution, response: Response, name: str) -> Array:
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
     at = piece.at
-    path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
     without = Model(tuple(e for e in problem.model.effects if e.name != name))
+    if isinstance(piece, SeriesPiece):
+        path = piece.along(piece.path.x, piece.path.v, level)
+        return (problem.model.force(path, values) - without.force(path, values))[at]
+    path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
     return problem.model.force(path, values) - without.force(path, values)
 
 

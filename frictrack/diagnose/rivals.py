@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.problem import Problem
 from frictrack.fit.scatter import restraint
 from frictrack.fit.solve import Solution, refine
 
@@ -18,7 +17,7 @@ def separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
     ideal = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, float(p.t[0])]) for p in rival.problem.pieces]
-    problem = Problem(rival.problem.model, rival.problem.layout, pieces)
+    problem = rival.problem.over(rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
     held = restraint(best.problem.layout, best.p, tau)

@@ -16,7 +16,7 @@ from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_test
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit
+from frictrack.fit import Fit, series
 from frictrack.fit.estimate import estimates
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.heldout import heldout_rms
@@ -45,6 +45,7 @@ class Candidate:
     heldout: str | None = None
     indistinguishable_from: tuple[str, ...] = ()
     words: dict[str, str] = field(default_factory=dict)
+    unit: str = "um"  # of the held-out errors: um of displacement, or N where friction was measured
 
     @property
     def helps(self) -> bool:
@@ -53,15 +54,16 @@ class Candidate:
 
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
-        scale = 1e6
+        held = {"before": self.heldout_before, "after": self.heldout_after}
+        factor = 1e6 if self.unit == "um" else 1.0
         return {
             "effect": self.effect,
             "acts_on": self.acts_on,
             "parameters": self.parameters,
             "p": self.p,
             "delta_bic": self.delta_bic,
-            "heldout_rms_before_um": None if self.heldout_before is None else self.heldout_before * scale,
-            "heldout_rms_after_um": None if self.heldout_after is None else self.heldout_after * scale,
+            **{f"heldout_rms_{when}_um": None for when in held},
+            **{f"heldout_rms_{when}_{self.unit}": None if e is None else e * factor for when, e in held.items()},
             "heldout": self.heldout,
             "indistinguishable_from": list(self.indistinguishable_from),
             "words": self.words,
@@ -75,7 +77,7 @@ class Diagnosis:
     model: list[str]
     verdict: str
     missing: list[str]
-    noise_um: float
+    noise_um: float | None
     reduced_chi2: float
     p_lack_of_fit: float
     fails_at: list[dict[str, Any]]
@@ -84,6 +86,7 @@ class Diagnosis:
     detection_limits: dict[str, dict[str, Any]]
     remarks: list[str]
     figures: dict[str, dict[str, Array]]
+    noise_N: float | None = None  # where friction was measured
 
     @property
     def best(self) -> Candidate | None:
@@ -97,6 +100,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "missing": self.missing,
             "noise_um": self.noise_um,
+            **({} if self.noise_N is None else {"noise_N": self.noise_N}),
             "reduced_chi2": self.reduced_chi2,
             "p_lack_of_fit": self.p_lack_of_fit,
             "fails_at": self.fails_at,
@@ -143,7 +147,7 @@ def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Di
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
-    start = fit.solution if fit.route.plain else settled(fit.solution)
+    start = fit.solution if fit.route.plain or fit.measured else settled(fit.solution)
     first = _round(start, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[_Tried] = []
     last = first
@@ -225,11 +229,13 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
     else:
         verdict = "ambiguous" if rivals[found[0].scanned.effect.name] else "missing"
     limits, curves = _limits(first)
+    noise = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)))
     return Diagnosis(
         model=fit.model.names,
         verdict=verdict,
         missing=[t.scanned.effect.name for t in found],
-        noise_um=float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)) * 1e6),
+        noise_um=None if fit.measured else 1e6 * noise,
+        noise_N=noise if fit.measured else None,
         reduced_chi2=fit.reduced_chi2,
         p_lack_of_fit=first.tests.p_lack_of_fit,
         fails_at=[] if clean else _fails_at(fit, found),
@@ -267,8 +273,9 @@ def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int
     effect = tried.scanned.effect
     before = after = how = None
     if tried.p < ALPHA / 2 and place < HELD_OUT:
-        after, how = heldout_rms(tried.solution)
-        before, _ = heldout_rms(first.solution, how)
+        hold = series.heldout_rms if series.is_series(tried.solution.problem) else heldout_rms
+        after, how = hold(tried.solution)
+        before, _ = hold(first.solution, how)
     parameters = {
         name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
         for name, e in estimates(tried.solution, profile=False).parameters.items()
@@ -286,6 +293,7 @@ def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int
         heldout=how,
         indistinguishable_from=rivals,
         words=words,
+        unit="N" if series.is_series(tried.solution.problem) else "um",
     )
 
 
@@ -300,6 +308,8 @@ def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[st
 
 
 def _remarks(fit: Fit) -> list[str]:
+    if fit.measured:
+        return series.remarks(fit.solution, fit.runs)
     pieces = fit.solution.problem.pieces
     out = []
     if any(p.path.pixel_pitch is None for p in pieces):

@@ -12,6 +12,7 @@ from frictrack import effects
 from frictrack.diagnose.null import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.scan import Family, families
+from frictrack.fit.series import is_series
 from frictrack.fit.solve import Solution
 from frictrack.fit.start import PULSE_PRICE
 from frictrack.records import Array
@@ -51,6 +52,8 @@ def candidates(solution: Solution) -> list[Effect]:
     model = solution.problem.model
     out = []
     for effect in effects.LIBRARY.values():
+        if effect.acts_on == "measurement" and is_series(solution.problem):
+            continue
         once = not any(p.scan is not None or p.role == "phase" for p in effect.parameters)
         if effect.name in model and once:
             continue

@@ -2,6 +2,7 @@
 
 from frictrack.fit.series.law import covariance, heldout_rms, solve_series
 from frictrack.fit.series.problem import (
+    SeriesPiece,
     SeriesProblem,
     check_model,
     common_load,
@@ -10,9 +11,10 @@ from frictrack.fit.series.problem import (
     series_pieces,
     spans_of_series,
 )
-from frictrack.fit.series.told import curves, errors_of, row
+from frictrack.fit.series.told import curves, errors_of, remarks, row
 
 __all__ = [
+    "SeriesPiece",
     "SeriesProblem",
     "check_model",
     "common_load",
@@ -22,6 +24,7 @@ __all__ = [
     "heldout_rms",
     "is_series",
     "measured",
+    "remarks",
     "row",
     "series_pieces",
     "solve_series",

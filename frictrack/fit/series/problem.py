@@ -67,8 +67,6 @@ class SeriesPiece(Piece):
 class SeriesProblem(Problem):
     """A model over runs whose friction was measured; the pieces are `SeriesPiece`, one per run."""
 
-    pictured = False
-
     def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
         """The same kind of measurement under another layout, or over other pieces."""
         return SeriesProblem(layout.model, layout, pieces)

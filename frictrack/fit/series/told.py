@@ -77,5 +77,20 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
     }
 
 
+def remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
+    """What a diagnosis on a measured friction rests on, in words."""
+    alike = []
+    for response in solution.responses:
+        run = runs[response.piece.run]
+        alike.append(likeness(response.r) * float(np.median(np.diff(run.motion.t))))
+    out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
+    if max(alike) > 0:
+        out.append(
+            f"what the model leaves of it is alike over {max(alike):.2g} s: the law misses something, or the cell drifts; "
+            "p-values take the cell's noise as white, so read them as a ranking"
+        )
+    return out
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
