@@ -13,7 +13,7 @@ without memory as preconditioner (Newton-Krylov: Knoll & Keyes 2004, J. Comput. 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -105,6 +105,11 @@ class Linear:
         step[:, 1, 1] += 1
         self._band = _chain(step)
 
+    def step(self, rest: Array) -> tuple[Array, Array]:
+        """Node accelerations (3 p,) and edge positions (p + 1,) that make up for what is left of the equation."""
+        a, edges = self.respond(rest[:, None], np.zeros((2, 1)))
+        return a[:, 0], edges[:, 0, 0]
+
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Node accelerations (3 p, k) and edge states (p + 1, 2, k) for inputs g (3 p, k), start (2, k)."""
         k = g.shape[1]
@@ -137,6 +142,11 @@ class Remembering:
 
     def __init__(self, local: Linear, tangent: Callable[[Array, Array], Array]) -> None:
         self._local, self._tangent = local, tangent
+
+    def step(self, rest: Array) -> tuple[Array, Array]:
+        """Node accelerations (3 p,) and edge positions (p + 1,) that make up for what is left of the equation."""
+        a, edges = self.along(rest, np.zeros(2), ROUGH)
+        return a, edges[:, 0]
 
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Node accelerations (3 p, k) and edge states (p + 1, 2, k) for inputs g (3 p, k), start (2, k)."""
@@ -236,7 +246,8 @@ def solve(
 ) -> tuple[Motion6, Response]:
     """Solve x'' = acceleration(x, v, t) from start = (x0, v0); guess is x'' at the nodes, shape (3 p,).
 
-    A law with `memory` depends on the whole motion so far: it is given the start and the nodes, (1 + 3 p,).
+    A law with `memory` depends on the whole motion so far: it is given the start and the nodes, (1 + 3 p,), or as many
+    of the first of them as are solved yet.
     Returns the motion and its linear response. Raises FrictrackError when Newton's method does not settle.
     """
     law = _Law(acceleration, panels, start, memory)
@@ -254,39 +265,42 @@ def solve(
     return solved
 
 
-def _newton(law: _Law, a: Array, tolerance: float, until: int | None = None) -> tuple[Motion6, Response] | None:
-    """Newton's iterations from node accelerations a (3 p,) for the panels `until`; None when they do not settle."""
+def _newton(law: _Law, a: Array, tolerance: float) -> tuple[Motion6, Response] | None:
+    """Newton's iterations from node accelerations a (3 p,); None when they do not settle."""
     moved = np.inf
-    panels, still = law.panels, np.zeros((2, 1))
-    last = len(panels.edges) if until is None else until + 1
     for _ in range(MOST_STEPS):
-        x, v, x_edge, v_edge = panels.integrate(a, *law.start)
+        x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
         if moved > SETTLING or law.memory:  # near the solution the slopes no longer change
             f, local = law.local(x, v)
             response = law.response(local, f, x, v)
         else:
             f = law.at(x, v)
-        rest = f - a
-        rest[3 * (last - 1) :] = 0.0
-        if isinstance(response, Remembering):
-            step, edges = response.along(rest, np.zeros(2), ROUGH)
-        else:
-            step, edges = (q[..., 0] for q in response.respond(rest[:, None], still))
+        step, edges = response.step(f - a)
         a = a + step
-        moved = float(np.max(np.abs(edges[:last, 0])))
-        if not max(moved, float(np.max(np.abs(x_edge[:last])))) < RUNAWAY:
+        moved = float(np.max(np.abs(edges)))
+        if not max(moved, float(np.max(np.abs(x_edge)))) < RUNAWAY:
             return None
-        if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge[:last])))):
-            x, v, x_edge, v_edge = panels.integrate(a, *law.start)
-            return Motion6(panels, x, v, a, x_edge, v_edge), response
+        if moved <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
+            x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
+            return Motion6(law.panels, x, v, a, x_edge, v_edge), response
     return None
 
 
 def _marched(law: _Law, a: Array) -> Array | None:
     """Node accelerations (3 p,) solved stretch after stretch: what comes later does not touch what came before."""
-    for until in range(STRETCH, len(law.panels.h) + STRETCH, STRETCH):
-        found = _newton(law, a, NEARLY, min(until, len(law.panels.h)))
-        if found is None:
+    done, stretch, total = 0, STRETCH, len(law.panels.h)
+    a = a.copy()
+    while done < total:
+        until = min(done + stretch, total)
+        part = replace(law, panels=Panels(law.panels.edges[: until + 1]))
+        if done:
+            a[3 * done : 3 * until] = a[3 * done - 1]
+        found = _newton(part, a[: 3 * until], NEARLY)
+        if found is None and stretch == 1:
             return None
-        a = found[0].a
+        if found is None:
+            stretch //= 2
+            continue
+        a[: 3 * until] = found[0].a
+        done, stretch = until, min(2 * stretch, STRETCH)
     return a
