@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import followed, travel
+from frictrack.effects.memory import followed, own, past, travel
 from frictrack.effects.presliding import lengths
 from frictrack.effects.stribeck import SLOW
 from frictrack.records import Array
@@ -19,12 +21,23 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     sigma_1 are coefficients: F = F_c w + sigma_1 (v - |v| w/gamma). `sigma_0` is fitted as that length, `F_s`
     as F_s/F_c.
     """
-    decay = np.exp(-((path.speed / nonlinear["v_s"]) ** nonlinear["delta"]))
-    gamma = 1.0 + (nonlinear["F_s"] - 1.0) * decay
-    before, after = travel(path)
-    between = (1 / gamma + 1 / np.concatenate([gamma[:1], gamma[:-1]])) / (2.0 * nonlinear["sigma_0"])
-    w = followed((path.s * gamma)[:, None], (before * between, after * between), path.starts)[:, 0]
+    w, gamma = _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])
     return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
+
+
+def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array]) -> tuple[Array, Array]:
+    """Bending w and level gamma, both over F_c, (n,)."""
+    highest, v_s, delta = curve
+    gamma = 1.0 + (highest - 1.0) * np.exp(-((path.speed / v_s) ** delta))
+    before, after = travel(path)
+    between = (1 / gamma + 1 / np.concatenate([gamma[:1], gamma[:-1]])) / (2.0 * length)
+    earlier, begin = past(path), None
+    if earlier is not None:
+        n = len(earlier.t)
+        lasting, _ = _bristles(earlier, own(length, path, n), [own(q, path, n) for q in curve])
+        begin = lasting[np.append(earlier.starts[1:], n) - 1, None]
+    w = followed((path.s * gamma)[:, None], (before * between, after * between), path.starts, begin)
+    return w[:, 0], gamma
 
 
 def speeds(span: Span) -> Array:

@@ -18,6 +18,7 @@ from frictrack.records import Array
 
 SMALL = 0.5  # step below which the moments of the exponential are summed as a series
 TERMS = 14
+LATELY = 400  # samples of the motion before a path that its states still know
 UNEVEN = 8.0  # ratio of neighbouring steps beyond which no parabola is laid through them
 
 
@@ -38,11 +39,35 @@ def travel(path: Path) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def followed(target: Array, steps: tuple[Array, Array], starts: Sequence[int] = (0,)) -> Array:
+def past(path: Path) -> Path | None:
+    """The run's motion just before a path, once for every individual; None where it begins at rest or with the run."""
+    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
+        return None
+    t, x, v = path.before[:, -LATELY:]
+    count = len(path.starts)
+    starts = tuple(len(t) * i for i in range(count))
+    return Path(*(np.tile(q, count) for q in (t, x, v, headings(v))), starts=starts)
+
+
+def own(value: float | Array, path: Path, n: int) -> Array:
+    """The value of every individual of a path, for each of n samples of its own."""
+    each = np.broadcast_to(value, path.t.shape)[list(path.starts)]
+    return np.repeat(each, n // len(path.starts))
+
+
+def headings(v: Array) -> Array:
+    """Direction of motion (n,): the sign of v, and at rest the one before; 0 until it first moves."""
+    s = np.sign(v)
+    return np.asarray(s[np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))])
+
+
+def followed(
+    target: Array, steps: tuple[Array, Array], starts: Sequence[int] = (0,), begin: Array | None = None
+) -> Array:
     """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
 
     The first steps lead to a jump of the target and are made under the old target, the second under the new one.
-    A state starts at its target.
+    A state starts at `begin` (P, k), default its target.
     """
     before, after = steps
     fresh = np.zeros(len(after), dtype=bool)
@@ -56,7 +81,8 @@ def followed(target: Array, steps: tuple[Array, Array], starts: Sequence[int] = 
     leap = decay[:, None] * (target - old * -np.expm1(-before)[:, None])
     plain = target - gained - whole[:, None] * old
     jump = target - leap
-    right = np.where(fresh[:, None], target, np.where(jumped[:, None], jump, plain))
+    right = np.where(jumped[:, None], jump, plain)
+    right[list(starts)] = target[list(starts)] if begin is None else begin
     return _recursion(whole, right)
 
 

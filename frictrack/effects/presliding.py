@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import travel
+from frictrack.effects.memory import own, past, travel
 from frictrack.records import Array
 
 DAHL = 1e-9  # distance of the exponent from one within which the contact straightens exponentially
@@ -24,9 +24,15 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 def bending(path: Path, length: float | Array, exponent: float | Array) -> Array:
     """Dahl's state w (n,), from -1 to 1: dw/dt = (v/length) (1 - w sgn v)^exponent.
 
-    Between reversals this has a closed form in the distance slid, so no step is too long. A path begins fully bent,
-    as in steady sliding, and unbent where it begins at rest (s = 0).
+    Between reversals this has a closed form in the distance slid, so no step is too long. A path begins as the motion
+    before it has left the contact, fully bent where nothing is known of it, and unbent where it begins at rest (s = 0).
     """
+    earlier = past(path)
+    begin = path.s[list(path.starts)]
+    if earlier is not None:
+        n = len(earlier.t)
+        lasting = bending(earlier, own(length, path, n), own(exponent, path, n))
+        begin = lasting[np.append(earlier.starts[1:], n) - 1]
     before, after = (distance / length for distance in travel(path))
     power = np.broadcast_to(np.asarray(exponent, dtype=float), after.shape)
     way, fresh = _ways(path)
@@ -35,10 +41,10 @@ def bending(path: Path, length: float | Array, exponent: float | Array) -> Array
     covered = np.cumsum(after)
     slid = covered - (covered[first] - after[first])[which]
     turns = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
-    free, w = np.empty(len(first)), 0.0
-    ends = zip(first, way[first], path.s[first], fresh[first], turns, power[first], strict=True)
-    for k, (_, s, begins, new, distance, p) in enumerate(ends):
-        free[k] = 1.0 - s * (begins if new else w)
+    free, w, begins = np.empty(len(first)), 0.0, iter(begin)
+    stretches = zip(way[first], fresh[first], turns, power[first], strict=True)
+    for k, (s, new, distance, p) in enumerate(stretches):
+        free[k] = 1.0 - s * (next(begins) if new else w)
         w = s * (1.0 - _left(free[k], distance, p))
     out: Array = way * (1.0 - _left_along(free[which], slid, power))
     return out
