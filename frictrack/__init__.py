@@ -37,6 +37,8 @@ _HOME = {
     "happenings": "events",
     "budget": "budget",
     "fit": "fit",
+    "profile": "fit",
+    "bootstrap": "fit",
     "compare": "compare",
     "history": "compare",
     "diagnose": "diagnose",

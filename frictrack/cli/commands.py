@@ -146,12 +146,15 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
     search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,
     domain: Annotated[Literal["displacement", "force"] | None, typer.Option(help="what is compared")] = None,
     per: Annotated[Literal["group"] | None, typer.Option(help="one set of parameters per group of runs")] = None,
-    seed: Annotated[int | None, typer.Option(help="of a search that draws at random (0)")] = None,
+    seed: Annotated[int | None, typer.Option(help="of all that is drawn at random (0)")] = None,
+    profile: Annotated[bool, typer.Option("--profile", help="95 % intervals by profile likelihood")] = False,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="95 % intervals by so many parametric draws")] = 0,
     as_json: Json = False,
 ) -> None:
     """Fit the current model, or another one that becomes the current one."""
     with working(study) as session:
-        result = session.fit(model, search=search, domain=domain, per=per, seed=seed)
+        how: dict[str, Any] = {"search": search, "domain": domain, "per": per, "seed": seed}
+        result = session.fit(model, profiles=profile, draws=bootstrap, **how)
     tell(result, as_json, "fit", session.path)
 
 

@@ -54,9 +54,8 @@ def fit(out: Console, result: dict[str, Any]) -> None:
     """Parameters with deviations and units, then the errors."""
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     out.print(parameters(result["parameters"]))
-    for first, second, r in result.get("correlations", []):
-        if abs(r) > 0.95:
-            out.print(f"{escape(first)} and {escape(second)} are hardly told apart: correlation {r:.3f}")
+    for line in result.get("remarks", []):
+        out.print(escape(line))
     if result.get("scale_error"):
         out.print(
             f"the scale is known to {number(100 * result['scale_error'], 2)} %, and so is every force above that was "
@@ -83,11 +82,23 @@ def own_motion(out: Console, result: dict[str, Any]) -> None:
 
 def parameters(values: dict[str, Any]) -> Table:
     """One row per parameter: value ± deviation, unit, and what is to be said of it."""
-    table = _table("parameter", "value", "unit", "")
+    sure = any("interval" in p for p in values.values())
+    table = _table("parameter", "value", "unit", *(["95 % interval"] if sure else []), "")
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
-        table.add_row(escape(name), plus_minus(p["value"], p["std"]), p["unit"], escape(word))
+        cells = [interval(p)] if sure else []
+        table.add_row(escape(name), plus_minus(p["value"], p["std"]), p["unit"], *cells, escape(word))
     return table
+
+
+def interval(p: dict[str, Any]) -> str:
+    """An interval by profile or bootstrap, whose ends may be open."""
+    low, high = p.get("interval") or (None, None)
+    if low is None and high is None:
+        return "any" if "interval" in p else ""
+    if low is None:
+        return f"below {number(high)}"
+    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
 
 
 def _mu(p: dict[str, Any]) -> str:

@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 
 from frictrack import models
+from frictrack.effects.settings import check_ties
 from frictrack.errors import FrictrackError
+from frictrack.fit.bootstrap import Bootstrap, bootstrap
+from frictrack.fit.certainty import Certainty, certainty, with_certainty
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.layout import Layout
-from frictrack.fit.mass import MASS, guessed, in_units, is_sought, ratio, rescaled, with_mass
+from frictrack.fit.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.fit.papers import check_how, scaffold
 from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.profile import Profile, profile
 from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
@@ -34,7 +38,21 @@ from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run
 
-__all__ = ["Fit", "GroupFits", "fit", "grow", "restore", "without"]
+__all__ = [
+    "Bootstrap",
+    "Certainty",
+    "Fit",
+    "GroupFits",
+    "Profile",
+    "bootstrap",
+    "certainty",
+    "fit",
+    "grow",
+    "profile",
+    "restore",
+    "with_certainty",
+    "without",
+]
 
 Progress = Callable[[int, int, str], None]
 
@@ -60,6 +78,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     """
     check_how(domain or "force", search, per)
     law = model if isinstance(model, Model) else models.parse(model)
+    check_ties(law.effects)
     if measured(runs, domain):
         return _by_cell(law, runs, Route("force", search, seed), per)
     domain = domain or "displacement"
@@ -213,9 +232,8 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         return {"groups": {name: state(f) for name, f in result.fits.items()}}
     layout = result.solution.problem.layout
     return {
-        "effects": [e.name for e in layout.model.effects],
-        "per_run": [[e.name, p.name] for e in layout.model.effects for p in e.parameters if p.per_run],
-        "free": [[e.name, p.name] for e in layout.model.effects for p in e.parameters if p.fixed is None],
+        "law": friction_law(layout.model).to_toml(),
+        "weighed": MASS.name not in layout.model,
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),
@@ -251,9 +269,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     else:
         reference = reference_of(fitted, float(saved["reference_mass"]))
         pieces = _divided(_sections(fitted, reference), lengths)
-    own = {tuple(pair) for pair in saved["per_run"]}
-    free = {tuple(pair) for pair in saved["free"]}
-    law = models.of([_as_fitted(name, own, free) for name in saved["effects"]])
+    law = _law(str(saved["law"]), bool(saved["weighed"]))
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     spans = spans_of_series(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
@@ -270,18 +286,20 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     return _finish(found, runs, reference, (route, lengths))
 
 
+def _law(text: str, weighed: bool) -> Model:
+    try:
+        law = models.from_toml(text)
+    except FrictrackError as e:
+        raise FrictrackError(
+            f"expected a stored fit of effects that are known here but got another one: {e}; one of your own in Python "
+            "must be declared again with @frictrack.effect"
+        ) from e
+    return law if weighed else with_mass(law)
+
+
 def _cell_restored(problem: SeriesProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference) -> Fit:
     held = np.zeros(len(problem.layout.slots), dtype=bool)
     p, tau = np.asarray(saved["p"]), float(saved["tau"])
     solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
     route = Route(saved["domain"], saved["search"], int(saved["seed"]))
     return _finish(Found(solution), runs, reference, (route, (0,) * len(problem.pieces)))
-
-
-def _as_fitted(name: str, own: set[tuple[Any, ...]], free: set[tuple[Any, ...]]) -> Any:
-    effect = MASS if name == MASS.name else models.effects.get(name)
-    changes: dict[str, dict[str, Any]] = {
-        p.name: {"per_run": (name, p.name) in own, "fixed": None if (name, p.name) in free else p.fixed}
-        for p in effect.parameters
-    }
-    return effect.adjusted(**changes)

@@ -11,6 +11,7 @@ import numpy as np
 
 from frictrack.fit import routes, series
 from frictrack.fit.blows import collisions
+from frictrack.fit.certainty import Certainty
 from frictrack.fit.estimate import Estimate, Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
@@ -35,6 +36,7 @@ class Fit:
     reference: Reference = field(default=Reference(1.0, 1.0))
     route: Route = field(default=Route())
     lengths: tuple[int, ...] = ()  # frames per segment of every run, 0 where its stretches are whole
+    certainty: Certainty = field(default=Certainty())
 
     @property
     def solution(self) -> Solution:
@@ -73,7 +75,11 @@ class Fit:
 
     @cached_property
     def estimates(self) -> Estimates:
-        """Parameters with deviations."""
+        """Parameters with deviations, and with intervals where `certainty` has them."""
+        return self._deviations.with_intervals(self.certainty.intervals)
+
+    @cached_property
+    def _deviations(self) -> Estimates:
         if self.measured:
             return linear_estimates(self.solution, series.covariance(self.solution))
         return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
@@ -147,20 +153,24 @@ class Fit:
     def summary(self) -> dict[str, Any]:
         """The JSON of `frictrack fit`."""
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS else None
-        return {
-            "model": self.model.names,
-            "domain": self.domain,
-            "search": self.search,
-            "parameters": {k: e.json() | self._mu(k, e) for k, e in self.parameters.items()},
-            "friction_scatter": None
-            if scatter is None
-            else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
-            "correlations": [list(c) for c in self.estimates.correlations],
-            "remarks": self.estimates.remarks,
-            "errors": self.errors,
-            "per_run": self._per_run(),
-            "collisions": self.collisions,
-        } | ({"optima": self._optima()} if len(self.found.optima) else {})
+        return (
+            {
+                "model": self.model.names,
+                "domain": self.domain,
+                "search": self.search,
+                "parameters": {k: e.json() | self._mu(k, e) for k, e in self.parameters.items()},
+                "friction_scatter": None
+                if scatter is None
+                else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
+                "correlations": [list(c) for c in self.estimates.correlations],
+                "remarks": self.estimates.remarks,
+                "errors": self.errors,
+                "per_run": self._per_run(),
+                "collisions": self.collisions,
+            }
+            | ({"optima": self._optima()} if len(self.found.optima) else {})
+            | self.certainty.summary()
+        )
 
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
         """The coefficient of friction beside newtons that carry the load, where the load is known."""

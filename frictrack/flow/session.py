@@ -8,18 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from frictrack import models, store
+from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
+from frictrack.fit import certainty
 from frictrack.flow.beside import sensor_rows
 from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlaid
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.summary import summary
-from frictrack.flow.tried import Spec, Tried, with_tables
+from frictrack.flow.tried import Spec, Tried, own_effects
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import Study, load, write_study
@@ -35,7 +36,7 @@ def open_study(path: str | Path) -> Study:
     for run in study.runs:
         if run.scale is not None:
             faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
-    faults += _fault(lambda: with_tables(models.parse(study.model), study.effects), "model")
+    faults += _fault(lambda: Spec(study.model).model(study.effects), "model")
     try:
         gather(faults, study.path.name)
     except FrictrackError as e:
@@ -100,21 +101,37 @@ class Session:
         works = self.bring_up_to("tracks" if stage == "track" else stage)
         return {"runs": summary(works, stage), "output": str(self.study.output)}
 
-    def fit(self, model: str | None = None, **how: Any) -> dict[str, Any]:
+    def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current: JSON of `fit`.
 
-        `how` may hold domain, search, seed, per; what is None stays as it was for the current model.
+        `how` may hold domain, search, seed, per; what is None stays as it was for the current model. `profiles` and a
+        bootstrap of so many `draws` are added to what is known of the fit.
         """
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if model is not None:
             base = tuple(part.strip() for part in model.split(",")) if "," in model else model
             asked |= {"base": base, "edits": ()}
-            with_tables(replace(Spec(base)).model(), self.study.effects)
+            Spec(base).model(self.study.effects)
         self.bring_up_to("friction")
         group, spec = self._first(asked) if not self.tried.groups else self.tried.current()
         if replace(spec, **asked) != spec:
-            group, _ = self.tried.append(replace(spec, **asked))
+            group, spec = self.tried.append(replace(spec, **asked))
+        if profiles or draws:
+            self._make_sure(group, profiles, draws, spec.seed)
         return {**self._summary(group), "scale_error": self._scale_error()}
+
+    def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
+        """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
+        fitted, inside = self.tried.fit(group), f"models/{group}/certainty"
+
+        def make() -> dict[str, Any]:
+            known = json.loads(store.read(self.path, inside)["summary"]) if store.stamp(self.path, inside) else {}
+            asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
+            found = certainty(fitted, **asked, progress=self.progress)
+            return {"summary": json.dumps(known | plain(found.summary()))}
+
+        key = digest(["certainty", profiles, draws, seed, self.tried.key(self.tried.spec(group))])
+        self._summarised(inside, make, key, seed)
 
     def _scale_error(self) -> float:
         """Relative standard deviation that the scale adds to every force told from acceleration, all runs alike."""
@@ -173,7 +190,7 @@ class Session:
         return self._edit("-", effect, seed)
 
     def _edit(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
-        models.effects.get(effect)  # the nearest right name, before any work
+        effects.get(effect, own_effects(self.study.effects))  # the nearest right name, before any work
         before, after = self._edited(sign + effect, seed)
         return {
             "effect": effect,
@@ -186,7 +203,7 @@ class Session:
         self.bring_up_to("friction")
         group, spec = self.tried.current()
         spec = spec.edited(edit) if seed is None else replace(spec.edited(edit), seed=seed)
-        with_tables(spec.model(), self.study.effects)
+        spec.model(self.study.effects)
         before = self._summary(group)
         return before, self._summary(self.tried.append(spec)[0])
 

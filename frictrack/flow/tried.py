@@ -8,16 +8,17 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from frictrack import models, store
-from frictrack.errors import FrictrackError
+from frictrack import effects, models, store
+from frictrack.effects import Effect
+from frictrack.effects.settings import Settings, check_ties, definitions
 from frictrack.fit import fit, restore, state
+from frictrack.fit.certainty import merged
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
 from frictrack.results import ModelResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import EffectTable, Study
-from frictrack.study.schema import nearest
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,16 @@ class Spec:
         kept = tuple(e for e in self.edits if e != opposite)
         return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
 
-    def model(self) -> Model:
-        """The model itself; raises `FrictrackError` (usage) for an unknown effect."""
-        model = models.parse(self.base)
+    def model(self, tables: Iterable[EffectTable] = ()) -> Model:
+        """The model itself, with what the study's `[[effect]]` tables say of it.
+
+        Raises `FrictrackError` (usage) for an unknown effect, or settings that do not go together.
+        """
+        own = own_effects(tables)
+        model = models.parse(self.base, own)
         for edit in self.edits:
-            model = model + edit[1:] if edit[0] == "+" else model - edit[1:]
-        return model
+            model = model + effects.get(edit[1:], own) if edit[0] == "+" else model - edit[1:]
+        return with_tables(model, tables)
 
     @property
     def name(self) -> str:
@@ -63,34 +68,22 @@ class Spec:
 
 
 def with_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
-    """The model with what the `[[effect]]` tables of the study file say of its effects.
+    """The model with what the `[[effect]]` tables of the study file say of its effects; the other tables wait.
 
-    Raises `FrictrackError` (usage) for a parameter that the effect does not have, and for keys that this
-    version reads but cannot obey.
+    Raises `FrictrackError` (usage) for settings that do not go together.
     """
-    of = {table.effect: table for table in tables}
-    return Model(tuple(_adjusted(e, of[e.name]) if e.name in of else e for e in model.effects))
+    adjusted = model.adjusted(_settings(tables))
+    check_ties(adjusted.effects)
+    return adjusted
 
 
-def _adjusted(effect: Any, table: EffectTable) -> Any:
-    for key in ("prior", "tie", "formula"):
-        if getattr(table, key):
-            raise FrictrackError(
-                f'[[effect]] "{table.effect}": {key} is not obeyed by this version; take it out', usage=True
-            )
-    changes: dict[str, dict[str, Any]] = {}
-    for parameter, field, value in (
-        *((p, "fixed", v) for p, v in table.fix.items()),
-        *((p, "bounds", v) for p, v in table.bounds.items()),
-        *((p, "per_run", True) for p in table.per_run),
-    ):
-        changes.setdefault(parameter, {})[field] = value
-    known = [p.name for p in effect.parameters]
-    for parameter in changes:
-        if parameter not in known:
-            hint = nearest(parameter, known)
-            raise FrictrackError(f'[[effect]] "{table.effect}": unknown parameter "{parameter}"; {hint}', usage=True)
-    return effect.adjusted(**changes)
+def own_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """The effects that the study file defines by a formula; every table is checked."""
+    return definitions(_settings(tables))
+
+
+def _settings(tables: Iterable[EffectTable]) -> list[Settings]:
+    return [Settings(**table.model_dump()) for table in tables]
 
 
 class Tried:
@@ -170,7 +163,7 @@ class Tried:
 
     def key(self, spec: Spec) -> str:
         """Hash of all that the fit of this model depends on."""
-        return digest([spec.json(), [e.model_dump() for e in self.study.effects], self.input_hash])
+        return digest(["toml", spec.json(), [e.model_dump() for e in self.study.effects], self.input_hash])
 
     @property
     def input_hash(self) -> str:
@@ -187,7 +180,7 @@ class Tried:
             how["per"] = spec.per
         if self.study.mass is not None:
             how["reference_mass"] = self.study.mass[0]
-        return fit(with_tables(spec.model(), self.study.effects), self.runs, **how)
+        return fit(spec.model(self.study.effects), self.runs, **how)
 
     def papers(self) -> Any:
         """The current model by the papers' route (force domain, SGA), kept beside the others."""
@@ -206,7 +199,7 @@ class Tried:
         return ModelResults(
             name=group,
             equation=held["equation"],
-            summary=json.loads(held["summary"]),
+            summary=merged(json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))),
             curves=tuple(store.read(self.path, f"{inside}/curves/{name}", Curve) for name in curves),
             motion=tuple(store.read(self.path, f"{inside}/motion/{name}", Modelled) for name in motion),
             current=bool(held["current"]),

@@ -9,6 +9,7 @@ from frictrack.plots.evidence import candidates, history, limited, limits, passe
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
+from frictrack.plots.profiles import profiles
 from frictrack.plots.style import number, plain_name, png, svg, unit
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "passes",
     "plain_name",
     "png",
+    "profiles",
     "routes",
     "scan",
     "scanned",

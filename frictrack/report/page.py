@@ -94,7 +94,9 @@ def render(results: Results) -> str:
         history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
         routes=_routes(results, draw),
-        correlations=_correlations(results.current),
+        remarks=_remarks(results.current),
+        profiles=_profiles(results.current, draw),
+        drawn=words.drawn(results.current) if results.current else "",
         tables=tables,
         formula=formula,
         quantity=quantity,
@@ -187,6 +189,15 @@ def _routes(results: Results, draw: _Draw) -> Markup:
     return draw(plots.routes(results.current, results.papers, run)) if run is not None else Markup("")
 
 
-def _correlations(model: ModelResults | None) -> list[Markup]:
-    pairs = model.summary["correlations"] if model is not None else []
-    return [words.correlation(a, b, r) for a, b, r in pairs if abs(r) > 0.95]
+def _remarks(model: ModelResults | None) -> list[Markup]:
+    """What is to be said of the parameters together; of a model stored before there were remarks, its correlations."""
+    if model is None:
+        return []
+    if "remarks" in model.summary:
+        return [words.remark(line) for line in model.summary["remarks"]]
+    return [words.correlation(a, b, r) for a, b, r in model.summary["correlations"] if abs(r) > 0.95]
+
+
+def _profiles(model: ModelResults | None, draw: _Draw) -> Markup:
+    """The profiles of the model in force, where they were asked for."""
+    return draw(plots.profiles(model.summary)) if model is not None and model.summary.get("profiles") else Markup("")

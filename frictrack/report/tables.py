@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from frictrack.plots import passes, plain_name
+from frictrack.plots import unit as written_unit
 from frictrack.report.numbers import number, quantity, size, span, typed
 from frictrack.report.words import before_after
 from frictrack.results import ModelResults, Results, RunResults
@@ -78,6 +79,35 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
     if p.get("reason"):
         return str(p["reason"])
     return "at its bound: the true value may lie beyond" if p.get("at_bound") else ""
+
+
+def certainty(model: ModelResults) -> Table:
+    """Standard deviation, profile and bootstrap of every parameter, side by side."""
+    summary = model.summary
+    profiles, drawn = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
+    rows = [
+        (
+            code(name),
+            quantity(p["value"], p["std"], p["unit"]),
+            _ends(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
+            _ends(drawn[name]["interval"][0], drawn[name]["interval"][1], p["unit"]) if name in drawn else "",
+            size(drawn[name]["std"], p["unit"]) if name in drawn else "",
+            "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
+        )
+        for name, p in summary["parameters"].items()
+        if (name in profiles or name in drawn) and not PER_RUN.match(name)
+    ]
+    heads = ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws", "")
+    return table(heads, rows, (1, 2, 3, 4))
+
+
+def _ends(low: float | None, high: float | None, unit: str) -> str:
+    """An interval whose ends may be open."""
+    if low is None and high is None:
+        return "any"
+    if low is None or high is None:
+        return f"below {size(high, unit)}" if high is not None else f"above {size(low or 0.0, unit)}"
+    return f"{number(low, 4)} to {number(high, 4)} {written_unit(unit)}".strip()
 
 
 def routes(default: ModelResults, papers: ModelResults) -> Table:

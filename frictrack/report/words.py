@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.numbers import number, quantity, typed
@@ -374,6 +375,30 @@ def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
             found = candidate(diagnosis, effect)
             if found is not None and found["words"].get("confirm"):
                 yield Markup("To confirm <b>{}</b>: {}.").format(effect, typed(_lower(found["words"]["confirm"])))
+
+
+ADDRESS = re.compile(r"\b[a-z][a-z_0-9]*(?::\d+)?\.[A-Za-z][A-Za-z_0-9]*")  # of a parameter: stribeck.v_s
+
+
+def remark(line: str) -> Markup:
+    """What a fit says of its parameters, their addresses set as code."""
+    out, at = Markup(""), 0
+    for found in ADDRESS.finditer(line):
+        out += escape(line[at : found.start()]) + Markup("<code>{}</code>").format(found[0])
+        at = found.end()
+    return out + escape(line[at:])
+
+
+def drawn(model: ModelResults) -> str:
+    """What a bootstrap rests on; empty where there was none."""
+    told = model.summary.get("bootstrap")
+    if not told:
+        return ""
+    failed = f"; {told['failed']} more gave no law" if told["failed"] else ""
+    how = "white noise"
+    if told["correlated"]:
+        how = f"blocks of the residual, which is correlated in {listed(told['correlated'])}"
+    return f"Bootstrap of {told['draws']} draws from the fitted model, with {how}{failed}."
 
 
 def correlation(first: str, second: str, r: float) -> Markup:

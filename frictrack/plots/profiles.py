@@ -1,0 +1,107 @@
+"""How well every parameter is known: its profile, beside what the standard deviation alone would say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.interpolate import PchipInterpolator
+from scipy.stats import norm
+
+from frictrack.plots import style
+from frictrack.plots.style import axis, blank, number, scaled, styled
+from frictrack.records import Array
+
+TOP = 1.7  # of the limit: how high a panel goes
+DRAWN = 200  # points of a curve
+COLUMNS = 4
+
+
+@styled
+def profiles(summary: Mapping[str, Any]) -> Figure:
+    """Rise of chi-squared along each parameter of a fit's JSON, all others fitted again: one small panel each."""
+    found = summary["profiles"]
+    columns = min(COLUMNS, max(len(found), 1))
+    rows = -(-len(found) // columns)
+    figure = blank(2.3 * rows + 0.8, _title(found))
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for ax, (name, told) in zip(panels.flat, found.items(), strict=False):
+        _panel(ax, name, told, summary["parameters"].get(name, {}).get("std"))
+    for ax in panels.flat[len(found) :]:
+        ax.set_axis_off()
+    for ax in panels[:, 0]:
+        ax.set_ylabel("rise of chi²")
+    handles: list[Any] = [
+        Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),
+        Line2D([], [], color=style.MODEL, lw=1.2, ls=(0, (4, 1.5)), label="as the standard deviation has it"),
+        Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
+        Patch(color=style.NOISE, label=f"{100 * _level(found):.0f} % interval"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _level(found: Mapping[str, Any]) -> float:
+    return float(next(iter(found.values()))["level"])
+
+
+def _title(found: Mapping[str, Any]) -> str:
+    unclosed = [name for name, told in found.items() if told["low"] is None or told["high"] is None]
+    if not unclosed:
+        return "Every parameter is bounded on both sides"
+    return f"Not bounded on both sides: {', '.join(unclosed)}"
+
+
+def _panel(ax: Axes, name: str, told: Mapping[str, Any], std: float | None) -> None:
+    limit = float(norm.ppf(0.5 + told["level"] / 2)) ** 2
+    values, rise = np.array(told["values"]), np.array(told["rise"])
+    factor, unit = scaled(values, told["unit"])
+    low, high = _reach(values, rise, told, limit)
+    ends = [end if told[key] is None else told[key] for key, end in (("low", low), ("high", high))]
+    ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE, lw=0, zorder=0)
+    if std:
+        along = np.linspace(low, high, DRAWN)
+        curve = ((along - told["value"]) / std) ** 2
+        ax.plot(factor * along, curve, color=style.MODEL, lw=1.2, ls=(0, (4, 1.5)))
+    along, curve = _smooth(values, rise, told["value"])
+    ax.plot(factor * along, curve, color=style.BLUE, lw=1.5)
+    ax.plot(factor * values, rise, color=style.BLUE, **(style.DOTS | {"markersize": 5.0}))
+    ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
+    ax.set_xlim(factor * low, factor * high)
+    ax.set_ylim(-0.06 * limit, TOP * limit)
+    ax.locator_params(axis="x", nbins=4)
+    ax.set_title(name, fontweight="normal")
+    ax.set_xlabel(axis(_interval(told, factor), unit))
+
+
+def _reach(values: Array, rise: Array, told: Mapping[str, Any], limit: float) -> tuple[float, float]:
+    """What a panel shows: the interval and a little more; an open side as far as it was followed."""
+    seen = values[rise < 4 * limit]
+    low = seen.min() if told["low"] is None else told["low"]
+    high = seen.max() if told["high"] is None else told["high"]
+    room = 0.16 * ((high - low) or abs(high) or 1.0)
+    return float(low - room), float(high + room)
+
+
+def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
+    """A curve through the points: the signed root of the rise is nearly a line."""
+    if len(values) < 3:
+        return values, rise
+    root = np.sign(values - best) * np.sqrt(rise)
+    along = np.linspace(values[0], values[-1], DRAWN)
+    along = np.unique(np.concatenate([along, values]))
+    return along, np.asarray(PchipInterpolator(values, root)(along)) ** 2
+
+
+def _interval(told: Mapping[str, Any], factor: float) -> str:
+    low, high = (None if told[key] is None else factor * told[key] for key in ("low", "high"))
+    if low is None and high is None:
+        return "any"
+    if low is None:
+        return f"below {number(high)}"
+    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
