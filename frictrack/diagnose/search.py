@@ -17,7 +17,8 @@ from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, series
-from frictrack.fit.estimate import estimates
+from frictrack.fit.estimate import Estimates, estimates
+from frictrack.fit.force import linear_estimates
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.solve import Solution
@@ -278,7 +279,7 @@ def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int
         before, _ = hold(first.solution, how)
     parameters = {
         name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-        for name, e in estimates(tried.solution, profile=False).parameters.items()
+        for name, e in _known(tried.solution).parameters.items()
         if name.rsplit(".", 1)[0] == effect.name
     }
     words = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
@@ -295,6 +296,13 @@ def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int
         words=words,
         unit="N" if series.is_series(tried.solution.problem) else "um",
     )
+
+
+def _known(solution: Solution) -> Estimates:
+    """Parameters with deviations, of a measured friction from blocks of its residual."""
+    if series.is_series(solution.problem):
+        return linear_estimates(solution, series.covariance(solution))
+    return estimates(solution, profile=False)
 
 
 def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
