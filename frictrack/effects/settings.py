@@ -177,11 +177,19 @@ _SHAPES: dict[str, tuple[Any, str]] = {
 
 
 def definitions(told: Iterable[Settings]) -> list[Effect]:
-    """The effects that tables define by a formula; raises FrictrackError (usage) for a table of no effect."""
+    """The effects that tables define by a formula; raises FrictrackError (usage) for a table that makes no sense."""
     told = list(told)
+    names = [one.effect for one in told]
+    for one in told:
+        if names.count(one.effect) > 1:
+            one._refuse("expected one table for each effect but got two; write their keys into one")
     made = [effect for one in told if (effect := one.defined()) is not None]
     for one in told:
-        one.applied(effects.get(one.effect, made))  # the nearest right name, before any work
+        try:
+            base = effects.get(one.effect, made)
+        except FrictrackError as e:
+            one._refuse(f"{e}, or give a formula")
+        one.applied(base)
     return made
 
 

@@ -18,6 +18,8 @@ from frictrack.effects import Path
 from frictrack.fit.force import Chain
 from frictrack.fit.layout import LEVEL, Layout
 from frictrack.fit.problem import Piece
+from frictrack.fit.rules import follow
+from frictrack.fit.scatter import prior_misfit
 from frictrack.records import Array
 
 PASSED = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
@@ -127,6 +129,10 @@ class Misfit:
                 levels[:, run] += d
                 total += (d / self.tau) ** 2
             total += np.sum(r**2, axis=1)
+        if self.layout.priors:
+            whole = np.ones((len(points), len(self.layout.slots)))
+            whole[:, self.searched] = points
+            total += prior_misfit(self.layout, whole)
         return total * self.unit, levels
 
     def _residual(self, run: int, points: Array) -> tuple[Array, Array]:
@@ -182,4 +188,5 @@ class Misfit:
                 # a depth multiplies whole columns (n, k), everything else acts frame by frame
                 deep = roles[slot.effect, slot.parameter] == "depth"
                 values[slot.effect][slot.parameter] = each[:, None] if deep else each
+        follow(self.layout.model, self.layout.rules, values)
         return replace(path, drive=drive, **long), values

@@ -321,13 +321,31 @@ class RunTable(Keys):
         return path
 
 
+def _fixed(raw: Any) -> Any:
+    number = isinstance(raw, dict) and all(v is False or type(v) in (int, float) for v in raw.values())
+    if not number:
+        raise ValueError(f"expected {{parameter = number}}, or false to free it, but got {raw!r}")
+    return raw
+
+
+def _per_run(raw: Any) -> Any:
+    """A list of parameters, or which has a value in every run (true) and which one for all (false)."""
+    if isinstance(raw, list) and all(isinstance(name, str) for name in raw):
+        return dict.fromkeys(raw, True)
+    if isinstance(raw, dict) and all(isinstance(v, bool) for v in raw.values()):
+        return raw
+    raise ValueError(f"expected [parameter, ...] or {{parameter = true or false}} but got {raw!r}")
+
+
 class EffectTable(Keys):
     """`[[effect]]`: settings of one effect, or with `formula` a new one."""
 
     effect: str
-    fix: dict[str, float] = {}
+    fix: Annotated[dict[str, float | Literal[False]], BeforeValidator(_fixed)] = {}  # false frees what is fixed
     bounds: dict[str, Pair] = {}
     prior: dict[str, Pair] = {}  # mean and standard deviation
     tie: dict[str, str] = {}
-    per_run: list[str] = []
+    per_run: Annotated[dict[str, bool], BeforeValidator(_per_run)] = {}
     formula: str | None = None
+    units: dict[str, str] = {}  # of a formula's parameters
+    acts_on: Literal["force", "measurement"] = "force"
