@@ -222,7 +222,9 @@ def _confined(p: Parameter) -> Parameter:
 
 def wave(cycles: Array, phase: float) -> Array:
     """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
-    return np.sin(2 * np.pi * cycles + phase)[:, None]
+    angle = 2 * np.pi * cycles
+    angle += phase
+    return np.sin(angle, out=angle)[:, None]
 
 
 def frequencies(span: Span) -> Array:
