@@ -155,7 +155,7 @@ class Tried:
             else:
                 self._fits[group] = self._fit(spec)
                 entry = self._entry(spec, self._fits[group], current=group == self.groups[-1])
-                store.write(self.path, {f"models/{group}": entry})
+                store.write(self.path, {f"models/{group}": entry}, remove=("diagnosis",))  # a link into what was
         return self._fits[group]
 
     def _restored(self, group: str) -> Any:
