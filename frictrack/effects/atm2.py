@@ -6,17 +6,17 @@ from functools import cache
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
 from frictrack.effects.stribeck import speeds
 from frictrack.records import Array
 
 
 def _sum_of_sines(path: Path, nonlinear: Nonlinear, kind: str, order: int) -> Array:
-    angles = [
-        2 * np.pi * nonlinear[f"{kind}_frequency_{i}"] * path.t + nonlinear[f"{kind}_phase_{i}"]
+    waves = (
+        wave(nonlinear[f"{kind}_frequency_{i}"] * path.t, nonlinear[f"{kind}_phase_{i}"])[:, 0]
         for i in range(1, order + 1)
-    ]
-    return np.sum(np.sin(angles), axis=0)
+    )
+    return np.sum(list(waves), axis=0)
 
 
 @cache
