@@ -48,7 +48,7 @@ def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> 
         run=run,
         path=path,
         data=friction * weight,
-        forward=lambda rows: rows * weight,
+        forward=(lambda rows: rows) if np.all(weight == 1.0) else (lambda rows: rows * weight),
         picture=np.zeros_like,
         friction=friction / path.load,
     )

@@ -7,7 +7,7 @@ runs, every run has its own pair, and the amplitude they share is left to the re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -26,6 +26,7 @@ from frictrack.records import Array
 Indices = NDArray[np.int_]
 Values = dict[str, dict[str, Any]]
 QUADRATURES = (0.0, np.pi / 2)
+NONE: Indices = np.zeros(0, dtype=int)
 
 
 @dataclass(frozen=True)
@@ -42,12 +43,16 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Group:
-    """Effects that are evaluated together; `numbers` are positions in the layout of what their columns depend on."""
+    """Effects that are evaluated together; `numbers` are positions in the layout of what their columns depend on.
+
+    Those of a wave's `phases` are apart: its quadratures do not depend on them.
+    """
 
     model: Model
     wave: bool
     pictured: bool
     numbers: tuple[int, ...]
+    phases: tuple[int, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -98,14 +103,15 @@ class Along:
 
     def _group(self, effects: list[Effect]) -> Group:
         wave = len(effects) == 1 and self.is_wave(effects[0])
-        wanted = {(e.name, q.name) for e in effects for q in e.nonlinear if not (wave and q.role == "phase")}
+        phases = {(e.name, q.name) for e in effects for q in e.nonlinear if wave and q.role == "phase"}
+        wanted = {(e.name, q.name) for e in effects for q in e.nonlinear} - phases
         wanted |= set(self._leaders(wanted))
-        numbers = tuple(
-            i
-            for i, s in enumerate(self.layout.slots)
-            if (s.effect, s.parameter) in wanted and s.run in (None, *self.runs)
-        )
-        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", numbers)
+        where = self._positions(wanted), self._positions(phases)
+        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", *where)
+
+    def _positions(self, wanted: set[tuple[str, str]]) -> tuple[int, ...]:
+        slots = enumerate(self.layout.slots)
+        return tuple(i for i, s in slots if (s.effect, s.parameter) in wanted and s.run in (None, *self.runs))
 
     def _leaders(self, followers: set[tuple[str, str]]) -> Iterable[tuple[str, str]]:
         """Parameters that others are tied to, directly or through further ties."""
@@ -168,23 +174,32 @@ class Along:
 
     def rows(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
         """Forwarded rows (P, columns, m) of group g in block b for numbers (P, P_layout)."""
-        block = self.blocks[b]
-        return (block.picture if self.groups[g].pictured else block.forward)(self.forces(g, b, numbers, level))
+        parts = list(self.parts(g, b, numbers, level))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def forces(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
-        """Rows (P, columns, n) of group g along block b: N (or m) per unit of every coefficient."""
+    def parts(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Iterator[Array]:
+        """The same part by part: of a wave one quadrature after the other."""
         group, block = self.groups[g], self.blocks[b]
-        p = len(numbers) if group.numbers else 1
-        path = block.path if p == 1 else self.end_to_end(b, p)
-        if level != 1.0:
-            path = replace(path, load=path.load * level)
-        values = self._values(g, b, numbers[:p])
+        forward = block.picture if group.pictured else block.forward
         if not group.wave:
-            return _by_individual(group.columns(path, values), p)
+            yield forward(self.phased(g, b, numbers, level))
+            return
+        p = len(numbers) if group.numbers else 1
         effect = group.model.effects[0]
         phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-        own = values[effect.name]
-        return np.concatenate([_by_individual(effect.columns(path, own | {phase: q}), p) for q in QUADRATURES], axis=1)
+        own, path = self._values(g, b, numbers[:p])[effect.name], self._path(b, p, level)
+        for q in QUADRATURES:
+            yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
+
+    def phased(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+        """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
+        group = self.groups[g]
+        p = len(numbers) if group.numbers or group.phases else 1
+        return _by_individual(group.columns(self._path(b, p, level), self._values(g, b, numbers[:p])), p)
+
+    def _path(self, b: int, p: int, level: float) -> Path:
+        path = self.blocks[b].path if p == 1 else self.end_to_end(b, p)
+        return path if level == 1.0 else replace(path, load=path.load * level)
 
     def _values(self, g: int, b: int, numbers: Array) -> Values:
         """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
@@ -207,7 +222,7 @@ class Along:
                     fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
             places = [
                 (i, s.effect, s.parameter, _deep(group.model, s.effect, s.parameter))
-                for i in group.numbers
+                for i in (*group.numbers, *group.phases)
                 if (s := layout.slots[i]).run in (None, run)
             ]
             self._plans[g, run] = fixed, places
@@ -257,7 +272,9 @@ class Along:
             elif (i := self.position(c.effect, c.parameter, c.run)) is not None:
                 told.setdefault(i, []).append(float(value))
         for (effect, run), (a, b) in pairs.items():
-            names = {q.role: q.name for e in self.layout.model.effects if e.name == effect for q in e.parameters}
+            names: dict[str, str] = {
+                q.role: q.name for e in self.layout.model.effects if e.name == effect for q in e.parameters
+            }
             for role, value in (("amplitude", np.hypot(a, b)), ("phase", np.arctan2(b, a))):
                 if (i := self.position(effect, names[role], run)) is not None:
                     told.setdefault(i, []).append(float(value))

@@ -6,14 +6,14 @@ that a step needs. Levels of friction are non-linear numbers here, held about on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from frictrack.fit.along.columns import Along, Indices
+from frictrack.fit.along.columns import NONE, Along, Indices
 from frictrack.fit.layout import LEVEL
 from frictrack.fit.scatter import restraint, restraint_rows
 from frictrack.records import Array, Mask
@@ -23,7 +23,6 @@ RIDGE = 1e-12  # of the columns' mean square, where two of them are alike
 FIRST_DAMPING, MOST_DAMPED, LEAST_DAMPED = 1e-6, 1e6, 1e-10
 HOPE = 3.0  # times what a step promises: the most that a law is trusted to fall yet
 
-NONE: Indices = np.zeros(0, dtype=int)
 Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m) per unit of a number
 
 
@@ -88,7 +87,7 @@ class Projected:
         none = np.zeros(k, dtype=bool)
         return State(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, (0,) * len(self.along.groups))
 
-    def without(self, state: State, coefficients: Sequence[int] | Array) -> State:
+    def without(self, state: State, coefficients: Indices) -> State:
         """The same law with some of its rows gone, the others' coefficients solved again."""
         out = state.out.copy()
         out[coefficients] = True

@@ -148,12 +148,15 @@ class Search:
         gain = _gain(np.vstack([bare.rows[bare.moving], rows]), bare.residual)
         if bare.misfit - gain > self._near(state, bare):
             return None
-        grid = self.tables.grid(one)
-        k = self._nearest(grid, state, where)
-        low, high = grid.values[max(k - 1, 0)], grid.values[min(k + 1, len(grid.values) - 1)]
-        numbers = state.numbers.copy()
-        numbers[where], numbers[self._where(other, grid.names)] = low, high
-        return self._kept(problem, state, problem.at(numbers, state, {one.g, other.g}))
+        grid, numbers = self.tables.grid(one), state.numbers.copy()
+        step = float(np.min(np.abs(np.diff(grid.values[:, 0]))))
+        for width in (1.0, 0.1) if bare.misfit - gain < state.misfit else (1.0,):
+            numbers[where] = state.numbers[where] - width * step
+            numbers[self._where(other, grid.names)] = state.numbers[where] + width * step
+            better = self._kept(problem, state, problem.at(numbers, state, {one.g, other.g}))
+            if better is not None:
+                return better
+        return None
 
     def _anew(self, problem: Projected, state: State, one: Item, other: Item) -> State | None:
         """Both out; the best place for `one` first, then beside it for the `other`."""
