@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Path, Span
+from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.fit.layout import Layout
 from frictrack.friction import is_moving, moving_sections, release_time
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
-from frictrack.simulate.dynamics import Linear, Motion6, Panels, solve
+from frictrack.simulate.dynamics import Motion6, Panels, solve
+from frictrack.simulate.dynamics import Response as Sensitivity
 
 Rows = NDArray[np.int_]
 
@@ -27,9 +29,10 @@ MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
 
 @dataclass(frozen=True)
 class Piece:
-    """One stretch of a run without a stop or reversal: measured displacement and what drives it.
+    """One stretch of a run: measured displacement and what drives it.
 
-    t counts from release. Shapes: (n,) at the frames, (3 p,) at the nodes of `panels`.
+    It has no stop or reversal, unless it `turns` under a law that passes these without a jump. t counts from release.
+    Shapes: (n,) at the frames, (3 p,) at the nodes of `panels`.
     """
 
     run: int
@@ -49,10 +52,26 @@ class Piece:
     way: Array = field(default_factory=lambda: np.empty((3, 0)))  # t, x, v of the run's smoothed motion since release
     angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a segment of a longer stretch
+    turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
-        return replace(self.path, x=x, v=v, load=self.path.load * level)
+        s = self._direction(v) if self.turns else self.path.s
+        return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
+
+    def since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
+        """The path from the start of the piece through its first nodes, (1 + k,), for a law with memory."""
+        k = len(t) - 1
+        s = self._direction(v) if self.turns else np.append(self.path.s[0], self.path.s[:k])
+        series = self._series(lambda q: np.append(q[0], q[:k]))
+        return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+    def _direction(self, v: Array) -> Array:
+        """Sign of the velocity (n,), held at rest; 0 at first where the piece begins at rest."""
+        s = headings(v)
+        if self.path.s[0] == 0:
+            s[0] = 0.0
+        return s
 
     def refined(self, per_frame: int) -> Piece:
         """The same piece with more panels per frame."""
@@ -98,7 +117,7 @@ class Piece:
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the frames."""
-        s = np.full_like(x, self.path.s[0])
+        s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(lambda q: make_interp_spline(self.panels.t, q, k=1)(self.t)) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
@@ -277,7 +296,7 @@ class Response:
 
     piece: Piece
     motion: Motion6
-    linear: Linear
+    linear: Sensitivity
     active: list[int]
     model_y: Array
     shift_slope: Array  # d(o)/dx at the frames
@@ -349,28 +368,39 @@ class Problem:
             r_full=residual,
         )
 
-    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Linear) -> Array:
+    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
         """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
         active = self.layout.active(piece.run)
         g = self._inputs(piece, p, motion, active)
         _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
         return edges[piece.at]
 
-    def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Linear]:
-        piece = self.pieces[i]
+    def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
+        piece, memory = self.pieces[i], self.model.memory
         values, level = self.layout.values(p, piece.run)
 
         def acceleration(x: Array, v: Array, t: Array) -> Array:
-            return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+            if not memory:
+                return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+            force = self.model.force(piece.since_start(x, v, t, level), values)
+            return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
 
-        motion, linear = solve(acceleration, piece.panels, (float(start[0]), float(start[1])), self._guess[i])
+        where = float(start[0]), float(start[1])
+        motion, linear = solve(acceleration, piece.panels, where, self._guess[i], memory=memory)
         self._guess[i] = motion.a
         return motion, linear
+
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+        """The path of a solved motion: its nodes, with memory after the start."""
+        if not self.model.memory:
+            return piece.along(motion.x, motion.v, level)
+        x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
+        return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
     def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
-        path = piece.along(motion.x, motion.v, level)
+        path = self._along(piece, motion, level)
         columns = self.model.force_columns(path, values)
         base = self.model.force(path, values)
         g = np.zeros((len(path.t), len(active)))
@@ -382,9 +412,9 @@ class Problem:
             elif led or not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
-                moved = self.model.force(piece.along(motion.x, motion.v, level_i), values_i)
+                moved = self.model.force(self._along(piece, motion, level_i), values_i)
                 g[:, j] = (moved - base) / step
-        return -g / piece.mass
+        return -g[-len(motion.x) :] / piece.mass
 
     def column(self, effect: str, parameter: str) -> int:
         """Which column of an effect a linear parameter multiplies."""
