@@ -5,7 +5,7 @@ Tables depend on the motion alone, so they serve every data set along it. Instan
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -28,6 +28,10 @@ class Grid:
     values: Array
     steps: NDArray[np.int_]
 
+    def shortened(self) -> Grid:
+        """The grid without its last point."""
+        return Grid(self.names, self.values[:-1], self.steps[:-1])
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -43,6 +47,7 @@ class Table:
 
     crosses: dict[int, tuple[int, Array]] = field(default_factory=dict)  # by group: stamp, products with its rows
     measured: list[Array] = field(default_factory=list)  # the last data and the products with them
+    joint: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
 
     def against(self, along: Along, state: State, data: Array) -> tuple[Array, Array]:
         """Inner products with the rows of a law (G, C, K), and with its residual (G, C)."""
@@ -55,6 +60,19 @@ class Table:
         if not self.measured or self.measured[0] is not data:
             self.measured[:] = [data, self._products(along.slices, data[None])[:, :, 0]]
         return out, self.measured[1] - out @ state.coefficients
+
+    def neighbours(self) -> Array:
+        """Gram matrices (G - 1, 2 C, 2 C) of every form and the next one on the grid."""
+        if not self.joint:
+            g, c = self.gram.shape[:2]
+            across = np.zeros((g - 1, c, c))
+            for mine, at in zip(self.rows, self.at, strict=True):
+                cube = mine.reshape(g, len(at), -1)
+                across[np.ix_(np.arange(g - 1), at, at)] += cube[:-1] @ cube[1:].transpose(0, 2, 1)
+            upper = np.concatenate([self.gram[:-1], across], axis=2)
+            lower = np.concatenate([across.transpose(0, 2, 1), self.gram[1:]], axis=2)
+            self.joint.append(np.concatenate([upper, lower], axis=1))
+        return self.joint[0]
 
     def _products(self, slices: list[slice], rows: Array) -> Array:
         g, c = self.gram.shape[:2]
@@ -179,6 +197,14 @@ class Tables:
         cross, right = table.against(self.along, state, data)
         return _scanned(table, state, (cross, right), (self.along.low[mine], self.along.high[mine]))
 
+    def pairs(self, item: Item, state: State, data: Array) -> Scan:
+        """What two neighbouring points of one scan would gain together: two lines closer than they can be parted."""
+        table = self.table(item, state)
+        cross, right = table.against(self.along, state, data)
+        two = replace(table, gram=table.neighbours(), grid=table.grid.shortened())
+        both = np.concatenate([cross[:-1], cross[1:]], axis=1), np.concatenate([right[:-1], right[1:]], axis=1)
+        return _scanned(two, state, both, (-np.inf, np.inf))
+
     def _build(self, item: Item, state: State) -> Table:
         along, grid = self.along, self.grid(item)
         numbers = np.tile(state.numbers, (len(grid.values), 1))
@@ -207,7 +233,9 @@ def _crowds(numbers: Array) -> list[Array]:
     return np.array_split(numbers, max(1, -(-len(numbers) // CROWD)))
 
 
-def _scanned(table: Table, state: State, products: tuple[Array, Array], box: tuple[Array, Array]) -> Scan:
+def _scanned(
+    table: Table, state: State, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
+) -> Scan:
     """Gains of all forms beside a law that has none of them, from products with its rows (G, C, K) and residual."""
     cross, right = products
     schur = table.gram.copy()
@@ -240,7 +268,5 @@ def _solve(schur: Array, right: Array, full: Array) -> Array:
         out = np.stack([(d * right[:, 0] - b * right[:, 1]) / det, (a * right[:, 1] - b * right[:, 0]) / det], axis=1)
         return out
     size = np.sqrt(np.where(full > 0, full, 1.0))
-    w, v = np.linalg.eigh(schur / size[:, :, None] / size[:, None, :])
-    inverse = np.where(w > ABSORBED, 1 / np.maximum(w, ABSORBED), 0.0)
-    rotated = np.einsum("gce,gc->ge", v, right / size) * inverse
-    return np.einsum("gce,ge->gc", v, rotated) / size
+    unit = schur / size[:, :, None] / size[:, None, :] + ABSORBED * np.eye(count)
+    return np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size

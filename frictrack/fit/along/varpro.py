@@ -9,6 +9,7 @@ scan, beside all the others, says where else it may stand; each such place is re
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import permutations
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from frictrack.fit.along.table import Grid, Item, Scan, Tables, coefficients_of,
 from frictrack.records import Array
 
 PICKS = 3  # places of one scan that are tried
+CLOSE = 2  # places of two lines side by side that are tried
 ROUGH = 3  # steps while the law is incomplete
 SLACK = 0.1  # of what an effect explains: how far behind a place may look before it is refined
 NOISE = 12.0  # the same in units of the noise
@@ -94,16 +96,17 @@ class Search:
         """A better law with two effects elsewhere: two lines in place of one, or two that trade places."""
         shares = self._shares(state)
         unsaid = self._unsaid(problem, state)
-        for other in self.items:
-            bare = problem.without(state, self.mine[other])
-            for one in self.items:
-                better = None
-                if self._alike(one, other):
-                    better = self._split(problem, (state, bare), one, other)
-                if better is None and one != other and (unsaid or shares(one, other) > COUPLED):
-                    better = self._anew(problem, state, one, other)
-                if better is not None:
-                    return better
+        for one, other in permutations(self.items, 2):
+            alike = self._alike(one, other)
+            better = (
+                self._close(problem, state, one, other)
+                if alike and self.items.index(one) < self.items.index(other)
+                else None
+            )
+            if better is None and (unsaid or shares(one, other) > COUPLED):
+                better = self._anew(problem, state, one, other)
+            if better is not None:
+                return better
         return None
 
     def _unsaid(self, problem: Projected, state: State) -> bool:
@@ -132,27 +135,17 @@ class Search:
         """How large a misfit on the grid may be, and the law still be worth refining, beside one with effects out."""
         return state.misfit + SLACK * (bare.misfit - state.misfit) + NOISE * state.misfit / self.along.size
 
-    def _split(self, problem: Projected, laws: tuple[State, State], one: Item, other: Item) -> State | None:
-        """Two lines in place of `one`, the `other` (gone from the bare law) taken for it.
-
-        What a line and its derivative would gain together says whether it is worth trying.
-        """
-        state, bare = laws
-        where = self._where(one, self.tables.grid(one).names)
-        slopes = [c for i in where for c in state.changes[i]]
-        rows = np.zeros((sum(len(c[2]) for c in slopes), self.along.size))
-        k = 0
-        for _, b, change in slopes:
-            rows[k : k + len(change), self.along.slices[b]] = change
-            k += len(change)
-        gain = _gain(np.vstack([bare.rows[bare.moving], rows]), bare.residual)
-        if bare.misfit - gain > self._near(state, bare):
-            return None
-        grid, numbers = self.tables.grid(one), state.numbers.copy()
-        step = float(np.min(np.abs(np.diff(grid.values[:, 0]))))
-        for width in (1.0, 0.1) if bare.misfit - gain < state.misfit else (1.0,):
-            numbers[where] = state.numbers[where] - width * step
-            numbers[self._where(other, grid.names)] = state.numbers[where] + width * step
+    def _close(self, problem: Projected, state: State, one: Item, other: Item) -> State | None:
+        """Two lines side by side, where the two together gain most."""
+        both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
+        found = self.tables.pairs(one, both, problem.data)
+        where = self._where(one, found.grid.names), self._where(other, found.grid.names)
+        values = self.tables.grid(one).values
+        for g in found.picks(CLOSE):
+            if both.misfit - found.gains[g] > self._near(state, both):
+                break
+            numbers = state.numbers.copy()
+            numbers[where[0]], numbers[where[1]] = values[g], values[g + 1]
             better = self._kept(problem, state, problem.at(numbers, state, {one.g, other.g}))
             if better is not None:
                 return better
@@ -208,11 +201,3 @@ class Search:
         """Whether the law has the item at that place already, within a step of its scan."""
         nearest = self._nearest(found.grid, state, self._where(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))
-
-
-def _gain(rows: Array, residual: Array) -> float:
-    """What rows (K, M) explain of a residual (M,)."""
-    size = np.linalg.norm(rows, axis=1)
-    rows = rows[size > 0] / size[size > 0, None]
-    right = rows @ residual
-    return float(right @ np.linalg.solve(rows @ rows.T + 1e-9 * np.eye(len(rows)), right))
