@@ -208,7 +208,9 @@ def _parameters(tree: ast.expr) -> list[str]:
     return list(dict.fromkeys(name for _, name in found if name not in known))
 
 
-def _check(name: str, parameters: Sequence[str], units: Mapping[str, str], bounds: Mapping[str, Any]) -> None:
+def _check(
+    name: str, parameters: Sequence[str], units: Mapping[str, str], bounds: Mapping[str, tuple[float, float]]
+) -> None:
     if not parameters:
         _refuse(name, "expected a formula with at least one parameter to fit but all its names are variables")
     if len(parameters) > MOST_PARAMETERS:
@@ -216,6 +218,9 @@ def _check(name: str, parameters: Sequence[str], units: Mapping[str, str], bound
     for key in (*units, *bounds):
         if key not in parameters:
             _refuse(name, f'unknown parameter "{key}"; the formula has {", ".join(parameters)}')
+    for key, (low, high) in bounds.items():
+        if not low < high:
+            _refuse(name, f"bounds: expected the lower bound of {key} below the upper one but got [{low:g}, {high:g}]")
     for key, unit in units.items():
         if not coherent(unit):
             _refuse(name, f'units: expected an SI unit of {key}, such as "m" or "N s/m", but got "{unit}"')

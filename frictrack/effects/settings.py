@@ -51,7 +51,8 @@ class Settings:
     def applied(self, effect: Effect) -> Effect:
         """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
         changes: dict[str, dict[str, Any]] = {}
-        for key, told in (("fixed", self.fix), ("bounds", self.bounds), ("prior", self.prior), ("tie", self.tie)):
+        bounds = self.bounds if self.formula is None else {}  # a formula has them from its definition
+        for key, told in (("fixed", self.fix), ("bounds", bounds), ("prior", self.prior), ("tie", self.tie)):
             for name, value in told.items():
                 self._check_name(effect, name)
                 changes.setdefault(name, {})[key] = None if value is False else value
