@@ -35,7 +35,7 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     if earlier is not None:
         n = len(earlier.t)
         lasting, _ = _bristles(earlier, own(length, path, n), [own(q, path, n) for q in curve])
-        begin = lasting[np.append(earlier.starts[1:], n) - 1, None]
+        begin = lasting[np.array([*earlier.starts[1:], n]) - 1, None]
     w = followed((path.s * gamma)[:, None], (before * between, after * between), path.starts, begin)
     return w[:, 0], gamma
 

@@ -32,7 +32,7 @@ def bending(path: Path, length: float | Array, exponent: float | Array) -> Array
     if earlier is not None:
         n = len(earlier.t)
         lasting = bending(earlier, own(length, path, n), own(exponent, path, n))
-        begin = lasting[np.append(earlier.starts[1:], n) - 1]
+        begin = lasting[np.array([*earlier.starts[1:], n]) - 1]
     before, after = (distance / length for distance in travel(path))
     power = np.broadcast_to(np.asarray(exponent, dtype=float), after.shape)
     way, fresh = _ways(path)
