@@ -386,20 +386,29 @@ def test_a_known_length_of_the_beam_is_not_sought():
     assert length.scan(replace(SPAN, clamp_x=-0.1))[0] == pytest.approx(0.7)  # from the clamp to the farthest place
 
 
-@pytest.mark.parametrize("name", ["thermal", "beam_vibration"])
-def test_individuals_end_to_end_each_begin_anew(name):
-    """A population's own non-linear values (n,), one individual after the other."""
-    q, effect = TOLD[name], LIBRARY[name]
-    before = np.stack(slow_and_back())[:, :300]
-    one = beam_path(slice(300, 800), before=before, travelled=0.2, begins=0.1)
-    alone = [effect.columns(one, q | {p.name: f * q[p.name] for p in effect.nonlinear}) for f in (0.7, 1.0, 1.6)]
-    tiled = {k: np.tile(getattr(one, k), 3) for k in ("t", "x", "v", "s")}
+@pytest.mark.parametrize("effect", [e for e in ALL if e.nonlinear], ids=lambda e: e.name)
+def test_individuals_end_to_end_each_begin_anew(effect):
+    """A population's own non-linear values (n,), a depth's (n, 1), one individual after the other."""
+    settings = settings_tried(effect)
+    settings = [settings[k % len(settings)] for k in (0, len(settings) // 2, -1)]
+    known = {"lift": lift, "angle": angle, "drive": drive}
+    t = slow_and_back()[0][300:800]
+    known = {name: series(t) for name, series in known.items()} | {"drive_at": drive, "pixel_pitch": PITCH}
+    one = beam_path(slice(300, 800), before=np.stack(slow_and_back())[:, :300], travelled=0.2, begins=0.1, **known)
+    alone = np.concatenate([columns(effect, one, q) for q in settings])
+    tiled = {name: np.tile(getattr(one, name), 3) for name in ("t", "x", "v", "s", "lift", "angle", "drive")}
     long = replace(one, starts=(0, 500, 1000), **tiled)
-    each = {p.name: np.repeat([f * q[p.name] for f in (0.7, 1.0, 1.6)], 500) for p in effect.nonlinear}
-    np.testing.assert_allclose(effect.columns(long, each), np.concatenate(alone), atol=1e-10)
-    if name == "thermal":
-        bare = replace(long, travelled=0.0, begins=None)
-        np.testing.assert_allclose(bare.distance[500:1000], np.abs(one.x - one.x[0]))
+    each = {p.name: np.repeat([q[p.name] for q in settings], 500) for p in effect.nonlinear}
+    deep = {p.name: each[p.name][:, None] for p in effect.nonlinear if p.role == "depth"}
+    np.testing.assert_allclose(columns(effect, long, each | deep), alone, atol=1e-9 * np.max(np.abs(alone)))
+
+
+def test_the_distance_slid_is_counted_for_every_individual():
+    t, x, v = (np.tile(q, 2) for q in slow_and_back(100))
+    path = Path(t, x, v, np.sign(v), starts=(0, 100))
+    np.testing.assert_allclose(path.distance, np.abs(x - 0.1))
+    further = replace(path, travelled=0.5, begins=0.05)
+    np.testing.assert_allclose(further.distance, 0.5 + np.abs(x - 0.05))
 
 
 def test_friction_wears_on_through_a_reversal():
