@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.fit import series
 from frictrack.fit.result import Fit, errors_of
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
@@ -53,12 +54,20 @@ class GroupFits:
         frames = np.array([f.solution.problem.n_frames for f in each], dtype=float)
         share = frames / frames.sum()
         ways = {f.heldout[1] for f in each}
-        return errors_of([c for c in self.curves if c.role == "fit"], self.weighed) | {
-            "heldout_rms_um": 1e6 * float(np.sqrt(share @ np.array([f.heldout[0] for f in each]) ** 2)),
-            "heldout_rms_N": None,
+        heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in each]) ** 2))
+        by_cell = each[0].measured
+        return self._errors() | {
+            "heldout_rms_um": None if by_cell else 1e6 * heldout,
+            "heldout_rms_N": heldout if by_cell else None,
             "heldout": "run" if ways == {"run"} else "frames",
             "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in each])),
         }
+
+    def _errors(self) -> dict[str, Any]:
+        each = list(self.fits.values())
+        if each[0].measured:
+            return series.errors_of([r for f in each for r in f.solution.responses])
+        return errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
 
     def summary(self) -> dict[str, Any]:
         """The JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""

@@ -64,13 +64,12 @@ def _block(piece: Piece) -> Block:
 
 def _reshaped(problem: Projected, state: State) -> State:
     """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
-    everything = set(range(len(problem.along.groups)))
     for g, group in enumerate(problem.along.groups):
         if not any(e.modifies and not e.linear for e in group.model.effects):
             continue
-        found = [problem.at(numbers, state.rows, {g}) for numbers in _grid(problem, state.numbers, g)]
+        found = [problem.at(numbers, state, {g}) for numbers in _grid(problem, state.numbers, g)]
         best = sorted(found, key=lambda s: s.misfit)[:PICKS]
-        state = min((problem.refine(s, everything) for s in [state, *best]), key=lambda s: s.misfit)
+        state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
     return state
 
 

@@ -171,6 +171,7 @@ def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
     rows = np.flatnonzero(free & np.isfinite(series))
+    rows = rows[rows > 0]  # the first frame says on which side friction held before
     known = np.flatnonzero(np.isfinite(series))
     whole = np.interp(np.arange(len(series)), known, series[known])
     begin = _Begin(Reference(run.mass or 1.0, 1.0), *_way(run), 1)
@@ -217,8 +218,7 @@ def _velocity(run: Run) -> Array:
 
 
 def _direction(v: Array, held: float) -> Array:
-    """Direction of motion (n,); at rest the last one, before the first motion the side on which friction holds."""
-    s = np.concatenate([[held], np.sign(v)])
+    """Direction of motion (n,); at rest the last one, at first the side on which friction is held."""
+    s = np.concatenate([[held], np.sign(v[1:])])
     last = np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))
-    out: Array = s[last][1:]
-    return out
+    return np.asarray(s[last])

@@ -86,7 +86,7 @@ def remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if max(alike) > 0:
         out.append(
-            f"what the model leaves of it is alike over {max(alike):.2g} s: the law misses something or the cell drifts; "
+            f"what the model leaves is alike over {max(alike):.2g} s: the law misses something or the cell drifts; "
             "p-values take the cell's noise as white, so read them as a ranking"
         )
     return out
