@@ -103,6 +103,33 @@ def test_every_nuisance_of_a_scene_is_filmed_and_recorded(tmp_path):
     assert np.std(seen) < 0.004 * np.mean(seen)
 
 
+def test_what_the_runs_of_an_effect_must_tell_is_filmed_and_told(tmp_path):
+    """Vertical motion, angle, clamp and drive; the truth holds the laws that follow them."""
+    known = "clamp_x = -0.1\nbeam_length = 0.8\nlift = { amplitude = 1e-4, frequency = 60 }\n"
+    law = "[law.measured_load]\ncoefficient = 1.0\n[law.target_rotation]\nalong = 0.0\nacross = 0.01\n"
+    law += "[law.drive_error]\ne = 0.1\ntau = 0.0\n"
+    text = known + SCENE.replace("height = 44", "height = 44\nrotation = { amplitude = 0.3, frequency = 40 }")
+    text = text.replace("[law.viscous]", law + "[law.viscous]").replace("frames = 60", "frames = 60\npush = 0.004")
+    scene = replace(read_scene(text), runs=read_scene(text).runs[:1])
+    film_scene(scene, tmp_path, seed=3)
+    study = (tmp_path / "study.toml").read_text()
+    assert all(line in study for line in ('clamp_x = "-0.1 m"', 'beam_length = "0.8 m"', 'drive = "there_drive.csv"'))
+    t, drive = np.loadtxt(tmp_path / "there_drive.csv", delimiter=",", skiprows=1).T
+    np.testing.assert_allclose(drive[:17], 2 * 0.35 * 4.0 / 0.004 * np.sin(np.pi * t[:17] / 0.004) ** 2, atol=1e-6)
+    truth = np.array(json.loads((tmp_path / "truth.json").read_text())["runs"][0]["x_m"])
+    seen = ft.calibrate(ft.track(ft.open_recording(tmp_path / "there.avi", fps=4000)), scale="0.5 mm/px")
+    swing = 1e-4 * np.sin(2 * np.pi * 60 * t)
+    assert np.std(seen.y - swing) < 4e-6
+    angle = -np.deg2rad(0.3) * np.sin(2 * np.pi * 40 * t)
+    assert np.std(seen.angle - angle) < 5e-4
+    assert np.std(seen.x - truth + 0.01 * np.sin(angle)) < 3e-6  # the followed point moves with the angle
+    assert np.std(seen.x - truth) > 20e-6
+    pushed = np.mean(np.diff(truth[20:30])) * 4000
+    assert pushed == pytest.approx(
+        1.1 * 4.0 - 0.0055 * 8.0 / 0.35 * 1.0 - 0.06, abs=0.15
+    )  # the drive is a tenth larger
+
+
 def test_the_same_seed_makes_the_same_film(folder, tmp_path):
     film_scene(read_scene(SCENE), tmp_path, seed=3)
     assert (tmp_path / "there.avi").read_bytes() == (folder / "there.avi").read_bytes()

@@ -3,13 +3,15 @@
     name = "course A"
     mass = 0.35                     # kg, the reference at which the law's newtons are quoted
     scatter = 0.03                  # relative, of dry friction from run to run
+    clamp_x = -0.1                  # m, for beam_vibration; beam_length likewise
+    lift = { amplitude = 2e-5, frequency = 40 }          # m, up: how the mass moves vertically, for measured_load
     [law.coulomb]                   # any effects of the library, parameters by their names
     F_c = 8.0
     [camera]                        # fps, width, height, scale (m/px), exposure, bit_depth, full_well, read_noise
     prnu = 0.01                     # relative flat-field noise; drift (1/s) of the light
     flicker = { amplitude = 0.05, frequency = 100 }      # relative; shake_x, shake_y likewise in px
     [target]                        # width, height, speckle (px)
-    rotation = { amplitude = 0.15, frequency = 40 }      # deg
+    rotation = { amplitude = 0.15, frequency = 40 }      # deg, as seen clockwise
     [rod]                           # in front of the block: x, width (px), reflectance
     x = 300
     [highlight]                     # on the window: x, y, radius (px), amplitude (1 = white)
@@ -21,7 +23,8 @@
     frames = 200
     push = 0.004                    # s of pushing from rest before the free slide (default 0: it starts moving)
 
-A folder as target gets the films, a study file that says nothing of the truth, and `truth.json`.
+A folder as target gets the films, a study file that says nothing of the truth, and `truth.json`; with a `drive_error`
+in the law also the drive of every run as it was measured.
 """
 
 from __future__ import annotations
@@ -49,7 +52,10 @@ from frictrack.simulate.slide import Conditions, Slide, simulate
 from frictrack.simulate.texture import Surface
 
 Progress = Callable[[int, int, str], None]
-KEYS = {"name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"}
+KEYS = {
+    *("name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"),
+    *("clamp_x", "beam_length", "lift"),
+}
 RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline"}
 TARGET_KEYS = {"width", "height", "speckle", "rotation"}
 OSCILLATIONS = ("flicker", "shake_x", "shake_y")
@@ -72,6 +78,8 @@ class Scene:
     runs: tuple[dict[str, Any], ...]
     format: str = "avi"
     front: dict[str, Any] = field(default_factory=dict)  # rod and highlight
+    beam: dict[str, float] = field(default_factory=dict)  # clamp_x and beam_length, m
+    lift: Oscillation | None = None  # m, up
 
     @property
     def model(self) -> Model:
@@ -103,6 +111,8 @@ def read_scene(text: str) -> Scene:
         runs=tuple(raw["run"]),
         format=str(raw.get("format", "avi")),
         front=_front(raw),
+        beam={key: float(raw[key]) for key in ("clamp_x", "beam_length") if key in raw},
+        lift=_part(Oscillation, "lift", raw["lift"]) if "lift" in raw else None,
     )
 
 
@@ -169,12 +179,21 @@ def film_scene(scene: Scene, folder: Path, *, seed: int = 0, progress: Progress 
         slide = slide_of(scene, run, camera, level)
         film = f"{run['name']}.{scene.format}"
         write_film(_frames(scene, run, camera, slide, rng), folder / film, camera.fps)
+        if _is_driven(scene, run):
+            drive = _push(float(run.get("mass", scene.mass)), float(run["v"]), float(run["push"]))(slide.t)
+            table = np.column_stack([slide.t, drive])
+            np.savetxt(folder / f"{run['name']}_drive.csv", table, "%.9g", ",", header="t_s,drive_N", comments="")
         about = {"name": run["name"], "level": level, "v": run["v"], "camera": asdict(camera)}
         truth["runs"].append(about | {"x_m": slide.x.tolist()})
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
     if progress:
         progress(len(scene.runs), len(scene.runs), "rendered")
+
+
+def _is_driven(scene: Scene, run: dict[str, Any]) -> bool:
+    """Whether the drive of a run is told: only where it may be wrong, as a struck run has none."""
+    return "drive_error" in scene.law and bool(run.get("push"))
 
 
 def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
@@ -193,21 +212,38 @@ def slide_of(scene: Scene, run: dict[str, Any], camera: Camera, level: float) ->
     v, push = float(run["v"]), float(run.get("push", 0.0))
     t = np.arange(int(run["frames"])) / camera.fps
     ratio = mass / scene.mass
-
-    def drive(at: Array) -> Array:
-        # a smooth push that would bring the mass to v without friction
-        phase = np.clip(np.asarray(at) / push, 0.0, 1.0)
-        return 2 * mass * v / push * np.sin(np.pi * phase) ** 2
-
     conditions = Conditions(
         mass=mass,
         load=ratio * level,
         mass_ratio=ratio,
         pixel_pitch=camera.scale,
         incline=float(run.get("incline", 0.0)),
-        drive=drive if push else None,
+        drive=_push(mass, v, push) if push else None,
+        lift=None if scene.lift is None else _twice(scene.lift),
+        angle=_turning(scene.target.get("rotation")),
+        **scene.beam,
     )
     return simulate(scene.model, _values(scene), conditions, t, (_begin(scene, run, camera), 0.0 if push else v))
+
+
+def _push(mass: float, v: float, push: float) -> Callable[[Array], Array]:
+    """A smooth push that would bring the mass to v without friction, N."""
+
+    def drive(at: Array) -> Array:
+        phase = np.clip(np.asarray(at) / push, 0.0, 1.0)
+        return np.asarray(2 * mass * v / push * np.sin(np.pi * phase) ** 2)
+
+    return drive
+
+
+def _twice(swing: Oscillation) -> Oscillation:
+    """Its second derivative."""
+    return replace(swing, amplitude=-swing.amplitude * (2 * np.pi * swing.frequency) ** 2)
+
+
+def _turning(rotation: Oscillation | None) -> Oscillation | None:
+    """Angle of the target counter-clockwise; the picture's y points down."""
+    return None if rotation is None else replace(rotation, amplitude=-rotation.amplitude)
 
 
 def _begin(scene: Scene, run: dict[str, Any], camera: Camera) -> float:
@@ -234,10 +270,12 @@ def _values(scene: Scene) -> dict[str, dict[str, float]]:
 def _frames(scene: Scene, run: dict[str, Any], camera: Camera, slide: Slide, rng: np.random.Generator) -> Any:
     x = (slide.x + slide.shift) / camera.scale
     y = np.full_like(x, camera.height / 2 - 4)
-    spline = CubicSpline(slide.t, x)
+    if scene.lift is not None:
+        y = y - scene.lift(slide.t) / camera.scale
+    spline, across = CubicSpline(slide.t, x), CubicSpline(slide.t, y)
 
     def position(t: Array) -> tuple[Array, Array]:
-        return spline(t), np.interp(t, slide.t, y)
+        return spline(t), across(t)
 
     return render(position, camera, _target(scene), rng, n_frames=len(x))
 
@@ -269,4 +307,7 @@ def _study_text(scene: Scene) -> str:
         lines += ["", "[[run]]", f'name = "{run["name"]}"', f'video = "{run["name"]}.{scene.format}"']
         if "mass" in run:
             lines.append(f'mass = "{run["mass"]:g} kg"')
+        lines += [f'{key} = "{value:g} m"' for key, value in scene.beam.items()]
+        if _is_driven(scene, run):
+            lines.append(f'drive = "{run["name"]}_drive.csv"')
     return "\n".join(lines) + "\n"
