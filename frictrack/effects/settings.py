@@ -76,6 +76,8 @@ class Settings:
         given = [word for word, key in (("fixed", "fixed"), ("tied", "tie")) if change.get(key) is not None]
         if len(given) == 2:
             self._refuse(f"expected {p.name} to be either fixed or tied but got both")
+        if change.get("tie") is not None and "bounds" in change:
+            self._refuse(f"expected no bounds of {p.name}, which is tied; give them to the parameter that it follows")
         if given and "prior" in change:
             self._refuse(f"expected no prior of {p.name}, which is {given[0]} and so not sought")
         if not low < high:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from frictrack.effects import Effect, Parameter
+from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import Layout
-from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response, spans_of
+from frictrack.fit.layout import LEVEL, Layout
+from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
+from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
-from frictrack.fit.turns import follows, in_turn, known, untied
+from frictrack.fit.turns import follows, in_turn, known, led_the_other_way, untied
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -29,6 +31,34 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
     spans = spans_of(pieces, len(names), fps)
+    found = [_from_scratch(model, pieces, names, spans)]
+    for other in led_the_other_way(model):
+        with suppress(FrictrackError):  # the way that was asked for is there already
+            found.append(_retold(_from_scratch(other, pieces, names, spans), model))
+    return until_stop(min(found, key=lambda s: s.objective))
+
+
+def _retold(solution: Solution, model: Model) -> Solution:
+    """A law under the ties of `model`, refined from where it stands under others."""
+    old = solution.problem.layout
+    fitted = {e.name: e for e in old.model.effects}
+    ties = {(e.name, p.name): p for e in model.effects for p in e.parameters}
+    law = Model(tuple(_tied_as(fitted[e.name], ties) for e in model.effects))
+    layout = replace(old, model=law)
+    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
+    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
+    problem = solution.problem.over(layout, solution.problem.pieces)
+    return settle_scatter(problem, np.array(p), solution.starts, solution.tau or 0.03)
+
+
+def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
+    """An effect as it was fitted, its ties as they are asked for."""
+    changes = {p.name: ties[effect.name, p.name] for p in effect.parameters if p.tie != ties[effect.name, p.name].tie}
+    return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
+
+
+def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """One effect after the other, then all together to the end."""
     plain, scanned = in_turn(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
@@ -37,7 +67,7 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     solution = settle_scatter(problem, _first_guess(problem), problem.first_starts())
     for effect in scanned:
         solution = grow(solution, effect)
-    return until_stop(settled(reordered(solution, model)))
+    return settled(reordered(solution, model))
 
 
 def until_stop(solution: Solution, free: Mask | None = None) -> Solution:

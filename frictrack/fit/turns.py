@@ -54,6 +54,25 @@ def known(solution: Solution, effect: Effect) -> Effect:
     return effect.adjusted(**changes)
 
 
+def led_the_other_way(model: Model) -> list[Model]:
+    """The same law, each tie between two scanned effects turned round: a scan sees the leader first, and alone."""
+    out = []
+    for e in model.effects:
+        for p in (p for p in e.nonlinear if p.tie):
+            tie = Tie.read(str(p.tie))
+            leader = next(other for other in model.effects if other.name == tie.effect)
+            led = leader.parameter(tie.parameter)
+            if leader is e or not led.free or led.scan is None or tie.factor == 0:
+                continue
+            back = f"{1 / tie.factor!r}*{e.name}.{p.name}"
+            turned = {
+                leader.name: leader.adjusted(**{led.name: {"tie": back, "prior": None}}),
+                e.name: e.adjusted(**{p.name: {"tie": None}}),
+            }
+            out.append(Model(tuple(turned.get(o.name, o) for o in model.effects)))
+    return out
+
+
 def untied(solution: Solution, name: str) -> Model:
     """The model without one effect; what followed it stays where it is."""
     model = solution.problem.model
