@@ -11,7 +11,8 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, papers, restore, state
-from frictrack.fit.crowd import Misfit, displacement_balance
+from frictrack.fit.along import displacement_block
+from frictrack.fit.along.misfit import Misfit
 from frictrack.fit.force import chain_of
 from frictrack.fit.papers import bounds_of, misfit_of, scaffold, searched
 from frictrack.motion import differentiate, low_pass
@@ -118,17 +119,18 @@ class TestSearch:
         pieces = fit("tustin", made).solution.problem.pieces
         law = models.atm1(1) + "load_modulation"
         problem = scaffold(law, pieces, ("r0", "r1"), FPS)
-        misfit = Misfit(problem.layout, [displacement_balance(p) for p in problem.pieces])
+        blocks = [displacement_block(p) for p in problem.pieces]
+        misfit = Misfit(problem.layout, blocks, tau=1e-9)
         box = bounds_of(misfit)
         points = box[:, 0] + np.random.default_rng(0).random((5, len(box))) * (box[:, 1] - box[:, 0])
         p = np.ones((5, len(problem.layout.slots)))
         p[:, misfit.searched] = points
-        for balance in misfit.balances:
-            force = misfit.forces(balance, points)
+        expected = np.zeros(5)
+        for block in blocks:
             for i in range(5):
-                values, _ = problem.layout.values(p[i], balance.piece.run)
-                expected = law.force(balance.path, values)
-                assert (force.dry + force.other)[i] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+                values, _ = problem.layout.values(p[i], block.run)
+                expected[i] += np.sum((block.data - block.forward(law.force(block.path, values))) ** 2)
+        assert misfit(points) == pytest.approx(expected, rel=1e-6)
 
     @pytest.mark.parametrize("domain", ["force", "displacement"])
     def test_misfit_along_the_measured_motion_is_that_of_the_simulated_one(self, domain):

@@ -15,8 +15,9 @@ from frictrack.fit.certainty import Certainty, certainty, with_certainty
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.layout import Layout
 from frictrack.fit.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
-from frictrack.fit.papers import check_how, scaffold
-from frictrack.fit.problem import Piece, Problem, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.papers import Callback, check_how, scaffold
+from frictrack.fit.pieces import Piece, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.problem import Problem
 from frictrack.fit.profile import Profile, profile
 from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
@@ -66,24 +67,28 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     seed: int = 0,
     reference_mass: float | None = None,
     per: str | None = None,
+    over: str = "all",
+    callback: Callback | None = None,
 ) -> Any:
     """Fit a model to runs, all at once: a `Fit`; with `per` = "group" every group of runs apart, `GroupFits`.
 
     `domain` is "displacement" or "force" (the papers': accelerations after low-pass and double difference); where
     friction itself was measured it is "force" by default, held against that series without a mass. `search` is
-    "varpro" or one of `search.METHODS`, which look for all parameters at once, `seed` theirs.
+    "varpro" or one of `search.METHODS`, which look for all parameters at once, or `over` the "nonlinear" ones alone,
+    the coefficients solved for every trial; `seed` is theirs, and `callback(generation, best, misfit)` is told the best
+    point by address after every generation and stops the search by a true answer.
     Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
     the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
     unknown domain or search. `seed` also serves the search for a start of ATM2 under "varpro".
     """
-    check_how(domain or "force", search, per)
+    check_how(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
     if measured(runs, domain):
         return _by_cell(law, runs, Route("force", search, seed), per)
     domain = domain or "displacement"
     if per == "group":
-        how: dict[str, Any] = {"domain": domain, "search": search, "seed": seed}
+        how: dict[str, Any] = {"domain": domain, "search": search, "seed": seed, "over": over, "callback": callback}
         mass = reference_mass or runs[0].mass
         groups = by_group(runs)
         return GroupFits({g: fit(model, mine, reference_mass=mass, **how) for g, mine in groups.items()})
@@ -100,7 +105,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))
     pieces = _divided(sections, lengths)
     names = tuple(r.name for r in fitted)
-    route = Route(domain, search, seed)
+    route = Route(domain, search, seed, over)
     if search == "varpro":
         if starts_alone(law):
             solution = solve_model(law, pieces, names, _fps(fitted))
@@ -109,7 +114,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
             solution = until_stop(solve_reduced(start, fitted, np.random.default_rng(seed)))
         found = in_force(solution, fitted) if domain == "force" else Found(solution)
     else:
-        found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route)
+        found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route, callback)
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
 
 
@@ -245,6 +250,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "measured": is_series(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
+        "over": result.route.over,
         "seed": result.seed,
         "optima": result.found.optima,
         "costs": result.found.costs,
@@ -279,7 +285,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
     problem = Problem(law, layout, cut)
     tau = float(saved["tau"])
-    route = Route(saved["domain"], saved["search"], int(saved["seed"]))
+    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     where = list(np.asarray(saved["starts"])), tau
     optima = np.asarray(saved["optima"]), np.asarray(saved["costs"])
     found = _standing(problem, np.asarray(saved["p"]), where, fitted, (route, optima))
@@ -301,5 +307,5 @@ def _cell_restored(problem: SeriesProblem, saved: dict[str, Any], runs: Sequence
     held = np.zeros(len(problem.layout.slots), dtype=bool)
     p, tau = np.asarray(saved["p"]), float(saved["tau"])
     solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
-    route = Route(saved["domain"], saved["search"], int(saved["seed"]))
+    route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     return _finish(Found(solution), runs, reference, (route, (0,) * len(problem.pieces)))

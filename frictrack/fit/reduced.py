@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.crowd import Misfit
+from frictrack.fit.along import Projected
+from frictrack.fit.along.misfit import Reduced
 from frictrack.fit.force import chains_of
 from frictrack.fit.papers import bounds_of, misfit_of
 from frictrack.fit.problem import Problem
@@ -31,8 +31,6 @@ NEAR = 5.0  # misfit over noise along the measured motion, beyond which it need 
 PHASES = 8  # tried round the circle
 TRIALS = 3  # best places of a scan that are followed downhill
 GAIN = 0.98  # of the misfit: a sweep that leaves more was the last
-CROWD = 80  # laws evaluated at once
-RIDGE = 1e-9  # of the columns' mean square, where two of them are alike
 
 
 def starts_alone(model: Model) -> bool:
@@ -47,7 +45,7 @@ def solve_reduced(problem: Problem, runs: Sequence[Run], rng: np.random.Generato
     p = np.ones(len(problem.layout.slots))
     for i, run in enumerate(map(int, order)):
         mine = Problem(problem.model, problem.layout, [q for q in problem.pieces if q.run == run])
-        reduced = _Reduced(misfit_of(mine, chains_of(runs, mine.pieces)))
+        reduced = _Reduced(misfit_of(mine, chains_of(runs, mine.pieces), "nonlinear"))
         p = _first_law(mine, reduced, rng) if i == 0 else reduced.phased(rng, p)
     return settle_scatter(problem, p, problem.first_starts())
 
@@ -74,64 +72,36 @@ def _explains(problem: Problem, p: Array) -> bool:
 class _Reduced:
     """Misfit of one run over its non-linear unknowns (P, d), the coefficients solved."""
 
-    def __init__(self, misfit: Misfit) -> None:
+    def __init__(self, misfit: Reduced) -> None:
         self.misfit = misfit
         layout = misfit.layout
         effects = {e.name: e for e in layout.model.effects}
         slots = [layout.slots[i] for i in misfit.searched]
-        self.linear = [j for j, s in enumerate(slots) if s.linear]
-        self.free = [j for j, s in enumerate(slots) if not s.linear]
-        known = [effects[slots[j].effect].parameter(slots[j].parameter) for j in self.free]
+        known = [effects[s.effect].parameter(s.parameter) for s in slots]
         self.phases = [k for k, q in enumerate(known) if q.role == "phase"]
-        highest = max(b.highest for b in misfit.balances)
+        highest = max(b.highest for b in misfit.blocks)
         self.scans = {}
         for k, q in enumerate(known):
             if q.scan is not None:
                 grid = q.scan(layout.span)
                 self.scans[k] = grid[grid < highest] if q.unit == "Hz" and np.any(grid < highest) else grid
-        self.box = bounds_of(misfit)[self.free]
-        self.frames = sum(len(b.base) for b in misfit.balances)
+        self.box = bounds_of(misfit)
+        self.frames = misfit.along.size
+        self.problem = Projected(misfit.along, misfit.along.data)
 
     def __call__(self, points: Array) -> Array:
         """Misfits (P,)."""
-        crowds = np.array_split(points, max(1, -(-len(points) // CROWD)))
-        return np.concatenate([np.sum(self.residuals(q) ** 2, axis=1) for q in crowds])
-
-    def residuals(self, points: Array) -> Array:
-        """Residuals (P, M), the coefficients solved."""
-        columns, base, _ = self._columns(points)
-        out: Array = base + np.einsum("pmk,pk->pm", columns, _solved(columns, base))
-        return out
-
-    def _columns(self, points: Array) -> tuple[Array, Array, Array]:
-        """Change of the residual per unit of every coefficient (P, M, K), the residual without them (M,), and points.
-
-        The points (P, D) hold all searched unknowns, the coefficients at zero.
-        """
-        whole = np.zeros((len(points), len(self.misfit.searched)))
-        whole[:, self.free] = points
-        made, base = [], []
-        for b in self.misfit.balances:
-            path, values = self.misfit.end_to_end(b, whole)
-            force = np.concatenate(list(self.misfit.layout.model.force_columns(path, values).values()), axis=1)
-            each = force.reshape(len(points), -1, force.shape[1]).transpose(2, 0, 1)
-            made.append(np.stack([b.moved(column) for column in each], axis=2))
-            base.append(b.base)
-        return np.concatenate(made, axis=1), np.concatenate(base), whole
+        return self.misfit(points) / self.misfit.unit
 
     def law(self, rng: np.random.Generator) -> tuple[Array, float]:
         """All unknowns (P,) of the law that one search and its sweeps find, and its misfit; of other runs: one."""
         found = minimise(self, self.box, method="de", rng=rng, max_evaluations=BUDGET)
         point, misfit = self._swept(found.x)
-        columns, base, whole = self._columns(point[None])
-        whole[0, self.linear] = _solved(columns, base)[0]
-        p = np.ones(len(self.misfit.layout.slots))
-        p[self.misfit.searched] = whole[0]
-        return p, misfit
+        return self.misfit.law(point[None])[0], misfit
 
     def phased(self, rng: np.random.Generator, known: Array) -> Array:
         """The law `known` (P,) with the phases of this run, and its other own numbers."""
-        slots = [self.misfit.searched[j] for j in self.free]
+        slots = self.misfit.searched
         own = [k for k, i in enumerate(slots) if self.misfit.layout.slots[i].run is not None]
         point = known[slots]
         if not own:
@@ -191,26 +161,7 @@ class _Reduced:
 
     def _downhill(self, point: Array) -> tuple[Array, float]:
         """The nearest minimum within the box, and its misfit."""
-        low, width = self.box[:, 0], self.box[:, 1] - self.box[:, 0]
-        step = 1e-6
-
-        def residual(unit: Array) -> Array:
-            return self.residuals((low + width * unit)[None])[0]
-
-        def slope(unit: Array) -> Array:
-            moved = self.residuals(low + width * np.vstack([unit, unit + step * np.eye(len(unit))]))
-            return (moved[1:] - moved[0]).T / step
-
-        start = np.clip((point - low) / width, step, 1 - step)
-        found = least_squares(residual, start, slope, bounds=(0, 1), max_nfev=40, x_scale="jac")
-        return low + width * found.x, 2 * float(found.cost)
-
-
-def _solved(columns: Array, base: Array) -> Array:
-    """Coefficients (P, K) that bring base (M,) plus columns (P, M, K) closest to zero."""
-    gram = columns.transpose(0, 2, 1) @ columns
-    size = np.maximum(np.sqrt(np.einsum("pkk->pk", gram)), 1e-30)
-    unit = gram / size[:, :, None] / size[:, None, :] + RIDGE * np.eye(gram.shape[1])
-    right = -np.einsum("pmk,m->pk", columns, base) / size
-    out: Array = np.linalg.solve(unit, right[:, :, None])[:, :, 0] / size
-    return out
+        numbers = np.ones(len(self.misfit.layout.slots))
+        numbers[self.misfit.searched] = point
+        state = self.problem.refine(self.problem.at(numbers), steps=40)
+        return state.numbers[self.misfit.searched], state.misfit + sum(b.rest for b in self.misfit.blocks)

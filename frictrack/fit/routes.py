@@ -9,8 +9,9 @@ import numpy as np
 
 from frictrack.fit.force import Chain, ForceProblem, at_rest, chains_of, seen, solve_force
 from frictrack.fit.heldout import UNSEEN, _predictable
-from frictrack.fit.papers import misfit_of, searched, spread_of
-from frictrack.fit.problem import Piece, Problem
+from frictrack.fit.papers import Callback, misfit_of, searched, spread_of
+from frictrack.fit.pieces import Piece
+from frictrack.fit.problem import Problem
 from frictrack.fit.solve import Solution, refine
 from frictrack.fit.start import until_stop
 from frictrack.records import Array, Mask, Run
@@ -25,6 +26,7 @@ class Route:
     domain: str = "displacement"
     search: str = "varpro"
     seed: int = 0
+    over: str = "all"
 
     @property
     def plain(self) -> bool:
@@ -46,11 +48,12 @@ class Found:
     costs: Array = field(default_factory=lambda: np.empty(0))
 
 
-def by_search(problem: Problem, runs: Sequence[Run], route: Route) -> Found:
-    """The law that a global search finds over all unknowns at once, reported as it is."""
+def by_search(problem: Problem, runs: Sequence[Run], route: Route, callback: Callback | None = None) -> Found:
+    """The law that a global search finds, over all unknowns at once or the non-linear ones, reported as it is."""
     chains = chains_of(runs, problem.pieces) if route.domain == "force" else None
     ones = np.ones(len(problem.layout.slots))
-    optima, costs = searched(misfit_of(problem, chains), route.search, np.random.default_rng(route.seed), ones)
+    misfit = misfit_of(problem, chains, route.over)
+    optima, costs = searched(misfit, route.search, np.random.default_rng(route.seed), ones, callback)
     tau = spread_of(problem.layout, optima[0])
     law = at_rest(problem, optima[0], problem.first_starts(), tau)
     law = until_stop(law, np.zeros(len(law.p), dtype=bool))
@@ -128,7 +131,9 @@ def _sought(
     """All unknowns (P,) of the law sought again with fewer data; what these do not hold stays as it was found."""
     p = found.solution.p
     if route.search != "varpro":
-        return searched(misfit_of(problem, chains), route.search, np.random.default_rng(route.seed), p)[0][0]
+        return searched(misfit_of(problem, chains, route.over), route.search, np.random.default_rng(route.seed), p)[0][
+            0
+        ]
     assert chains is not None  # variable projection of the displacement has its own held-out error
     held = {piece.run for piece in problem.pieces} | {None}
     free = np.array([s.run in held for s in problem.layout.slots])

@@ -15,6 +15,7 @@ from frictrack.fit.along.blocks import Block
 from frictrack.fit.along.columns import NONE, Along, Indices
 from frictrack.fit.layout import LEVEL, Layout
 from frictrack.fit.rules import follow
+from frictrack.fit.scatter import prior_misfit
 from frictrack.records import Array
 
 CROWD = 20  # laws evaluated at once: what they need stays in the cache
@@ -59,6 +60,8 @@ class Misfit:
                 dry, other = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
                 cost, levels[:, run] = _levelled(data - dry - other, dry, self.tau if self.layout.levels else None)
                 total += cost
+        if self.layout.priors:
+            total += prior_misfit(self.layout, whole)
         return total * self.unit, levels
 
     def law(self, points: Array) -> Array:

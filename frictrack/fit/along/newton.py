@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from frictrack.fit.along.columns import NONE, Along, Indices
 from frictrack.fit.layout import LEVEL
-from frictrack.fit.scatter import restraint, restraint_rows
+from frictrack.fit.scatter import restraint_rows
 from frictrack.records import Array, Mask
 
 STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns
@@ -75,10 +75,30 @@ class Projected:
         self.layout = along.layout
         self.levels = self.layout.levels
         self.low, self.high = self.layout.bounds
-        self._held = restraint_rows(self.layout, tau)
+        effects = {e.name: e for e in self.layout.model.effects}
+        turning = [
+            s.effect != LEVEL and effects[s.effect].parameter(s.parameter).role == "phase" for s in self.layout.slots
+        ]
+        self.low[turning], self.high[turning] = -np.inf, np.inf  # a phase goes round
+        self._held, self._aim = self._known(tau)
         width = self.high - self.low
         self._least = STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
         self._loaded = np.array([c.loaded for c in along.coefficients], dtype=bool)
+
+    def _known(self, tau: float) -> tuple[Array, Array]:
+        """What is known beside the data: rows (m, P) of the numbers and what they aim at, (m,), in deviations.
+
+        Priors of coefficients are left to the refinement.
+        """
+        levels = np.zeros(len(self.low))
+        levels[self.levels] = 1.0
+        rows = restraint_rows(self.layout, tau)
+        rows = rows[: len(rows) - len(self.layout.priors)]
+        plain = [q for q in self.layout.priors if q.slot in self.along.free]
+        more = np.zeros((len(plain), len(levels)))
+        for row, q in zip(more, plain, strict=True):
+            row[q.slot] = 1 / q.std
+        return np.vstack([rows, more]), np.concatenate([rows @ levels, [q.mean / q.std for q in plain]])
 
     def nothing(self, numbers: Array) -> State:
         """No law at all: rows of zeros."""
@@ -141,9 +161,8 @@ class Projected:
         c, moving = bounded(gram, right, self.along.low, self.along.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
-        if self.levels:
-            held = restraint(self.layout, numbers, self.tau)
-            misfit += float(held @ held)
+        if len(self._aim):
+            misfit += float(np.sum((self._held @ numbers - self._aim) ** 2))
         return State(numbers, rows, c, moving, residual, misfit, out, *kept)
 
     def refine(
@@ -197,10 +216,10 @@ class Projected:
             unit.flat[:: len(size) + 1] += RIDGE
             beside /= size[:, None]
             normal -= beside.T @ np.linalg.solve(unit, beside)
-        if self.levels:
+        if len(self._aim):
             held = self._held[:, free]
             normal += held.T @ held
-            gradient = gradient - held.T @ restraint(self.layout, state.numbers, self.tau)
+            gradient = gradient - held.T @ (self._held @ state.numbers - self._aim)
         return normal, gradient
 
     def _by_level(self, state: State, i: int, out: Array) -> None:
