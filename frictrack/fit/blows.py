@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.problem import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.solve import Solution
 from frictrack.records import Array, Mask
 

@@ -19,7 +19,8 @@ from scipy.stats import t as student
 
 from frictrack.fit.covariance import inverse
 from frictrack.fit.estimate import Estimates, estimates, told
-from frictrack.fit.problem import MIN_FRAMES, Piece, Problem, Response
+from frictrack.fit.pieces import MIN_FRAMES, Piece
+from frictrack.fit.problem import Problem, Response
 from frictrack.fit.quoted import quoted_values, shown
 from frictrack.fit.scatter import MIN_RUNS, restraint_rows
 from frictrack.fit.solve import Solution, refine, settle_scatter

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.problem import Piece, Problem
+from frictrack.fit.pieces import Piece
+from frictrack.fit.problem import Problem
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.solve import Solution, refine
 from frictrack.records import Array

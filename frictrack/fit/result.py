@@ -17,7 +17,8 @@ from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.mass import friction_law, weighed
 from frictrack.fit.modelled import bands, modelled
-from frictrack.fit.problem import Reference, Response
+from frictrack.fit.pieces import Reference
+from frictrack.fit.problem import Response
 from frictrack.fit.routes import Found, Route
 from frictrack.fit.scatter import MIN_RUNS
 from frictrack.fit.solve import Solution

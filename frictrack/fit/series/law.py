@@ -19,7 +19,7 @@ from frictrack.fit.along import Along, Block, Projected, Search, State
 from frictrack.fit.covariance import covariance_of
 from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.layout import Layout
-from frictrack.fit.problem import Piece
+from frictrack.fit.pieces import Piece
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.series.problem import SeriesProblem, spans_of_series
 from frictrack.fit.solve import Solution, refine, settle_scatter
