@@ -76,6 +76,10 @@ class SeriesProblem(Problem):
         """None has a start that could be unknown."""
         return [np.zeros(0) for _ in self.pieces]
 
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+        """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
+        return piece.along(motion.x, motion.v, level)
+
     def _respond(self, i: int, p: Array, start: Array) -> Response:
         piece, layout = self.pieces[i], self.layout
         path = piece.path
