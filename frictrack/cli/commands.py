@@ -144,6 +144,9 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
     study: Study,
     model: Annotated[str | None, typer.Option(help="a model (tustin, atm1:2) or a comma list of effects")] = None,
     search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,
+    over: Annotated[
+        Literal["all", "nonlinear"] | None, typer.Option(help="what a global search looks for; the rest is solved (all)")
+    ] = None,
     domain: Annotated[Literal["displacement", "force"] | None, typer.Option(help="what is compared")] = None,
     per: Annotated[Literal["group"] | None, typer.Option(help="one set of parameters per group of runs")] = None,
     seed: Annotated[int | None, typer.Option(help="of all that is drawn at random (0)")] = None,
@@ -153,7 +156,7 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
 ) -> None:
     """Fit the current model, or another one that becomes the current one."""
     with working(study) as session:
-        how: dict[str, Any] = {"search": search, "domain": domain, "per": per, "seed": seed}
+        how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
     tell(result, as_json, "fit", session.path)
 

@@ -31,6 +31,7 @@ class Spec:
     search: str = "varpro"
     seed: int = 0
     per: str | None = None
+    over: str = "all"
 
     def edited(self, edit: str) -> Spec:
         """The same with one effect more (``"+texture"``) or less; what cancels is dropped."""
@@ -175,7 +176,7 @@ class Tried:
         return digest([keys, self.study.mass])
 
     def _fit(self, spec: Spec) -> Any:
-        how: dict[str, Any] = {"domain": spec.domain, "search": spec.search, "seed": spec.seed}
+        how: dict[str, Any] = {"domain": spec.domain, "search": spec.search, "seed": spec.seed, "over": spec.over}
         if spec.per is not None:
             how["per"] = spec.per
         if self.study.mass is not None:
@@ -184,7 +185,7 @@ class Tried:
 
     def papers(self) -> Any:
         """The current model by the papers' route (force domain, SGA), kept beside the others."""
-        spec = replace(self.current()[1], domain="force", search="sga")
+        spec = replace(self.current()[1], domain="force", search="sga", over="all")
         stamp = store.stamp(self.path, "papers")
         if stamp is None or stamp.key != self.key(spec):
             store.write(self.path, {"papers": self._entry(spec, self._fit(spec), current=False)})
