@@ -227,11 +227,16 @@ def export(
 
 
 @app.command()
-def effects(as_json: Json = False) -> None:
+def effects(
+    study: Annotated[Path | None, typer.Argument(metavar="[STUDY]", help="whose own formulas are listed too")] = None,
+    as_json: Json = False,
+) -> None:
     """The library: equations, parameters with units, what an effect looks like and is mistaken for."""
     from frictrack.effects import catalogue  # noqa: PLC0415
+    from frictrack.flow import open_study, own_effects  # noqa: PLC0415
 
-    tell({"effects": catalogue()}, as_json, "effects")
+    own = [] if study is None else own_effects(open_study(study).effects)
+    tell({"effects": catalogue(own)}, as_json, "effects")
 
 
 @app.command()
@@ -275,3 +280,21 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
     with bars() as progress:
         result = show_it(Path("frictrack_demo"), seed, progress)
     tell(result, as_json, "demo", result["report"])
+
+
+@app.command()
+def reproduce(
+    quick: Annotated[bool, typer.Option("--quick", help="few seeds: everything runs, nothing is proved")] = False,
+    out: Annotated[Path, typer.Option("-o", "--out", help="folder for page, figures, tables and JSON")] = Path(
+        "frictrack_reproduce"
+    ),
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Tables and figures of both papers again: printed values beside ours, and which claims hold."""
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.reproduce import reproduce as make  # noqa: PLC0415
+
+    with bars() as progress:
+        result = make(out, quick=quick, seed=seed, progress=progress)
+    tell(result, as_json, "reproduce", result["page"])

@@ -53,6 +53,8 @@ def plus_minus(value: float | None, std: float | None) -> str:
 def fit(out: Console, result: dict[str, Any]) -> None:
     """Parameters with deviations and units, then the errors."""
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
+    if "equation" in result:
+        out.print(escape(result["equation"]))
     out.print(parameters(result["parameters"]))
     for line in result.get("remarks", []):
         out.print(escape(line))
@@ -138,7 +140,8 @@ def history(out: Console, result: dict[str, Any]) -> None:
     cells = _errors([model["errors"] for model in result["models"]])
     table = _table("model", *(ERRORS[key][1] for key in cells))
     for model, *values in zip(result["models"], *cells.values(), strict=True):
-        table.add_row(escape(model["name"]), *values)
+        name = "\n  ".join([model["name"], *model.get("settings", [])])
+        table.add_row(escape(name), *values)
     out.print(table)
 
 
@@ -216,6 +219,19 @@ def demo(out: Console, result: dict[str, Any]) -> None:
         edit(out, result["add"])
     out.print("Every model tried:")
     history(out, result["history"])
+
+
+def reproduce(out: Console, result: dict[str, Any]) -> None:
+    """Every claim of the papers with its verdict."""
+    for part in result["parts"]:
+        out.print(f"[bold]{escape(part['title'])}[/bold]")
+        for c in part["claims"]:
+            out.print(f"  {c['where']}: {c['claim']}: [bold]{c['verdict']}[/bold]", soft_wrap=True)
+            out.print(f"    printed: {escape(c['printed'])}; here: {escape(c['ours'])}", soft_wrap=True)
+    n = result["counts"]
+    out.print(f"{n['holds']} claims hold, {n['fails']} do not, {n['open']} cannot be decided")
+    if result["quick"]:
+        out.print("quick: few seeds, so no statistics")
 
 
 def stages(out: Console, result: dict[str, Any]) -> None:

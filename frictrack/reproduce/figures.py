@@ -1,0 +1,172 @@
+"""The papers' figures, drawn from what came out here. Readable in grey: lines differ in dash, markers in shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frictrack.plots import style
+from frictrack.records import Array
+from frictrack.reproduce.recordings import Recording
+from frictrack.reproduce.series import Series
+
+LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": style.VERMILLION, "linestyle": "-"},
+    {"color": style.BLUE, "linestyle": (0, (5, 1.5))},
+    {"color": style.GREEN, "linestyle": (0, (1, 1))},
+)
+SEEN: dict[str, Any] = {"color": "#999999", "linewidth": 1.0}
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (9, 2)))
+Curve = tuple[str, Array]  # label, values along a series
+
+
+def _room(ax: Axes) -> None:
+    ax.legend(loc="upper right", ncols=2)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.22 * (high - low))
+
+
+@style.styled
+def traces(title: str, panels: Mapping[str, tuple[Series, Sequence[Curve]]]) -> Figure:
+    """Acceleration over time: the papers' chain in grey, laws upon it; one panel per recording, side by side."""
+    figure = style.blank(3.3, title)
+    for ax, (name, (series, curves)) in zip(
+        figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
+    ):
+        ax.plot(1e3 * series.t, series.a, label="measured", **SEEN)
+        for (label, a), look in zip(curves, LOOKS, strict=False):
+            ax.plot(1e3 * series.t, a, label=label, **look)
+        ax.set(title=name, xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
+        _room(ax)
+    return figure
+
+
+@style.styled
+def motions(title: str, recordings: Mapping[str, Sequence[Recording]]) -> Figure:
+    """True velocity and acceleration of recordings over time, one column per group."""
+    figure = style.blank(4.6, title)
+    axes = figure.subplots(2, len(recordings), squeeze=False, sharex="col")
+    for column, (name, group) in zip(axes.T, recordings.items(), strict=True):
+        for recording, look in zip(group, style.RUNS, strict=False):
+            t = 1e3 * recording.truth.t
+            column[0].plot(t, recording.truth.v, label=recording.run.name, **look)
+            column[1].plot(t, recording.truth.a, **look)
+        column[0].set(title=name, ylabel="velocity v / (m/s)", ylim=(0, None))
+        column[0].legend(ncols=3, loc="lower left")
+        column[1].set(xlabel="time t / ms", ylabel="acceleration a / (m/s²)")
+    return figure
+
+
+@style.styled
+def forces(title: str, panels: Mapping[str, tuple[Series, Sequence[tuple[str, Array, Array]]]]) -> Figure:
+    """Friction over speed: measured points, and laws as (label, v, F)."""
+    figure = style.blank(3.3, title)
+    for ax, (name, (series, curves)) in zip(
+        figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
+    ):
+        ax.plot(series.v, series.force, label="measured", **(style.DOTS | {"color": "#999999"}))
+        for (label, v, F), look in zip(curves, LOOKS, strict=False):
+            ax.plot(v, F, label=label, **look)
+        ax.set(title=name, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
+        _room(ax)
+    return figure
+
+
+@style.styled
+def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Sequence[float]]) -> Figure:
+    """Errors on a logarithmic axis, side by side: one cluster per group, one bar per method."""
+    figure = style.blank(3.6, title)
+    ax = figure.subplots()
+    width = 0.8 / len(series)
+    fills = (style.VERMILLION, "#FFFFFF", style.SKY, "#BBBBBB", style.BLUE, "#FFFFFF")
+    hatches = ("", "///", "", "...", "", "xx")
+    for i, (name, values) in enumerate(series.items()):
+        place = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
+        ax.bar(
+            place,
+            values,
+            0.92 * width,
+            label=name,
+            color=fills[i],
+            hatch=hatches[i],
+            edgecolor="#333333",
+            linewidth=0.7,
+        )
+    ax.set_xticks(range(len(groups)), groups)
+    ax.set(yscale="log", ylabel=label)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * (high / low) ** 0.25)
+    ax.legend(loc="upper left", ncols=len(series))
+    return figure
+
+
+@style.styled
+def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
+    """Fig. 17: the test function with its maximum."""
+    figure = style.blank(2.9, "Fig. 17  Test function, Eq. 8")
+    ax = figure.subplots()
+    ax.plot(x, y, color=style.BLUE, linewidth=1.2)
+    ax.plot(*place, "o", color=style.VERMILLION, markersize=6)
+    ax.annotate(f"{place[1]:.6f} at x = {place[0]:.6f}", place, (-8, 6), textcoords="offset points", ha="right")
+    ax.set(xlabel="x", ylabel="f = x sin(10 π x) + 2", ylim=(0, 4.3))
+    return figure
+
+
+@style.styled
+def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
+    """Figs. 18 and 19: generation of the last improvement, run by run, with our mean and the printed one."""
+    figure = style.blank(3.0, "Figs. 18, 19  Generation of the last improvement")
+    axes = figure.subplots(1, len(runs), sharey=True)
+    for ax, (name, last) in zip(axes, runs.items(), strict=True):
+        ax.plot(np.arange(1, len(last) + 1), last, **(style.DOTS | {"color": style.BLUE, "markersize": 4}))
+        ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
+        ax.axhline(printed[name], color=style.VERMILLION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
+        ax.set(title=name, xlabel="seed")
+        _room(ax)
+    axes[0].set_ylabel("generations")
+    return figure
+
+
+@style.styled
+def lengths(curves: Mapping[str, Array]) -> Figure:
+    """Code length over the generations, Eq. 7 as read and as printed."""
+    figure = style.blank(2.7, "Eq. 7  Code length", width=6.0)
+    ax = figure.subplots()
+    for (name, bits), look in zip(curves.items(), LOOKS, strict=False):
+        ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)
+    ax.set(xlabel="generation G", ylabel="code length L / bits", ylim=(0, 62))
+    ax.legend(loc="upper right")
+    return figure
+
+
+@style.styled
+def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
+    """How far above the lowest known error the runs of every setting end: cumulative shares."""
+    figure = style.blank(3.2, title, width=7.5)
+    ax = figure.subplots()
+    for (name, ratio), look in zip(finals.items(), style.RUNS, strict=False):
+        steps = np.sort(ratio)
+        dash = DASHES[list(finals).index(name) % len(DASHES)]
+        ax.step(
+            steps,
+            np.arange(1, len(steps) + 1) / len(steps),
+            where="post",
+            label=name,
+            color=look["color"],
+            linestyle=dash,
+        )
+    ax.axvline(local, color="#666666", linewidth=0.8)
+    ax.annotate("local optimum beyond", (local, 0.03), (4, 0), textcoords="offset points", fontsize=9)
+    ax.set(
+        xscale="log",
+        xlabel="final error / lowest error known",
+        ylabel="share of runs",
+        ylim=(0, 1.02),
+        xlim=(0.99, None),
+    )
+    ax.legend(loc="center right")
+    return figure

@@ -1,0 +1,139 @@
+"""The output folder: one self-contained page, figures as SVG, tables as CSV, everything as JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from frictrack import plots
+from frictrack.errors import FrictrackError
+from frictrack.report.page import IDS
+from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
+
+KINDS = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that was reproduced."""
+
+    parts: tuple[Part, ...]
+    seed: int
+    quick: bool
+
+    @property
+    def claims(self) -> list[Claim]:
+        """Every claim, in the order of the parts."""
+        return [claim for part in self.parts for claim in part.claims]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many claims hold, do not, and cannot be decided."""
+        verdicts = [claim.verdict for claim in self.claims]
+        return {kind: verdicts.count(verdict) for verdict, kind in KINDS.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON of `reproduce`."""
+        return {
+            "seed": self.seed,
+            "quick": self.quick,
+            "counts": self.counts,
+            "parts": [part.summary() for part in self.parts],
+        }
+
+
+def write(done: Reproduction, folder: Path) -> dict[str, Any]:
+    """Write page, figures, tables and JSON into `folder`; the JSON, with where it all lies.
+
+    Raises FrictrackError when the folder cannot be written.
+    """
+    try:
+        for sub in ("figures", "tables"):
+            (folder / sub).mkdir(parents=True, exist_ok=True)
+        for part in done.parts:
+            for name, (_, figure) in part.figures.items():
+                (folder / "figures" / f"{name}.svg").write_text(plots.svg(figure), encoding="utf-8")
+            for table in part.tables:
+                _write_csv(table, folder / "tables" / f"{table.name}.csv")
+        page = folder / "reproduce.html"
+        page.write_text(render(done), encoding="utf-8")
+        result = done.summary() | {"page": str(page), "output": str(folder)}
+        (folder / "reproduce.json").write_text(json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+    except OSError as e:
+        raise FrictrackError(
+            f"cannot write {e.filename or folder}: {e.strerror or e}; choose another folder with -o"
+        ) from e
+    return result
+
+
+def render(done: Reproduction) -> str:
+    """The page as HTML."""
+    loader = ChoiceLoader([PackageLoader("frictrack", "reproduce"), PackageLoader("frictrack", "report")])
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    marks = count(1)
+
+    def draw(figure: Figure) -> Markup:
+        """A figure within the page, with ids of its own."""
+        return Markup(IDS.sub(rf"\g<1>f{next(marks)}-", plots.svg(figure)))
+
+    return made.get_template("page.html.j2").render(
+        parts=done.parts,
+        claims=done.claims,
+        counts=done.counts,
+        quick=done.quick,
+        kinds=KINDS,
+        pictures={p.name: [(caption, draw(figure)) for caption, figure in p.figures.values()] for p in done.parts},
+        numeric=numeric,
+        number=number,
+    )
+
+
+def numeric(table: Table) -> set[int]:
+    """Columns of numbers."""
+    return {i for i, _ in enumerate(table.heads) if any(isinstance(row[i], float) for row in table.rows)}
+
+
+def number(cell: Cell) -> str:
+    """A cell for people: four digits."""
+    if cell is None:
+        return "\N{EN DASH}"
+    if isinstance(cell, str):
+        return cell
+    whole = cell == round(cell) and abs(cell) < 1e6
+    return f"{cell:.0f}".replace("-", "\N{MINUS SIGN}") if whole else plots.number(cell, 4)
+
+
+def _write_csv(table: Table, path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table.heads)
+        writer.writerows(table.rows)
+
+
+def shown(tables: Sequence[Table]) -> Markup:
+    """Tables as HTML, for a notebook."""
+    out = Markup("")
+    for t in tables:
+        right = numeric(t)
+        heads = Markup("").join(Markup("<th>{}</th>").format(h) for h in t.heads)
+        cells = Markup("").join(
+            Markup("<tr>{}</tr>").format(
+                Markup("").join(
+                    Markup('<td style="text-align:{}">{}</td>').format("right" if i in right else "left", number(c))
+                    for i, c in enumerate(row)
+                )
+            )
+            for row in t.rows
+        )
+        body = Markup("<h4>{}</h4><table><tr>{}</tr>{}</table><p>{}</p>").format(t.title, heads, cells, t.note)
+        out += body
+    return out
