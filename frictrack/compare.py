@@ -63,7 +63,9 @@ def history(fits: Sequence[Fit]) -> Comparison:
 
 
 def _entry(i: int, fit: Fit) -> dict[str, Any]:
-    return {"name": f"{i}_{'+'.join(fit.model.names)}", "model": fit.model.names, "errors": fit.errors}
+    """One model; `settings` tells in words what was fixed, tied or known of it beside the library."""
+    named = {"name": f"{i}_{'+'.join(fit.model.names)}", "model": fit.model.names, "settings": fit.model.settings}
+    return named | {"errors": fit.errors}
 
 
 def residual_force(response: Response, scale: float | None = None) -> ResidualForce:

@@ -323,7 +323,7 @@ def test_effect_tables_fix_and_bound(study_file: Path) -> None:
     with pytest.raises(FrictrackError, match=r'\[\[effect\]\] "drag": unknown parameter "k"'):
         open_study(study_file)
     edit(study_file, "fix = {k = 0.1}", 'tie = {c = "viscous.F_v"}')
-    with pytest.raises(FrictrackError, match="tie is not obeyed by this version"):
+    with pytest.raises(FrictrackError, match=r'"drag": tie: c follows viscous.F_v but the model is coulomb, drag; add'):
         open_study(study_file)
 
 

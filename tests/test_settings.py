@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, MASS, Spec, measured, study
+from runs import BASE, MASS, Spec, measured, study
 
 import frictrack as ft
-from frictrack import effects, models
-from frictrack.effects import settings
+from frictrack import models
+from frictrack.effects import catalogue, settings
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
-from frictrack.records import GRAVITY
+from frictrack.flow import Session, open_study, own_effects
 
 TWO = (Spec(4.0), Spec(5.0))
 LINE = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
@@ -404,6 +404,106 @@ def test_settings_of_an_effect_that_is_not_there_wait():
 def test_removing_a_leader_is_told(lines):
     law = model("coulomb,vibration,vibration:2", told("vibration:2", tie={"frequency": "2*vibration.frequency"}))
     with pytest.raises(
-        FrictrackError, match="frequency follows vibration.frequency but the model is coulomb, vibration:2"
+        FrictrackError, match=r"frequency follows vibration.frequency but the model is coulomb, vibration:2"
     ):
         ft.fit(law - "vibration", lines)
+
+
+# --- a study file
+
+
+STUDY = """
+[[effect]]
+effect = "magnet"
+formula = "L * s * F * exp(-((x - x_c)/w)^2 / 2)"
+units = {F = "N", x_c = "m", w = "m"}
+bounds = {w = [0.002, 0.05]}
+fix = {x_c = 0.12}
+
+[[effect]]
+effect = "viscous"
+prior = {F_v = [0.4, 0.001]}
+
+[[effect]]
+effect = "drag"
+fix = {c = 0.0}
+"""
+
+
+@pytest.fixture
+def study_of_its_own(study_file):
+    with study_file.open("a") as f:
+        f.write(STUDY)
+    return study_file
+
+
+def test_a_study_files_effects_are_fitted_kept_and_brought_back(study_of_its_own):
+    work = Session(open_study(study_of_its_own))
+    first = work.fit()
+    assert first["parameters"]["viscous.F_v"]["std"] < 0.0011
+    added = work.add("magnet")
+    assert added["parameters"]["magnet.x_c"] == {"value": 0.12, "std": 0.0, "unit": "m", "at_bound": False} | {
+        "reason": "fixed"
+    }
+    assert abs(added["parameters"]["magnet.F"]["value"]) < 4 * added["parameters"]["magnet.F"]["std"]
+    told = Session(open_study(study_of_its_own)).history()["models"]
+    assert [m["name"] for m in told] == ["1_coulomb+viscous", "2_coulomb+viscous+magnet"]
+    assert told[0]["settings"] == ["viscous.F_v known as 0.4 ± 0.001 N s/m"]
+    assert "magnet.x_c = 0.12 m" in told[1]["settings"]
+    back = Session(open_study(study_of_its_own)).tried
+    assert back.fit("2_coulomb+viscous+magnet").parameters["magnet.F"].value == pytest.approx(
+        added["parameters"]["magnet.F"]["value"], rel=1e-12
+    )
+
+
+def test_a_study_files_own_effects_are_listed_and_its_model_is_read_alone(study_of_its_own):
+    listed = catalogue(own_effects(open_study(study_of_its_own).effects))
+    entry = next(e for e in listed if e["name"] == "magnet")
+    assert [p["name"] for p in entry["parameters"]] == ["F", "x_c", "w"]
+    assert entry["equation"] == "L * s * F * exp(-((x - x_c)/w)^2 / 2)"
+    law = models.from_toml(study_of_its_own)
+    assert law.names == ["coulomb", "viscous"]
+    assert law.effects[1].parameter("F_v").prior == (0.4, 0.001)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('formula = "L * s', 'formula = "L * s * open(x)', '[[effect]] "magnet": expected a function among sin, cos'),
+        (
+            "fix = {x_c = 0.12}",
+            "fix = {x_k = 0.12}",
+            '[[effect]] "magnet": unknown parameter "x_k"; did you mean "x_c"?',
+        ),
+        ('w = "m"}', 'w = "mm"}', '[[effect]] "magnet": units: expected an SI unit of w, such as "m"'),
+        (
+            'effect = "drag"',
+            'effect = "drog"',
+            '[[effect]] "drog": expected the name of an effect but got "drog"; did you',
+        ),
+        ("prior = {F_v = [0.4, 0.001]}", 'prior = {F_v = "0.4"}', '[[effect]] "viscous", line 28: prior: '),
+        (
+            "prior = {F_v = [0.4, 0.001]}",
+            "fix = {F_v = true}",
+            '[[effect]] "viscous", line 28: fix: expected {parameter',
+        ),
+        (
+            "prior = {F_v = [0.4, 0.001]}",
+            "per_run = {F_v = 3}",
+            '[[effect]] "viscous", line 28: per_run: expected [param',
+        ),
+        (
+            "prior = {F_v = [0.4, 0.001]}",
+            'tie = {F_v = "drag.c"}',
+            '[[effect]] "viscous": tie: F_v follows drag.c but the',
+        ),
+    ],
+)
+def test_a_fault_in_a_study_file_names_its_table(study_of_its_own, old, new, said):
+    text = study_of_its_own.read_text()
+    assert old in text
+    study_of_its_own.write_text(text.replace(old, new))
+    with pytest.raises(FrictrackError) as caught:
+        open_study(study_of_its_own)
+    assert said in str(caught.value)
+    assert caught.value.usage
