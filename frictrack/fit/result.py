@@ -70,6 +70,11 @@ class Fit:
         return friction_law(self.solution.problem.model)
 
     @property
+    def equation(self) -> str:
+        """The law with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
+        return self.model.equation(self.parameters)
+
+    @property
     def weighed(self) -> tuple[Run, ...]:
         """The fitted runs, each with its mass: given, or the fitted one."""
         return tuple(weighed(run, self.reference.mass) for run in self.runs)
@@ -157,6 +162,7 @@ class Fit:
         return (
             {
                 "model": self.model.names,
+                "equation": self.equation,
                 "domain": self.domain,
                 "search": self.search,
                 "parameters": {k: e.json() | self._mu(k, e) for k, e in self.parameters.items()},
