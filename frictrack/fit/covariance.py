@@ -7,6 +7,7 @@ from scipy.stats import t as student
 
 from frictrack.fit.scatter import MIN_RUNS, restraint_rows
 from frictrack.fit.solve import Solution
+from frictrack.motion.noise import SPREAD
 from frictrack.records import Array
 
 Z95 = 1.96  # standard deviations of a normal law that hold 95 %
@@ -26,18 +27,20 @@ def plain_covariance(solution: Solution) -> tuple[Array, Array]:
 def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """Covariance of the unknowns (P, P), and which of them the data do not see, (P,).
 
-    A variance is known as well as the spread of few runs is, as far as it follows it: Student's t with
-    (runs - 1)/share^2 degrees of freedom, share = d log variance / d log spread^2 (Satterthwaite 1946).
+    The noise is told by the frames themselves, so a variance is known as well as it is: Student's t with as many
+    degrees of freedom as third differences leave. It is also known as well as the spread of few runs is, as far as it
+    follows it: (runs - 1)/share^2 degrees, share = d log variance / d log spread^2 (Satterthwaite 1946).
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
     full, unseen = plain_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
         return _by_segment(solution, full), unseen
+    full = full * (student.ppf(0.975, solution.problem.n_frames / SPREAD) / Z95) ** 2
     if len(layout.levels) < MIN_RUNS:
         return full, unseen
     more, _ = inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau, solution.p)]))
-    variance = np.maximum(np.diag(full), 1e-300)
+    variance = np.maximum(np.diag(plain_covariance(solution)[0]), 1e-300)
     share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
     widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / Z95
     return full * widen[:, None] * widen, unseen

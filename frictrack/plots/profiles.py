@@ -14,12 +14,13 @@ from scipy.interpolate import PchipInterpolator
 from scipy.stats import norm
 
 from frictrack.plots import style
-from frictrack.plots.style import axis, blank, number, scaled, styled
+from frictrack.plots.style import blank, number, scaled, styled
 from frictrack.records import Array
 
 TOP = 1.7  # of the limit: how high a panel goes
 DRAWN = 200  # points of a curve
 COLUMNS = 4
+WIDE = 30.0  # ratio of the ends of an interval from which the axis is logarithmic
 
 
 @styled
@@ -72,11 +73,15 @@ def _panel(ax: Axes, name: str, told: Mapping[str, Any], std: float | None) -> N
     ax.plot(factor * along, curve, color=style.BLUE, lw=1.5)
     ax.plot(factor * values, rise, color=style.BLUE, **(style.DOTS | {"markersize": 5.0}))
     ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
+    if ends[0] > 0 and ends[1] > WIDE * ends[0]:
+        low, high = 0.8 * ends[0], 1.25 * ends[1]
+        ax.set_xscale("log")
+    else:
+        ax.locator_params(axis="x", nbins=4)
     ax.set_xlim(factor * low, factor * high)
     ax.set_ylim(-0.06 * limit, TOP * limit)
-    ax.locator_params(axis="x", nbins=4)
     ax.set_title(name, fontweight="normal")
-    ax.set_xlabel(axis(_interval(told, factor), unit))
+    ax.set_xlabel(f"{_interval(told, factor)} {style.unit(unit)}".strip())
 
 
 def _reach(values: Array, rise: Array, told: Mapping[str, Any], limit: float) -> tuple[float, float]:
