@@ -58,7 +58,8 @@ def own(value: float | Array, path: Path, n: int) -> Array:
 def headings(v: Array) -> Array:
     """Direction of motion (n,): the sign of v, and at rest the one before; 0 until it first moves."""
     s = np.sign(v)
-    return np.asarray(s[np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))])
+    rows = np.where(s != 0, np.arange(len(s)), 0)
+    return np.asarray(s[np.maximum.accumulate(rows)]) if len(s) else s
 
 
 def followed(

@@ -15,12 +15,15 @@ import numpy as np
 from scipy.optimize import brentq
 
 from frictrack.effects import Path
+from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import NODES, Panels, solve
 
 WINDOW = 64  # panels solved at once
+LONGEST = 4000  # states before a window along which a law with memory is followed
+SHORT_WINDOW = 16  # where a reversal soon ends them
 AGREE = 1e-10  # m, within which two cuts of time must agree on the displacement
 HALVINGS = 6  # of the panels, at most
 
@@ -99,6 +102,18 @@ class _Walk:
         path = self.conditions.along(x, v, t, s)
         return replace(path, before=way[:3], travelled=float(way[3, -1]), begins=float(way[1, -1]))
 
+    def force(self, x: Array, v: Array, t: Array, s: float) -> Array:
+        """Friction at the last of the given places (n,), all of them slid through in direction s."""
+        if not self.model.memory:
+            return self.model.force(self.path(x, v, t, s), self.values)
+        way = self.way(float(t[0]))
+        lately = way[:3, way[0] < t[0]][:, -LONGEST:]
+        path = self.path(*(np.append(q, new) for q, new in zip(lately[[1, 2, 0]], (x, v, t), strict=True)), s)
+        path.s[: -len(t)] = headings(lately[2])
+        if self.model.turns and not np.any(lately[2]) and v[0] == 0:
+            path.s[: 1 - len(t) or None] = 0.0  # so far it has only rested
+        return self.model.force(path, self.values)[-len(t) :]
+
     def way(self, until: float) -> Array:
         """t, x, v and distance slid (4, k) from release up to a time."""
         new = [(t, x, v, 0.0) for t, (x, v, _) in islice(self.states.items(), self._way.shape[1], None)]
@@ -116,14 +131,14 @@ class _Walk:
 
     def acceleration(self, s: float) -> Callable[[Array, Array, Array], Array]:
         def law(x: Array, v: Array, t: Array) -> Array:
-            return (self.push(t) - self.model.force(self.path(x, v, t, s), self.values)) / self.conditions.mass
+            return (self.push(t) - self.force(x, v, t, s)) / self.conditions.mass
 
         return law
 
     def excess(self, x: float, t: Array, s: float) -> Array:
         """Push beyond the friction of starting in direction s from rest at x, N, positive when it starts."""
         zero = np.zeros_like(t)
-        return s * (self.push(t) - self.model.force(self.path(zero + x, zero, t, s), self.values))
+        return s * (self.push(t) - self.force(zero + x, zero, t, s))
 
 
 def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
@@ -183,31 +198,31 @@ def _rest(walk: _Walk, ahead: Array, x: float) -> tuple[float, float, float]:
 
 def _slide(walk: _Walk, ahead: Array, start: tuple[float, float], s: float) -> tuple[float, float, float]:
     """Slide in direction s through at most `WINDOW` panels, or to the stop."""
-    panels = Panels(ahead[: WINDOW + 1])
+    panels = Panels(ahead[: (SHORT_WINDOW if walk.model.turns else WINDOW) + 1])
     law = walk.acceleration(s)
     first = float(law(np.array([start[0]]), np.array([start[1]]), panels.edges[:1])[0])
-    motion, _ = solve(law, panels, start, np.full(len(panels.t), first))
+    motion, _ = solve(law, panels, start, np.full(len(panels.t), first), memory=walk.model.memory)
     stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
     last = int(stopped[0]) + 1 if len(stopped) else len(panels.edges)  # edges before the stop
     for k in range(last):
         walk.states[float(panels.edges[k])] = (float(motion.x_edge[k]), float(motion.v_edge[k]), s)
     if not len(stopped):
         return float(panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
-    return _stop(law, panels, (motion.x_edge[last - 1], motion.v_edge[last - 1]), motion.a, last - 1)
+    return _stop(walk, s, panels, (motion.x_edge[last - 1], motion.v_edge[last - 1]), motion.a[3 * last - 3 : 3 * last])
 
 
-def _stop(
-    law: Callable[[Array, Array, Array], Array], panels: Panels, state: tuple[float, float], a: Array, k: int
-) -> tuple[float, float, float]:
-    """Time and place of the stop inside panel k."""
-    h, begin = panels.h[k], panels.edges[k]
-    curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a.reshape(-1, 3)[k], 2)[::-1]).integ(k=float(state[1]))
+def _stop(walk: _Walk, s: float, panels: Panels, state: tuple[float, float], a: Array) -> tuple[float, float, float]:
+    """Time and place of the stop inside the panel that begins in a state and has node accelerations a (3,)."""
+    k = int(np.searchsorted(panels.edges, max(walk.states), side="left"))
+    h, begin, law = panels.h[k], panels.edges[k], walk.acceleration(s)
+    curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a, 2)[::-1]).integ(k=float(state[1]))
     tau = float(brentq(curve, 0.0, h)) if curve(0.0) * curve(h) < 0 else h
     if tau < 1e-12:
         return float(begin) + 1e-9, float(state[0]), 0.0
     for _ in range(4):  # the polynomial only guesses the moment: the law itself settles it
         piece = Panels(np.array([begin, begin + tau]))
-        motion, _ = solve(law, piece, (float(state[0]), float(state[1])), np.full(3, float(a[3 * k])))
+        where = float(state[0]), float(state[1])
+        motion, _ = solve(law, piece, where, np.full(3, float(a[0])), memory=walk.model.memory)
         braking = float(law(motion.x_edge[-1:], motion.v_edge[-1:], piece.edges[-1:])[0])
         late = float(motion.v_edge[-1]) / braking if braking else 0.0
         if abs(late) < 1e-13:
@@ -223,8 +238,7 @@ def _collect(walk: _Walk, t: Array, states: States) -> Slide:
     cuts = np.flatnonzero(np.diff(s)) + 1
     for rows in np.split(np.arange(len(known)), cuts):  # the way so far counts, so every state of a slide is passed
         if s[rows[0]]:
-            path = walk.path(x[rows], v[rows], known[rows], float(s[rows[0]]))
-            force[rows] = walk.model.force(path, walk.values)
+            force[rows] = walk.force(x[rows], v[rows], known[rows], float(s[rows[0]]))
     at = np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
     x, v, force = x[at], v[at], force[at]
     a = (walk.push(t) - force) / walk.conditions.mass
