@@ -257,7 +257,9 @@ class Session:
         return int(json.loads(held.settings)["seed"]) if held else 0
 
     def _papers(self) -> tuple[ModelResults | None, tuple[str, ...]]:
-        """The papers' route beside ours, or in words why not."""
+        """The papers' route beside ours, or in words why not; friction that was measured has no other route."""
+        if any(run.friction_N is not None for run in self.tried.runs):
+            return None, ()
         try:
             return self.tried.papers(), ()
         except FrictrackError as e:

@@ -6,6 +6,7 @@ plots.motion(run).savefig("v3.pdf")
 from frictrack.plots.budget import budget
 from frictrack.plots.cutoff import cutoff
 from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained
+from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
@@ -23,6 +24,7 @@ __all__ = [
     "history",
     "limited",
     "limits",
+    "loops",
     "modelled",
     "motion",
     "noise_um",

@@ -21,6 +21,7 @@ from frictrack.results import ModelResults
 
 SIGNIFICANT = 0.005  # half of alpha = 0.01: the share of the candidates (DESIGN section 7)
 SPREAD = 30.0  # ratio of the largest to the smallest evidence from which the axis is logarithmic
+FAR_BELOW = 0.02  # of the smallest error: noise that is less is told in the title alone
 SPREAD_ERRORS = 8.0  # the same for held-out errors
 RESULTS = ("limit", "rise")  # curves of a candidate that are no settings
 
@@ -189,7 +190,7 @@ def history(models: Sequence[ModelResults]) -> Figure:
     ax.plot(places, values, color=style.BLUE, marker="o", markersize=8, lw=1.8)
     for x, y in zip(places, values, strict=True):
         ax.annotate(number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
-    if noise is not None:
+    if noise is not None and noise > FAR_BELOW * float(np.nanmin(values)):
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
         ax.annotate(f"noise {number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", va="bottom")  # fmt: skip
@@ -202,7 +203,9 @@ def history(models: Sequence[ModelResults]) -> Figure:
 
 def _falling_axis(ax: Axes, values: Array, noise: float | None) -> None:
     """From zero, or logarithmic where the error falls so far that its end could not be seen."""
-    known = np.append(values[np.isfinite(values)], [] if noise is None else noise)
+    known = values[np.isfinite(values)]
+    if noise is not None and len(known) and noise > FAR_BELOW * float(known.min()):
+        known = np.append(known, noise)
     top = float(known.max(initial=0.0)) or 1.0
     if len(known) and 0 < float(known.min()) < top / SPREAD_ERRORS:
         ax.set_yscale("log")

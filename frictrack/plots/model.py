@@ -22,6 +22,7 @@ from frictrack.plots.style import axis, band, blank, number, plain_name, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
+GAP = 1.5  # usual steps of time beyond which a line is broken
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
 AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
@@ -205,7 +206,10 @@ def _force(ax: Axes, model: ModelResults, run: RunResults) -> None:
 def force(model: ModelResults, curve: Curve) -> Array:
     """The model's force, NaN in a blow too short to be resolved: its impulse is known, its peak is not."""
     own = next((told for told in model.motion if told.run == curve.run), None)
-    return curve.F_model if own is None else style.broken(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
+    if own is None:
+        steps = np.diff(curve.t, prepend=curve.t[0])
+        return style.broken(curve.F_model, steps <= GAP * np.median(steps))
+    return style.broken(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
 
 
 def _measured(ax: Axes, run: RunResults) -> None:

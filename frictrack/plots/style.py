@@ -155,7 +155,7 @@ def across(n: int) -> int:
 def scaled(values: Array, written: str) -> tuple[float, str]:
     """Factor and unit in which small lengths, times and forces read as plain numbers: ``(1e3, "mm")``."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
-    if written not in ("m", "s", "N", "N s") or not 0 < largest < 1.0:
+    if written not in ("m", "s", "N", "N s", "m/s") or not 0 < largest < 1.0:
         return 1.0, written
     return (1e3, f"m{written}") if largest >= 5e-4 else (1e6, f"µ{written}")
 

@@ -88,6 +88,8 @@ def render(results: Results) -> str:
         worth=budgets.told(results.runs),
         sources=budgets.sources(results.runs),
         fits=[draw(plots.fit(m, results.runs)) for m in _drawn(results)],
+        loops=_loops(results, draw),
+        by_cell=words.measured_friction(results),
         own=_own(results, draw),
         told=words.own_motion(results.current) if results.current else [],
         trials=[_trial(m, results, draw) for m in _failed(results)],
@@ -147,6 +149,14 @@ def _failed(results: Results) -> list[ModelResults]:
 def _drawn(results: Results) -> list[ModelResults]:
     """The model in force."""
     return [results.current] if results.current is not None else []
+
+
+def _loops(results: Results, draw: _Draw) -> Markup:
+    """Loops of the friction force, where it was measured and is what the model in force was fitted to."""
+    model = results.current
+    if model is None or model.summary["errors"].get("rms_N") is None:
+        return Markup("")
+    return draw(plots.loops(model, results.runs))
 
 
 def _own(results: Results, draw: _Draw) -> Markup:

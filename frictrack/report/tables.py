@@ -78,7 +78,10 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
         return "not resolved: the impulse is known, a peak force is not"
     if p.get("reason"):
         return str(p["reason"])
-    return "at its bound: the true value may lie beyond" if p.get("at_bound") else ""
+    if p.get("at_bound"):
+        return "at its bound: the true value may lie beyond"
+    mu = p.get("mu")
+    return "" if mu is None else f"µ = {quantity(mu['value'], mu['std'], '1')}"
 
 
 def certainty(model: ModelResults) -> Table:
@@ -132,6 +135,8 @@ def _beside(p: Mapping[str, Any] | None) -> str:
 
 ERRORS = (
     ("rms_displacement_um", "displacement, rms", "µm", 1.0),
+    ("rms_N", "friction force, rms", "N", 1.0),
+    ("noise_N", "noise of the measured force", "N", 1.0),
     ("heldout_rms_um", "held out, rms", "µm", 1.0),
     ("heldout_rms_N", "held out, rms", "N", 1.0),
     ("rms_acceleration", "acceleration, rms", "m/s²", 1.0),

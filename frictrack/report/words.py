@@ -26,6 +26,9 @@ SCALE_LINE = (
     "Forces go with the mass and the scale, and with the square of the frame rate: a constant error in any of them "
     "fits perfectly and shows nowhere else."
 )
+MEASURED_LINE = (
+    "Friction itself was measured: zero and sensitivity of the load cell go into every force and show nowhere else."
+)
 NO_SCALE_ERROR = 'How well the scale is known was not given; written as "0.500 +/- 0.002 mm/px" it is carried on.'
 
 
@@ -61,8 +64,15 @@ def scale_error(results: Results) -> float:
     return max((r.displacement.relative_scale_error for r in inferred), default=0.0)
 
 
+def measured_friction(results: Results) -> bool:
+    """Whether a load cell measured the friction of these runs."""
+    return any(r.sensors is not None and r.sensors.friction_N is not None for r in results.runs)
+
+
 def scale_line(results: Results) -> str:
     """What scale and mass do to forces, and how well the scale is known."""
+    if measured_friction(results):
+        return MEASURED_LINE
     error = scale_error(results)
     if error > 0:
         return (
