@@ -88,7 +88,7 @@ class Model:
         """
         force = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "force"]
         picture = [self._written(e, estimates or {}) for e in self.effects if e.acts_on == "measurement"]
-        return "F = " + (" + ".join(force) or "0") + "".join(f"; y: {p}" for p in picture)
+        return "F = " + (" + ".join(force) or "0") + "".join(f"; {p}" for p in picture)
 
     def _written(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
         """The equation of one effect, the symbols of a further instance with its number."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, Slider, force
@@ -97,7 +100,218 @@ def test_the_printed_model_is_the_sum_of_its_equations():
     assert str(models.parse("coulomb,viscous,lens")) == "F = F_c L s + F_v v; y: k (x - x_c)^3"
     text = str(models.parse("atm1:2"))
     assert text.startswith("F = F_c L s + (F_s - F_c) L s exp(-(|v|/v_s)^delta) + F_v v + amplitude sin(2 pi")
-    assert text.count("amplitude sin(2 pi frequency t + phase)") == 2
+    assert text.endswith("amplitude sin(2 pi frequency t + phase) + amplitude_2 sin(2 pi frequency_2 t + phase_2)")
+
+
+def known(**values):
+    return {k.replace("__", "."): SimpleNamespace(value=v, std=std) for k, (v, std) in values.items()}
+
+
+def test_the_printed_model_takes_its_numbers():
+    law = models.parse("coulomb,stribeck,viscous,vibration,vibration:2")
+    told = known(
+        coulomb__F_c=(8.0123, 0.0213),
+        stribeck__F_s=(12.1, 0.0),
+        stribeck__delta=(1.0, 0.0),
+        viscous__F_v=(-1.234, 0.11),
+    )
+    told |= known(vibration__amplitude=(0.5, 1.2), stribeck__v_s=(None, None))
+    told["vibration:2.frequency"] = SimpleNamespace(value=122.6, std=0.01)
+    told["vibration.phase[v3]"] = SimpleNamespace(value=1.0, std=0.1)
+    assert law.equation(told) == (
+        "F = 8.01(2) L s + (12.1 - 8.01(2)) L s exp(-(|v|/v_s)^1) + (-1.23(11)) v"
+        " + 0.5(1.2) sin(2 pi frequency t + phase) + amplitude_2 sin(2 pi 122.600(10) t + phase_2)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (8.0123, 0.0213, "8.01(2)"),
+        (8.0123, 0.0013, "8.0123(13)"),
+        (0.35, 0.002, "0.350(2)"),
+        (1234.5, 3.2, "1234(3)"),
+        (120.4, 12.0, "120(12)"),
+        (1.1e-5, 2.6e-7, "1.10(3)e-5"),
+        (2.5e7, 4e5, "2.50(4)e7"),
+        (0.0, 0.3, "0.0(3)"),
+        (8.0, 0.0, "8"),
+        (8.0, None, "8"),
+        (8.0, np.inf, "8"),
+    ],
+)
+def test_a_number_carries_its_deviation_in_its_last_digit(value, std, text):
+    printed = models.of(["coulomb"]).equation(known(coulomb__F_c=(value, std)))
+    assert printed == f"F = {text} L s"
+
+
+# --- equality, settings in words, TOML
+
+
+def test_equal_models_are_equal_and_have_one_hash():
+    for make in (models.tustin, models.stribeck_model, lambda: models.atm1(3), lambda: models.atm2(2), models.lugre):
+        assert make() == make()
+        assert hash(make()) == hash(make())
+    assert models.tustin() != models.stribeck_model()
+    assert models.atm2(2) != models.atm2(3)
+    line = effects.get("vibration")
+    fixed = [line.adjusted(frequency={"fixed": f}) for f in (60.0, 60.0, 61.0)]
+    assert models.of([fixed[0]]) == models.of([fixed[1]])
+    assert models.of([fixed[0]]) != models.of([fixed[2]])
+
+
+SET = """
+model = ["coulomb", "stribeck", "vibration", "vibration:2", "magnet"]
+
+[[effect]]
+effect = "coulomb"
+per_run = ["F_c"]
+
+[[effect]]
+effect = "stribeck"
+fix = {delta = false}
+prior = {F_s = [9, 0.1]}
+
+[[effect]]
+effect = "vibration"
+bounds = {frequency = [50, 70]}
+per_run = {phase = false}
+
+[[effect]]
+effect = "vibration:2"
+tie = {frequency = "2*vibration.frequency"}
+fix = {amplitude = 0.5}
+
+[[effect]]
+effect = "magnet"
+formula = "F * exp(-((x - x_c)/w)^2)"
+units = {F = "N", x_c = "m", w = "m"}
+bounds = {w = [0.001, 0.1]}
+fix = {x_c = 0.2}
+
+[[effect]]
+effect = "texture"
+fix = {period = 0.03}
+"""
+
+
+def test_a_model_is_read_from_toml_and_written_to_it():
+    law = models.from_toml(SET)
+    assert law.settings == [
+        "coulomb.F_c per run",
+        "stribeck.F_s known as 9 ± 0.1 N",
+        "stribeck.delta free",
+        "vibration.frequency in [50, 70] Hz",
+        "vibration.phase shared",
+        "vibration:2.amplitude = 0.5 N",
+        "vibration:2.frequency = 2*vibration.frequency",
+        "magnet.x_c = 0.2 m",
+    ]
+    again = models.from_toml(law.to_toml())
+    assert again == law
+    assert again.to_toml() == law.to_toml()
+    assert tomllib.loads(law.to_toml())["model"] == law.names
+
+
+@pytest.mark.parametrize("name", [*models.NAMED, "coulomb,viscous,lens,camera_shake:3"])
+def test_every_named_model_survives_toml(name):
+    law = models.parse(name if name not in ("atm1", "atm2") else f"{name}:3")
+    assert models.from_toml(law.to_toml()) == law
+
+
+@pytest.mark.parametrize("name", list(effects.LIBRARY))
+def test_every_effect_survives_toml_fixed_and_per_run(name):
+    base = effects.get(name)
+    one = base.parameters[0]
+    changed = base.adjusted(**{one.name: {"fixed": 0.5}}, **{p.name: {"per_run": True} for p in base.parameters[1:]})
+    law = models.of([*(sorted(base.modifies)[:1]), changed])
+    assert models.from_toml(law.to_toml()) == law
+
+
+def test_a_model_file_is_read_by_its_path(tmp_path):
+    path = tmp_path / "law.toml"
+    path.write_text(models.atm1(2).to_toml())
+    assert models.from_toml(path) == models.from_toml(str(path)) == models.atm1(2)
+    path.write_text('[study]\nmodel = "tustin"\n')
+    assert models.from_toml(path) == models.tustin()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("model = [", "expected a model in TOML but got a text that cannot be read"),
+        ("gone.toml", "expected a model in TOML but got gone.toml that cannot be read"),
+        ("name = 1", 'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]'),
+        ('model = ["colomb"]', 'expected the name of an effect but got "colomb"; did you mean "coulomb"?'),
+        (
+            'model = "tustin"\n[[effect]]\nfix = {a = 1}',
+            "[[effect]]: expected effect = the name of an effect but got None",
+        ),
+    ],
+)
+def test_toml_that_is_no_model_is_told_in_one_sentence(text, said):
+    with pytest.raises(FrictrackError) as caught:
+        models.from_toml(text)
+    assert said in str(caught.value)
+    assert caught.value.usage
+
+
+def test_an_effect_made_by_hand_cannot_be_written():
+    law = models.of(["coulomb", effects.get("drag").called("drog")])
+    with pytest.raises(
+        FrictrackError, match="drog is neither of the library nor a formula; declare it with @frictrack"
+    ):
+        law.to_toml()
+    assert law.settings == []
+
+
+# --- the papers' equations, written out
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("s", [1.0, -1.0])
+def test_atm1_is_the_papers_equation_3(n, s):
+    path, rng = path_of(s, load=1.0), np.random.default_rng(n)
+    names = ["vibration", *(f"vibration:{i}" for i in range(2, n + 1))]
+    waves = rng.uniform([0.1, 10, -3], [1, 300, 3], (n, 3))
+    values = {k: dict(v) for k, v in BASE.items()} | {
+        name: dict(zip(("amplitude", "frequency", "phase"), wave, strict=True))
+        for name, wave in zip(names, waves, strict=True)
+    }
+    f_c, rise, v_s, f_v = 8.0, 6.0, 0.4, 1.2  # F_s - F_c is the rise
+    truth = s * (f_c + rise * np.exp(-np.abs(path.v) / v_s)) + f_v * path.v
+    truth += sum(a * np.sin(2 * np.pi * f * path.t + phi) for a, f, phi in waves)
+    law = models.atm1(n)
+    np.testing.assert_allclose(law.force(path, values), truth, rtol=1e-12)
+    free = [p for e in law.effects for p in e.parameters if p.fixed is None]
+    assert len(free) == 4 + 3 * n  # ten at n = 2, as the paper counts
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_atm2_is_the_papers_equation_4_with_its_count_of_parameters(n):
+    path, rng = path_of(load=1.0), np.random.default_rng(n)
+    pairs = rng.uniform([10, -3], [300, 3], (2 * n, 2))
+    own = {"f_c": 2.0, "f_s": 5.0, "f_v": 0.7, "v_s": 0.4}
+    for kind, some in (("sliding", pairs[:n]), ("viscous", pairs[n:])):
+        for i, (f, phi) in enumerate(some, 1):
+            own |= {f"{kind}_frequency_{i}": f, f"{kind}_phase_{i}": phi}
+    s_c = sum(np.sin(2 * np.pi * f * path.t + phi) for f, phi in pairs[:n])
+    s_v = sum(np.sin(2 * np.pi * f * path.t + phi) for f, phi in pairs[n:])
+    truth = s_c * 2.0 + (5.0 - s_c * 2.0) * np.exp(-path.v / 0.4) + s_v * 0.7 * path.v
+    law = models.atm2(n)
+    np.testing.assert_allclose(law.force(path, {f"atm2:{n}": own}), truth, rtol=1e-12, atol=1e-12)
+    assert len(law.effects[0].parameters) == 4 + 4 * n  # twelve at n = 2
+
+
+def test_the_freer_physical_forms_modulate_load_and_viscosity():
+    law = models.tustin() + "load_modulation" + "viscous_modulation"
+    line = {"depth": 0.2, "frequency": 40.0, "phase": 0.3}
+    other = {"depth": 0.4, "frequency": 90.0, "phase": -1.0}
+    path = path_of(load=1.0)
+    wave = [1 + q["depth"] * np.sin(2 * np.pi * q["frequency"] * path.t + q["phase"]) for q in (line, other)]
+    dry = 8.0 + 6.0 * np.exp(-path.v / 0.4)
+    values = BASE | {"load_modulation": line, "viscous_modulation": other}
+    np.testing.assert_allclose(law.force(path, values), dry * wave[0] + 1.2 * path.v * wave[1], rtol=1e-12)
 
 
 def path_of(s=1.0, load=1.2, mass_ratio=1.5):

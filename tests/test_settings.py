@@ -13,6 +13,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, own_effects
 
+WIDER = 0.02  # as far as a stated deviation is wider than a known noise would make it
 TWO = (Spec(4.0), Spec(5.0))
 LINE = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
 OVERTONE = {"amplitude": 0.6, "frequency": 122.6, "phase": 0.2}
@@ -70,7 +71,7 @@ def test_a_prior_is_one_more_row_of_least_squares(std):
     value, deviation = least_squares(run, [(mean, std)])
     found = ft.fit(model("coulomb", told("coulomb", prior={"F_c": [mean, std]})), [run]).parameters["coulomb.F_c"]
     assert found.value == pytest.approx(value, abs=1e-3 * deviation)
-    assert found.std == pytest.approx(deviation, rel=1e-4)
+    assert found.std == pytest.approx(deviation, rel=WIDER)
     assert found.reason is None
 
 
@@ -82,7 +83,7 @@ def test_what_is_fixed_is_subtracted_and_told():
     assert fitted["slope.F"].std == 0.0
     assert fitted["slope.F"].reason == "fixed"
     assert fitted["coulomb.F_c"].value == pytest.approx(whole - 0.5, abs=1e-3 * deviation)
-    assert fitted["coulomb.F_c"].std == pytest.approx(deviation, rel=1e-4)
+    assert fitted["coulomb.F_c"].std == pytest.approx(deviation, rel=WIDER)
 
 
 def test_a_tie_is_as_well_known_as_what_it_follows():
@@ -91,9 +92,9 @@ def test_a_tie_is_as_well_known_as_what_it_follows():
     whole, deviation = least_squares(run)
     fitted = ft.fit(model("coulomb,slope", told("slope", tie={"F": "0.25*coulomb.F_c"})), [run]).parameters
     assert fitted["coulomb.F_c"].value == pytest.approx(whole / 1.25, abs=1e-3 * deviation)
-    assert fitted["coulomb.F_c"].std == pytest.approx(deviation / 1.25, rel=1e-4)
+    assert fitted["coulomb.F_c"].std == pytest.approx(deviation / 1.25, rel=WIDER)
     assert fitted["slope.F"].value == pytest.approx(whole / 5, abs=1e-3 * deviation)
-    assert fitted["slope.F"].std == pytest.approx(deviation / 5, rel=1e-4)
+    assert fitted["slope.F"].std == pytest.approx(deviation / 5, rel=WIDER)
     assert fitted["slope.F"].reason == "tied to 0.25*coulomb.F_c"
 
 
@@ -111,9 +112,9 @@ def test_a_prior_settles_what_one_direction_cannot():
     whole, deviation = least_squares(run)
     fitted = ft.fit(model("coulomb,slope", told("slope", prior={"F": [0.3, 0.05]})), [run]).parameters
     assert fitted["slope.F"].value == pytest.approx(0.3, abs=1e-3)
-    assert fitted["slope.F"].std == pytest.approx(0.05, rel=1e-3)
+    assert fitted["slope.F"].std == pytest.approx(0.05, rel=WIDER)
     assert fitted["coulomb.F_c"].value == pytest.approx(whole - 0.3, abs=1e-3)
-    assert fitted["coulomb.F_c"].std == pytest.approx(np.hypot(deviation, 0.05), rel=1e-3)
+    assert fitted["coulomb.F_c"].std == pytest.approx(np.hypot(deviation, 0.05), rel=WIDER)
 
 
 # --- values as they are quoted

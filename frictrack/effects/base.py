@@ -182,9 +182,7 @@ class Effect:
         known = {p.name for p in self.parameters}
         if not changes.keys() <= known:
             raise KeyError(f"{self.name} has {', '.join(sorted(known))} but not {', '.join(changes.keys() - known)}")
-        parameters = tuple(
-            _confined(replace(p, **changes[p.name])) if p.name in changes else p for p in self.parameters
-        )
+        parameters = tuple(_adjusted(p, changes.get(p.name, {})) for p in self.parameters)
         return replace(self, parameters=parameters)
 
 
@@ -212,12 +210,15 @@ class Within:
         return np.unique(np.clip(grid, low, high))
 
 
-def _confined(p: Parameter) -> Parameter:
-    """A non-linear parameter whose scan keeps to its bounds."""
-    inner = p.scan.scan if isinstance(p.scan, Within) else p.scan
-    if p.linear or p.role in ("phase", "depth") or (inner is None and not np.all(np.isfinite(p.bounds))):
-        return p
-    return replace(p, scan=Within(p.bounds, inner))
+def _adjusted(p: Parameter, change: Mapping[str, Any]) -> Parameter:
+    """A changed parameter; the scan of one with new bounds keeps to them, one that is freed gets a scan."""
+    made = replace(p, **change)
+    inner = made.scan.scan if isinstance(made.scan, Within) else made.scan
+    scanned = not (made.linear or made.role in ("phase", "depth"))
+    freed = inner is None and made.free and bool(np.all(np.isfinite(made.bounds)))
+    if scanned and (freed or ("bounds" in change and inner is not None)):
+        return replace(made, scan=Within(made.bounds, inner))
+    return made
 
 
 def wave(cycles: Array, phase: float) -> Array:

@@ -78,7 +78,7 @@ def formula(
     return Effect(
         name=name,
         acts_on=acts_on,
-        equation=" ".join(text.split()),
+        equation=("" if acts_on == "force" else "y: ") + " ".join(text.split()),
         parameters=tuple(made),
         columns=Formula(name, text, tuple(linear)),
         scales_with="load" if any(loads.values()) else "nothing",

@@ -72,7 +72,7 @@ def effect(
         found = Effect(
             name=name,
             acts_on=acts_on,
-            equation=" + ".join(f"{p} {name}({', '.join(taken)})" for p in linear),
+            equation=("" if acts_on == "force" else "y: ") + " + ".join(f"{p} {name}({', '.join(taken)})" for p in linear),
             parameters=made,
             columns=Columns(function, taken, len(linear)),
             scales_with=scales_with,
