@@ -11,7 +11,7 @@ from frictrack.reproduce import figures, laws, printed, recordings, series
 from frictrack.reproduce.beam import Identified, identified, ours
 from frictrack.reproduce.laws import Law
 from frictrack.reproduce.parts import FAILS, FULL, HOLDS, OPEN, Claim, Effort, Part, Progress, Table, silent
-from frictrack.reproduce.recordings import STRUCK
+from frictrack.reproduce.recordings import STRUCK, Recording
 
 UNIT = "millisecond"  # per sample, Table 2's 2.86 would be 1.8 kHz; per second, no sine turns once in the slide
 EFFECTS = {"F_c": "coulomb.F_c", "F_s": "stribeck.F_s", "F_v": "viscous.F_v", "v_s": "stribeck.v_s"}
@@ -22,11 +22,7 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
     rng = np.random.default_rng([seed, 2])
     truth = laws.read(printed.WITH_FILTER, UNIT)
     recording = recordings.of(printed.WITH_FILTER, UNIT, STRUCK, rng)
-    camera = series.measured([recording.run])
-    sensed = np.interp(camera.t, recording.truth.t, recording.truth.a) + recordings.SENSOR * rng.standard_normal(
-        len(camera.t)
-    )
-    data = series.Series(camera.t, camera.v, sensed, camera.mass)
+    data = _sensed(recording, rng)
     done: dict[str, Identified] = {}
     for i, name in enumerate(("tustin", "atm1:2")):
         progress(i, 3, "second paper, " + ("with" if i else "without") + " the sine filter")
@@ -69,6 +65,13 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
         },
         _claims(done, boxed, own, truth),
     )
+
+
+def _sensed(recording: Recording, rng: np.random.Generator) -> series.Series:
+    """Speed from the camera, acceleration from the sensor: nothing need be left out at the ends."""
+    motion = recording.run.motion
+    a = recording.truth.a + recordings.SENSOR * rng.standard_normal(len(motion.t))
+    return series.Series(motion.t, motion.v, a, STRUCK.mass)
 
 
 def _micrometres(truth: Array) -> Array:

@@ -168,5 +168,5 @@ def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
         ylim=(0, 1.02),
         xlim=(0.99, None),
     )
-    ax.legend(loc="center right")
+    ax.legend(loc="lower center")
     return figure

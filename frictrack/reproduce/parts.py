@@ -81,7 +81,7 @@ class Effort:
     long: bool = True  # ours on ATM2 too, which takes the longest
 
 
-FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=3000, lowest=900, long=False)
+FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=3000, lowest=1500, long=False)
 
 
 def silent(done: int, total: int, what: str) -> None:

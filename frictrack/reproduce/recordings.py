@@ -75,7 +75,7 @@ def record(model: Model, values: Values, bench: Bench, speed: float, rng: np.ran
     nan = np.full(n, np.nan)
     x = slide.x + SIGMA * rng.standard_normal(n)
     seen = Displacement(slide.t, x, nan, nan, np.full(n, SIGMA), nan, np.ones(n, dtype=bool), pixel_pitch=PITCH)
-    run = Run(seen, differentiate(low_pass(seen, method="butterworth")), mass=bench.mass, name=f"{speed:g} m/s")
+    run = Run(seen, differentiate(low_pass(seen, method="butterworth")), mass=bench.mass, name=f"{speed:.3g} m/s")
     return Recording(run, slide)
 
 

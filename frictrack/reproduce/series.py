@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,11 +19,8 @@ from frictrack.records import Array, Run
 from frictrack.reproduce.laws import Law, Real, Reduction
 from frictrack.search import SearchResult, minimise
 
-TIMES, STARTS, STEPS = (
-    3,
-    2,
-    60,
-)  # differential evolutions for the lowest error, optima of each that are followed, how far
+TIMES, EACH = 3, 3000  # differential evolutions in search of the lowest error, and fewest evaluations of one
+STARTS, STEPS = 2, 60  # optima of each that are followed down, and how far
 BOX = {
     "F_c": (0.0, 80.0),
     "F_s": (0.0, 120.0),
@@ -120,7 +118,9 @@ def lowest(law: Law, series: Series, starts: Sequence[Array], rng: np.random.Gen
 def _basins(law: Law, reduction: Reduction, series: Series, rng: np.random.Generator, budget: int) -> list[Array]:
     """Parameters (d,) at the optima of a reduced law."""
     where, cost = box(law)[list(reduction.nonlinear)], _reduced(reduction, series)
-    found = [minimise(cost, where, method="de", rng=rng, max_evaluations=budget // TIMES) for _ in range(TIMES)]
+    times = TIMES if budget >= TIMES * EACH else 1
+    how: dict[str, Any] = {"method": "de", "rng": rng, "max_evaluations": budget // times}
+    found = [minimise(cost, where, **how) for _ in range(times)]
     return [_full(reduction, series, q) for one in found for q in one.optima[:STARTS]]
 
 
