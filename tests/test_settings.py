@@ -508,3 +508,13 @@ def test_a_fault_in_a_study_file_names_its_table(study_of_its_own, old, new, sai
         open_study(study_of_its_own)
     assert said in str(caught.value)
     assert caught.value.usage
+
+
+def test_newtons_say_nothing_before_an_unknown_mass_is_known():
+    with pytest.raises(
+        FrictrackError, match=r"no bounds of coulomb.F_c where the mass is fitted too.*give prior = {F_c"
+    ):
+        ft.fit(model("coulomb,viscous", told("coulomb", bounds={"F_c": [6, 9]})), [driven()])
+    weight = told("weight", formula="mu * mass * g", units={"mu": "1"})
+    with pytest.raises(FrictrackError, match="expected the mass of every run, which the formula uses; give mass"):
+        ft.fit(model("coulomb,viscous,weight", weight), [driven()])

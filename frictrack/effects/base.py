@@ -35,7 +35,7 @@ class Path:
     drive: Array | None = None  # N
     drive_at: Callable[[Array], Array] | None = None  # N at any times since release
     lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
-    mass: float = 1.0  # kg
+    mass: float | None = None  # kg, where it is known
     gravity: float = GRAVITY  # normal load per mass of a mass at rest, m/s^2
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped

@@ -105,6 +105,10 @@ class Formula:
         Raises FrictrackError where it is no finite number.
         """
         known = {name: getattr(path, name) for name in ("t", "x", "v", "s", "mass")} | {"L": path.load}
+        if path.mass is None and re.search(r"\bmass\b", self.text):
+            raise FrictrackError(
+                f"{WHERE.format(self.name)}expected the mass of every run, which the formula uses; give mass"
+            )
         known |= CONSTANTS | {name: value for name, value in nonlinear.items() if name not in self.linear}
         columns = np.empty((len(path.t), len(self.linear)))
         for j, one in enumerate(self.linear):

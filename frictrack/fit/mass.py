@@ -63,7 +63,18 @@ def is_sought(runs: Sequence[Run]) -> bool:
 
 
 def with_mass(model: Model) -> Model:
-    """The law with its mass among the unknowns."""
+    """The law with its mass among the unknowns.
+
+    Raises FrictrackError (usage) for bounds in newtons, which say nothing before the mass is known.
+    """
+    for effect in (e for e in model.effects if e.acts_on == "force"):
+        for p in effect.linear:
+            if any(np.isfinite(b) and b != 0 for b in p.bounds):
+                raise FrictrackError(
+                    f"expected no bounds of {effect.name}.{p.name} where the mass is fitted too: forces are known "
+                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it",
+                    usage=True,
+                )
     return Model((*model.effects, MASS))
 
 
@@ -94,7 +105,7 @@ def in_units(piece: Piece, mass: float) -> Piece:
     """The same piece with its equation of motion in units of another mass."""
     drive = _drive(piece)
     known = piece.known - drive / piece.mass + drive / mass
-    return replace(piece, mass=mass, known=known, path=replace(piece.path, mass=mass))
+    return replace(piece, mass=mass, known=known)
 
 
 def ratio(layout: Layout, p: Array) -> float:

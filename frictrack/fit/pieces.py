@@ -254,7 +254,7 @@ def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
         s=still + np.sign(np.median(motion.v[rows])),
         load=1.0 if run.mass is None else (run.load or 1.0) / begin.reference.load,
         mass_ratio=float(run.mass or begin.reference.mass) / begin.reference.mass,
-        mass=float(run.mass or begin.reference.mass),
+        mass=run.mass,
         pixel_pitch=run.pixel_pitch,
         drive=None if drive_at is None else drive_at(nodes),
         drive_at=drive_at,
