@@ -1,0 +1,198 @@
+"""The separable engine: along a measured motion coefficients are linear. Truth from closed forms and from scipy."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from frictrack import models
+from frictrack.effects import Path, Span
+from frictrack.fit.along import Along, Projected, Search, displacement_block, force_block
+from frictrack.fit.along.blocks import double_integral
+from frictrack.fit.along.misfit import Misfit, Reduced
+from frictrack.fit.along.newton import bounded
+from frictrack.fit.layout import Layout
+
+N, FPS = 652, 4000.0
+T = np.arange(N) / FPS
+V = 0.05 + 5.35 * (1 - T / T[-1]) ** 1.2
+X = np.concatenate([[0.0], np.cumsum((V[1:] + V[:-1]) / 2 / FPS)])
+PATH = Path(t=T, x=X, v=V, s=np.ones(N))
+SPAN = Span(duration=T[-1], x_min=0.0, x_max=X[-1], v_min=0.05, v_max=5.4, fps=FPS)
+
+
+def tustin(fc, fs, fv, vs):
+    return fc + (fs - fc) * np.exp(-V / vs) + fv * V
+
+
+def line(amplitude, frequency, phase):
+    return amplitude * np.sin(2 * np.pi * frequency * T + phase)
+
+
+def layout(model, **bounds):
+    law = models.parse(model) if isinstance(model, str) else model
+    return Layout(law, ("run",), (SPAN,))
+
+
+def along(model, data, sigma=1.0):
+    return Along(layout(model), [force_block(0, PATH, data, sigma)])
+
+
+def numbers(made, state):
+    p = made.law(state.numbers, state.coefficients)
+    return dict(zip(made.layout.names, p, strict=True))
+
+
+def best(model, data, start):
+    """Least squares of the plain formula from a good start: the reference."""
+    found = least_squares(lambda p: data - model(p), start, x_scale="jac", xtol=1e-12, ftol=1e-12)
+    return 2 * found.cost
+
+
+class TestBlocks:
+    def test_double_integral_of_a_cubic_is_exact_on_an_uneven_grid(self):
+        t = np.sort(np.random.default_rng(0).uniform(0, 1, 60))
+        x = double_integral(t)(2 + 3 * t + 4 * t**2)
+        exact = t**2 + t**3 / 2 + t**4 / 3
+        line = np.column_stack([np.ones_like(t), t])
+        left = (x - exact) - line @ np.linalg.lstsq(line, x - exact, rcond=None)[0]
+        assert np.abs(left).max() < 1e-12
+
+    def test_population_rows_are_integrated_alike(self):
+        rows = np.random.default_rng(1).normal(size=(3, 2, N))
+        twice = double_integral(T)
+        assert np.array_equal(twice(rows)[2, 1], twice(rows[2, 1]))
+
+    def test_frames_a_force_falls_out_of_the_displacement_of_a_slide(self):
+        from frictrack.fit import fit  # noqa: PLC0415
+        from tests.test_force import one_slide  # noqa: PLC0415
+
+        problem = fit("tustin", [one_slide()]).solution.problem
+        block = displacement_block(problem.pieces[0])
+        made = Along(problem.layout, [block])
+        state = Search(made)()
+        assert state.misfit < 1.2 * len(block.data)
+
+
+class TestBounded:
+    def test_agrees_with_brute_force_over_active_sets(self):
+        rng = np.random.default_rng(2)
+        for _ in range(20):
+            a, y = rng.normal(size=(20, 4)), rng.normal(size=20)
+            low, high = np.array([0.0, -np.inf, 0.0, -0.1]), np.array([np.inf, 0.1, np.inf, 0.1])
+            c, moving = bounded(a.T @ a, a.T @ y, low, high)
+            exact = least_squares(lambda q, a=a, y=y: a @ q - y, np.full(4, 0.05), bounds=(low, high), xtol=1e-14).x
+            assert c == pytest.approx(exact, abs=2e-4)
+            assert np.all((c >= low) & (c <= high))
+            assert np.array_equal(moving, (c > low) & (c < high))
+
+
+class TestSearch:
+    def test_finds_the_least_squares_optimum_with_lines_off_the_grid(self):
+        rng = np.random.default_rng(3)
+        data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.37, 0.3) + line(0.4, 66.9, -1.0) + rng.normal(0, 1, N)
+        made = along("atm1:2", data)
+        state = Search(made)()
+        truth = [8, 14, 1.2, 0.4, 2.0, 60.37, 0.3, 0.4, 66.9, -1.0]
+        least = best(lambda p: tustin(*p[:4]) + line(*p[4:7]) + line(*p[7:]), data, truth)
+        assert state.misfit <= 1.0005 * least
+
+    def test_two_lines_within_half_a_rayleigh_cell(self):
+        for seed in range(6):
+            rng = np.random.default_rng(seed)
+            data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.0, 0.3) + line(1.5, 63.0, 1.0) + rng.normal(0, 1, N)
+            state = Search(along("atm1:2", data))()
+            truth = [8, 14, 1.2, 0.4, 2.0, 60.0, 0.3, 1.5, 63.0, 1.0]
+            least = best(lambda p: tustin(*p[:4]) + line(*p[4:7]) + line(*p[7:]), data, truth)
+            assert state.misfit <= 1.001 * least
+
+    def test_the_order_of_effects_does_not_matter(self):
+        rng = np.random.default_rng(4)
+        blow = 0.02 / (np.sqrt(2 * np.pi) * 4e-4) * np.exp(-(((T - 0.06) / 4e-4) ** 2) / 2)
+        data = tustin(8, 14, 1.2, 0.4) + line(1.5, 77.0, 0.3) + blow + rng.normal(0, 0.5, N)
+        found = []
+        for order in (["vibration", "collision"], ["collision", "vibration"]):
+            made = along(models.of(["coulomb", "stribeck", "viscous", *order]), data, 0.5)
+            found.append(numbers(made, Search(made)()))
+        for law in found:
+            assert law["vibration.frequency"] == pytest.approx(77.0, abs=0.5)
+            assert law["collision.time[run]"] == pytest.approx(0.06, abs=2e-4)
+
+    def test_coefficients_keep_their_bounds(self):
+        data = tustin(8, 6, 1.2, 0.4) + np.random.default_rng(5).normal(0, 0.1, N)  # a hook the wrong way round
+        made = along("tustin", data, 0.1)
+        assert numbers(made, Search(made)())["stribeck.F_s"] == 0.0
+
+    def test_fixed_values_and_ties_are_kept(self):
+        rng = np.random.default_rng(6)
+        data = tustin(8, 14, 1.2, 0.4) + line(2.0, 50.0, 0.3) + line(1.0, 100.0, 1.0) + rng.normal(0, 1, N)
+        law = models.atm1(2)
+        changes = {"viscous": {"F_v": {"fixed": 1.0}}, "vibration:2": {"frequency": {"tie": "2*vibration.frequency"}}}
+        law = models.Model(tuple(e.adjusted(**changes.get(e.name, {})) for e in law.effects))
+        made = along(law, data)
+        state = Search(made)()
+        p = made.law(state.numbers, state.coefficients)
+        values, _ = made.layout.values(p, 0)
+        assert values["viscous"]["F_v"] == 1.0
+        assert values["vibration:2"]["frequency"] == pytest.approx(2 * values["vibration"]["frequency"])
+        assert values["vibration"]["frequency"] == pytest.approx(50.0, abs=0.5)
+        assert state.misfit == pytest.approx(np.sum((data - law.force(PATH, values)) ** 2), rel=1e-9)
+
+    def test_tables_serve_other_data_along_the_same_motion(self):
+        rng = np.random.default_rng(7)
+        made = along("atm1:1", np.zeros(N))
+        search = Search(made)
+        for frequency in (31.7, 250.3):
+            state = search(tustin(8, 14, 1.2, 0.4) + line(1.0, frequency, 0.5) + rng.normal(0, 1, N))
+            assert numbers(made, state)["vibration.frequency"] == pytest.approx(frequency, abs=1.0)
+
+
+class TestPopulations:
+    @pytest.mark.parametrize("model", ["tustin", "atm1:2", "atm2:2"])
+    def test_full_and_reduced_misfits_are_those_of_single_laws(self, model):
+        rng = np.random.default_rng(8)
+        data = tustin(8, 14, 1.2, 0.4) + rng.normal(0, 1, N)
+        made = layout(model)
+        block = force_block(0, PATH, data, 1.0)
+        full, reduced = Misfit(made, [block]), Reduced(made, [block])
+        low, high = (np.where(np.isfinite(b), b, d) for b, d in zip(made.bounds, (-3.0, 15.0), strict=True))
+        points = (low + (high - low) * rng.random((50, len(low))))[:, full.searched]
+        assert full(points) == pytest.approx(_one_by_one(made, points, data), rel=1e-9)
+        some = points[:, [full.searched.index(i) for i in reduced.searched]]
+        laws = reduced.law(some)
+        assert reduced(some) == pytest.approx(_one_by_one(made, laws, data), rel=1e-7)
+        assert np.all(reduced(some) <= full(points) * (1 + 1e-9))
+
+    def test_phases_are_not_searched(self):
+        made = Reduced(layout("atm1:2"), [force_block(0, PATH, np.zeros(N), 1.0)])
+        assert [made.layout.names[i] for i in made.searched] == [
+            "stribeck.v_s",
+            "vibration.frequency",
+            "vibration:2.frequency",
+        ]
+
+    def test_reduced_coefficients_keep_their_bounds(self):
+        data = tustin(8, 6, 1.2, 0.4)
+        made = Reduced(layout("tustin"), [force_block(0, PATH, data, 1.0)])
+        c = made.coefficients(np.linspace(0.1, 2.0, 30)[:, None])
+        assert np.all(c[:, :2] >= 0)
+
+
+def _one_by_one(made, laws, data):
+    return [np.sum((data - made.model.force(PATH, made.values(p, 0)[0])) ** 2) for p in laws]
+
+
+class TestRefinement:
+    def test_derivatives_are_those_of_the_projected_residual(self):
+        rng = np.random.default_rng(9)
+        data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.0, 0.3) + rng.normal(0, 1, N)
+        made = along("atm1:1", data)
+        problem = Projected(made, made.data)
+        p = np.ones(len(made.layout.slots))
+        p[made.free] = 0.7, 60.5
+        state = problem.at(p)
+        _, gradient = problem._linearised(state, made.free)
+        for j, i in enumerate(made.free):
+            step = np.zeros_like(p)
+            step[i] = 1e-4 * p[i]
+            slope = (problem.at(p + step).misfit - problem.at(p - step).misfit) / (2 * step[i])
+            assert -2 * gradient[j] == pytest.approx(slope, rel=1e-3)
