@@ -12,7 +12,8 @@ the default one starts some of them too, and how much that changes is told.
 emps: the Electro-Mechanical Positioning System (DATA_EMPS.mat and DATA_EMPS_PULSES.mat in FOLDER): the published fits
 reproduced, then frictrack's with the mass found; further effects are chosen on blocks held out of the first record.
 
-optima: how surely and how fast the global optimum is found, frictrack and other optimisers.
+optima: how surely and how fast the global optimum is found, frictrack and other optimisers, which live in an environment
+of their own or are left out (--peers-python PATH | --no-peers; more in the folder of that name).
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from machine import described  # noqa: E402
 
-from identification import SCENES, Plan, accuracy, laws  # noqa: E402 - found only now
+from identification import SCENES, Plan, accuracy, laws, optima  # noqa: E402 - found only now
 
-PARTS = ("accuracy", "emps")
+PARTS = ("accuracy", "emps", "optima")
 
 
 def main() -> None:
@@ -45,6 +46,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1000)
     parser.add_argument("--beside", type=int, default=100, help="draws of the other ways")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--peers-python", default=sys.executable, help="python of the environment with the peers")
+    parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--json", type=Path, help="file for all figures")
     args = parser.parse_args()
     wanted, scenes = args.only.split(","), args.scenes.split(",")
@@ -54,6 +57,8 @@ def main() -> None:
         print("emps is left out: give its folder with --emps")
         wanted.remove("emps")
     noises = [1e-6 * float(noise) for noise in args.noises.split(",")]
+    python = None if args.no_peers else args.peers_python
+    peers = optima.run.Plan(list(optima.PROBLEMS), args.seeds, min(args.beside, 30), python)
     plan = Plan(scenes, noises, args.seeds, args.beside, args.workers)
     machine = described("numpy", "scipy")
     say: Callable[[str], None] = lambda text: print(text, flush=True)  # noqa: E731
@@ -61,6 +66,7 @@ def main() -> None:
     parts: dict[str, Callable[[], Any]] = {
         "accuracy": lambda: accuracy.compare(plan, say),
         "emps": lambda: laws.compare(args.emps, say),
+        "optima": lambda: optima.compare(peers, say),
     }
     figures = {"machine": machine} | {name: part() for name, part in parts.items() if name in wanted}
     if args.json:
