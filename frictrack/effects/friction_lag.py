@@ -16,12 +16,13 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     """
     s = path.s[:, None]
     size = inner * s
-    starts = np.array(path.starts)
-    rested = starts[path.s[starts] == 0]
-    size[rested] = size[np.minimum(rested + 1, len(size) - 1)]
+    starts = list(path.starts)
+    rested = [i for i in starts if path.s[i] == 0]
+    size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
     late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
     late[starts] = 0.0
-    return followed(size, (np.zeros_like(late), late), path.starts) * s
+    fresh = np.isin(np.arange(len(late)), starts)
+    return followed(size, (np.zeros_like(late), late), fresh, size[starts], starts) * s
 
 
 def lags(span: Span) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import followed, own, past, travel
+from frictrack.effects.memory import averaged, followed, last, own, past, travel, turned
 from frictrack.effects.presliding import lengths
 from frictrack.effects.stribeck import SLOW
 from frictrack.records import Array
@@ -30,13 +30,15 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     highest, v_s, delta = curve
     gamma = 1.0 + (highest - 1.0) * np.exp(-((path.speed / v_s) ** delta))
     before, after = travel(path)
-    between = (1 / gamma + 1 / np.concatenate([gamma[:1], gamma[:-1]])) / (2.0 * length)
-    earlier, begin = past(path), None
+    broken, starts = turned(path), list(path.starts)
+    between = averaged(1 / gamma, np.where(broken, 0.0, after), broken) / length
+    target = (path.s * gamma)[:, None]
+    earlier, begin = past(path), target[starts]
     if earlier is not None:
         n = len(earlier.t)
         lasting, _ = _bristles(earlier, own(length, path, n), [own(q, path, n) for q in curve])
-        begin = lasting[np.array([*earlier.starts[1:], n]) - 1, None]
-    w = followed((path.s * gamma)[:, None], (before * between, after * between), path.starts, begin)
+        begin = lasting[last(earlier), None]
+    w = followed(target, (before * between, after * between), broken, begin, starts)
     return w[:, 0], gamma
 
 

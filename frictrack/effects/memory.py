@@ -49,6 +49,11 @@ def past(path: Path) -> Path | None:
     return Path(*(np.tile(q, count) for q in (t, x, v, headings(v))), starts=starts)
 
 
+def last(path: Path) -> Array:
+    """Row of the last sample of every individual, (P,)."""
+    return np.array([*path.starts[1:], len(path.t)]) - 1
+
+
 def own(value: float | Array, path: Path, n: int) -> Array:
     """The value of every individual of a path, for each of n samples of its own."""
     each = np.broadcast_to(value, path.t.shape)[list(path.starts)]
@@ -62,29 +67,41 @@ def headings(v: Array) -> Array:
     return np.asarray(s[np.maximum.accumulate(rows)]) if len(s) else s
 
 
-def followed(
-    target: Array, steps: tuple[Array, Array], starts: Sequence[int] = (0,), begin: Array | None = None
-) -> Array:
+def turned(path: Path) -> Array:
+    """Where a sample's direction is not that of the one before, or there is none before, (n,)."""
+    out = np.diff(path.s, prepend=path.s[:1]) != 0
+    out[list(path.starts)] = True
+    return np.asarray(out)
+
+
+def followed(target: Array, steps: tuple[Array, Array], broken: Array, begin: Array, starts: Sequence[int]) -> Array:
     """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
 
-    The first steps lead to a jump of the target and are made under the old target, the second under the new one.
-    A state starts at `begin` (P, k), default its target.
+    Where the target is `broken` (n,), the first steps are made under the old target, the second under the new one.
+    A state is `begin` (P, k) at the `starts`.
     """
     before, after = steps
-    fresh = np.zeros(len(after), dtype=bool)
-    fresh[list(starts)] = True
     old = np.vstack([target[:1], target[:-1]])
-    jumped = before > 0
     decay = np.exp(-after)
-    whole = np.where(fresh, 0.0, decay * np.exp(-before))
+    whole = decay * np.exp(-before)
+    whole[list(starts)] = 0.0
     # below the target by y: y decays and grows by what the target gains, as much as is not forgotten at once
-    gained = _gained(target, np.where(fresh | jumped, 0.0, after), fresh | jumped)
+    gained = _gained(target, np.where(broken, 0.0, after), broken)
     leap = decay[:, None] * (target - old * -np.expm1(-before)[:, None])
     plain = target - gained - whole[:, None] * old
     jump = target - leap
-    right = np.where(jumped[:, None], jump, plain)
-    right[list(starts)] = target[list(starts)] if begin is None else begin
+    right = np.where(broken[:, None], jump, plain)
+    right[list(starts)] = begin
     return _recursion(whole, right)
+
+
+def averaged(value: Array, step: Array, broken: Array) -> Array:
+    """Mean (n,) of a value over the step to every sample, by the cubic with the slopes of parabolas."""
+    rise = np.diff(value, prepend=value[:1])[:, None]
+    rise[broken] = 0.0
+    left, right = _bends(rise, step, broken)
+    out: Array = value - (rise / 2 + (right - left) / 12)[:, 0]
+    return out
 
 
 def _recursion(decay: Array, right: Array) -> Array:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import own, past, travel
+from frictrack.effects.memory import last, own, past, travel
 from frictrack.records import Array
 
 DAHL = 1e-9  # distance of the exponent from one within which the contact straightens exponentially
@@ -32,7 +32,7 @@ def bending(path: Path, length: float | Array, exponent: float | Array) -> Array
     if earlier is not None:
         n = len(earlier.t)
         lasting = bending(earlier, own(length, path, n), own(exponent, path, n))
-        begin = lasting[np.array([*earlier.starts[1:], n]) - 1]
+        begin = lasting[last(earlier)]
     before, after = (distance / length for distance in travel(path))
     power = np.broadcast_to(np.asarray(exponent, dtype=float), after.shape)
     way, fresh = _ways(path)
