@@ -1,4 +1,4 @@
-"""The notebook runs on the HDF5 files of a finished study, and says which command makes them."""
+"""The notebooks run: the demo's on the files of a finished study, those of the papers on what they render."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from frictrack.flow import Session, open_study
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "demo.ipynb"
 
 
-def execute(folder: Path) -> nbformat.NotebookNode:
+def execute(folder: Path, path: Path = NOTEBOOK) -> nbformat.NotebookNode:
     """The notebook with its outputs, run in a folder."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    client = NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(folder)}})
+    notebook = nbformat.read(path, as_version=4)
+    client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}})
     return client.execute()
 
 
@@ -57,3 +57,21 @@ def test_notebook_is_kept_without_outputs():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbformat.validate(notebook)
     assert all(not cell.get("outputs") for cell in notebook.cells)
+
+
+PAPERS = {"first_paper": (15, "MGA needs fewer iterations than GA"), "second_paper": (2, "the sine filter improves")}
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_papers_notebook_runs_and_is_kept_with_its_outputs(name: str, tmp_path: Path):
+    path = NOTEBOOK.with_name(f"{name}.ipynb")
+    figures, claim = PAPERS[name]
+    for notebook in (nbformat.read(path, as_version=4), execute(tmp_path, path)):
+        nbformat.validate(notebook)
+        outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+        assert sum("image/svg+xml" in o.get("data", {}) for o in outputs) >= figures
+        assert any("text/html" in o.get("data", {}) for o in outputs)
+        printed = "".join(o["text"] for o in outputs if o.output_type == "stream")
+        assert claim in printed
+        assert "DOES NOT HOLD" in printed
+    assert list(tmp_path.iterdir()) == []

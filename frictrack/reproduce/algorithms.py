@@ -324,7 +324,7 @@ def friction_problem(effort: Effort = FULL, seed: int = 0, progress: Progress = 
         "friction_problem",
         "First paper, Table 7: GA against MGA on the friction problem",
         (
-            f"{effort.seeds} seeds each on the recording of Table 2 (8 m/s), every fourth frame, {effort.budget} "
+            f"{effort.seeds} seeds each on the recording of Table 2 (8 m/s), {effort.budget} "
             f"evaluations (1000 "
             "generations of 40 in full). Problem, budget, stop rule, box and settings are not specified by the paper. "
             "A run ends in a local "

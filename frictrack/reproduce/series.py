@@ -27,7 +27,7 @@ BOX = {
     "F_v": (0.0, 40.0),
     "v_s": (0.05, 3.0),
     "F": (0.0, 300.0),
-    "f": (1.0, 400.0),
+    "f": (1.0, 490.0),
     "phi": (-np.pi, np.pi),
 }  # N, N s/m, m/s, Hz, rad
 
@@ -46,8 +46,9 @@ class Series:
         """Friction F = -m a, N."""
         return -self.mass * self.a
 
-    def thinned(self, step: int = 4) -> Series:
-        """Every fourth frame: the low-pass has left nothing that these would not show."""
+    def thinned(self) -> Series:
+        """At most every fourth frame, enough for every frequency searched, and no fewer than 200 where possible."""
+        step = int(np.clip(len(self.t) // 200, 1, 4))
         return Series(self.t[::step], self.v[::step], self.a[::step], self.mass)
 
     @cached_property
