@@ -16,9 +16,10 @@ from typer.testing import CliRunner
 from frictrack.cli.commands import app
 from frictrack.effects import Path as Way
 from frictrack.errors import FrictrackError
-from frictrack.reproduce import FULL, QUICK, algorithms, beam, laws, printed, recordings, series, statistics
+from frictrack.reproduce import FULL, QUICK, beam, eq8, laws, printed, recordings, series, statistics
 from frictrack.reproduce.page import Reproduction, number, numeric, render, write
 from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Claim, Part, Table
+from frictrack.reproduce.trials import trials
 
 Array = np.ndarray
 
@@ -225,14 +226,14 @@ def test_thirty_and_six_per_cent_differ_in_fifty_runs() -> None:
 
 
 def test_maximum_of_eq8() -> None:
-    x, y = algorithms.maximum()
+    x, y = eq8.maximum()
     assert (round(x, 6), round(y, 6)) == (1.850547, 3.850274)
     grid = np.linspace(-1, 2, 300_001)[:, None]
-    assert -algorithms.eq8(grid).min() == pytest.approx(y, abs=1e-6)
+    assert -eq8.eq8(grid).min() == pytest.approx(y, abs=1e-6)
 
 
 def test_trials_count_generations() -> None:
-    done = algorithms.trials(algorithms.eq8, algorithms.BOX, 3, -3.85025, 7240, method="ga")
+    done = trials(eq8.eq8, eq8.BOX, 3, -3.85025, 7240, method="ga")
     assert np.all(done.cost >= -3.850275)
     hit = done.cost <= -3.85025
     assert np.all(np.isfinite(done.first) == hit)
@@ -244,7 +245,7 @@ def test_trials_count_generations() -> None:
 @pytest.mark.slow
 def test_tables_5_and_6_in_full() -> None:
     """Ten bits suffice; 50 runs cannot tell GA and MGA apart; the working Eq. 6 loses no run."""
-    part = algorithms.eq8_trials(FULL)
+    part = eq8.eq8_trials(FULL)
     verdicts = {c.claim: c.verdict for c in part.claims}
     assert verdicts["10 bits reach only 3.6792"] == FAILS
     assert verdicts["the adaptive code keeps the optimum"] == HOLDS

@@ -14,10 +14,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from frictrack.reproduce.algorithms import eq8_trials, friction_problem
 from frictrack.reproduce.augmented import orders, two_models
 from frictrack.reproduce.beam import time_units, tustin_groups
 from frictrack.reproduce.collision import sine_filter
+from frictrack.reproduce.eq8 import eq8_trials
+from frictrack.reproduce.friction_problem import genetic_searches
 from frictrack.reproduce.page import Reproduction, shown, write
 from frictrack.reproduce.parts import FULL, QUICK, Claim, Effort, Part, Progress, Table, silent
 
@@ -30,7 +31,7 @@ __all__ = [
     "Reproduction",
     "Table",
     "eq8_trials",
-    "friction_problem",
+    "genetic_searches",
     "orders",
     "reproduce",
     "reproduced",
@@ -60,7 +61,7 @@ def reproduced(*, quick: bool = False, seed: int = 0, progress: Progress = silen
         partial(two_models, effort, seed),
         partial(orders, effort, seed),
         partial(eq8_trials, effort),
-        partial(friction_problem, effort, seed),
+        partial(genetic_searches, effort, seed),
         partial(sine_filter, effort, seed),
     )
     parts = _one_by_one(steps, progress) if quick else _spread(steps, progress)
