@@ -17,6 +17,7 @@ from frictrack.fit.layout import Layout
 from frictrack.fit.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.fit.papers import Callback, check_how, scaffold
 from frictrack.fit.pieces import Piece, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.predict import predicted
 from frictrack.fit.problem import Problem
 from frictrack.fit.profile import Profile, profile
 from frictrack.fit.reduced import solve_reduced, starts_alone
@@ -33,7 +34,7 @@ from frictrack.fit.series import (
     solve_series,
     spans_of_series,
 )
-from frictrack.fit.solve import Solution, refine
+from frictrack.fit.solve import refine
 from frictrack.fit.start import grow, solve_model, until_stop, without
 from frictrack.friction import free_section
 from frictrack.models import Model
@@ -98,7 +99,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
     sought = is_sought(fitted)
-    sections = _sections(fitted, reference)
+    sections = _sections(fitted, reference, law)
     if sought:
         law, mass = with_mass(law), guessed([p for own in sections for p in own])
         sections = [[in_units(p, mass) for p in own] for own in sections]
@@ -142,9 +143,9 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
     return _finish(Found(solution), runs, reference, (route, (0,) * len(fitted)))
 
 
-def _sections(runs: Sequence[Run], reference: Reference) -> list[list[Piece]]:
-    """The stretches of one direction of every run."""
-    return [pieces_of(run, i, free_section(run)[0], reference) for i, run in enumerate(runs)]
+def _sections(runs: Sequence[Run], reference: Reference, law: Model) -> list[list[Piece]]:
+    """The stretches of every run that the law can be followed along: of one direction, unless it turns."""
+    return [pieces_of(run, i, free_section(run)[0], reference, turning=law.turns) for i, run in enumerate(runs)]
 
 
 def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
@@ -198,37 +199,11 @@ def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[
         found=found,
         runs=tuple(r for r in runs if r.role == "fit"),
         validation=validation,
-        predictions=tuple(_predict(found.solution, r, reference) for r in validation),
+        predictions=tuple(predicted(found.solution, r, reference) for r in validation),
         reference=reference,
         route=route,
         lengths=lengths,
     )
-
-
-def _predict(solution: Solution, run: Run, reference: Reference) -> Solution:
-    """A validation run under the fitted law: only its start is free; its own phases are taken as free too."""
-    if is_series(solution.problem):
-        return _told_beforehand(solution, series_pieces([run], reference.load), run)
-    old = solution.problem.layout
-    sections = pieces_of(run, 0, free_section(run)[0], reference)
-    pieces = divided(sections, segment_frames(old.model, sections, run))
-    layout = Layout(old.model, (run.name,), (old.span,))
-    known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
-    p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
-    problem = Problem(old.model, layout, [q.refined(max(e.fine for e in old.model.effects)) for q in pieces])
-    free = np.array([s.run is not None for s in layout.slots], dtype=bool)
-    return until_stop(refine(problem, p, problem.first_starts(), free=free), free)
-
-
-def _told_beforehand(solution: Solution, pieces: list[Piece], run: Run) -> Solution:
-    """A validation run's measured friction under the fitted law, its own phases free."""
-    old = solution.problem.layout
-    layout = Layout(old.model, (run.name,), (old.span,))
-    known = {(s.effect, s.parameter): v for s, v in zip(old.slots, solution.p, strict=True) if s.run in (None, 0)}
-    p = np.array([known.get((s.effect, s.parameter), 0.0) for s in layout.slots])
-    problem = solution.problem.over(layout, pieces)
-    free = np.array([s.run is not None for s in layout.slots], dtype=bool)
-    return refine(problem, p, problem.first_starts(), free=free)
 
 
 def state(result: Fit | GroupFits) -> dict[str, Any]:
@@ -268,14 +243,14 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
     by_cell = bool(saved.get("measured", False))
+    law = _law(str(saved["law"]), bool(saved["weighed"]))
     lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
     if by_cell:
         reference = Reference(1.0, float(saved["reference_load"]))
         pieces = series_pieces(fitted, reference.load)
     else:
         reference = reference_of(fitted, float(saved["reference_mass"]))
-        pieces = _divided(_sections(fitted, reference), lengths)
-    law = _law(str(saved["law"]), bool(saved["weighed"]))
+        pieces = _divided(_sections(fitted, reference, law), lengths)
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     spans = spans_of_series(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
