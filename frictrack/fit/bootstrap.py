@@ -68,14 +68,14 @@ class Bootstrap:
     @property
     def percentiles(self) -> dict[str, tuple[float, float]]:
         """Central part of the draws."""
-        return self._pairs(np.quantile(self.values, self._tails, axis=0))
+        return self._pairs(np.quantile(self.values, self._tails, axis=0, method="weibull"))
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Studentised intervals."""
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.nan_to_num((self.values - self.fitted) / self.stds)
-        low, high = np.quantile(t, self._tails, axis=0)
+        low, high = np.quantile(t, self._tails, axis=0, method="weibull")  # as many beyond as stated
         return self._pairs(np.array([self.fitted - high * self.std_fitted, self.fitted - low * self.std_fitted]))
 
     @property
@@ -124,7 +124,11 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
     if not hasattr(result, "found"):
         raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
     if scratch and not result.route.plain:
-        raise FrictrackError(f"a fit by {result.search} is not drawn from scratch: each draw is refined", usage=True)
+        how = f"{result.domain} domain, {result.search}"
+        raise FrictrackError(
+            f"expected a fit of displacements by varpro to draw from scratch but got {how}; leave scratch out",
+            usage=True,
+        )
     rng = rng or np.random.default_rng(seed)
     solution, compared = result.solution, result.found.force or result.solution
     blocks = [_block(r) for r in solution.responses]

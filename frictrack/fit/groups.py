@@ -78,6 +78,7 @@ class GroupFits:
             "parameters": {f"{k}[{g}]": v for g, s in each.items() for k, v in s["parameters"].items()},
             "friction_scatter": {g: s["friction_scatter"] for g, s in each.items()},
             "correlations": [[f"{a}[{g}]", f"{b}[{g}]", r] for g, s in each.items() for a, b, r in s["correlations"]],
+            "remarks": [f"{g}: {line}" for g, s in each.items() for line in s["remarks"]],
             "errors": self.errors,
             "per_run": [row | {"group": g} for g, s in each.items() for row in s["per_run"]],
             "collisions": [told | {"group": g} for g, s in each.items() for told in s["collisions"]],
