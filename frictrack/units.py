@@ -94,10 +94,15 @@ def _example(unit: str) -> str:
 COMMON = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
 
 
+PLAIN = re.compile(r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)(?:[ */](?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)){0,6}")
+
+
 def coherent(unit: str) -> bool:
     """Whether numbers in a unit need no factor: an SI unit without a prefix, such as "N s/m", but not "mm"."""
     if unit in COMMON:
         return True
+    if not PLAIN.fullmatch(unit):  # pint would work out any arithmetic
+        return False
     try:
         factor, _ = _registry().get_base_units(_spell(unit))
     except Exception:  # noqa: BLE001 - pint's parser raises whatever Python's tokenizer does

@@ -10,7 +10,7 @@ from runs import BASE, HIDDEN, Spec, study
 
 import frictrack as ft
 from frictrack import effects, models
-from frictrack.effects import Path, Span, formula
+from frictrack.effects import Path, Span, formula, settings
 from frictrack.effects.user import DECLARED
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
@@ -189,6 +189,21 @@ def test_a_formula_that_makes_no_law_is_told_why(text, keys, said):
     with pytest.raises(FrictrackError) as caught:
         formula("mine", text, **keys)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", ["9**9**9**9**9", "m^9999999999", "1" * 5000, "__import__('os')", "m; s", "m*" * 3000])
+def test_a_hostile_unit_or_tie_is_refused_at_once(unit):
+    began = time.process_time()
+    with pytest.raises(FrictrackError, match="expected an SI unit of F"):
+        formula("mine", "F*x", units={"F": unit})
+    with pytest.raises(FrictrackError, match="tie: expected another parameter for F_c"):
+        settings.read({"effect": "coulomb", "tie": {"F_c": unit * 10}}).applied(effects.get("coulomb"))
+    assert time.process_time() - began < 0.5
+
+
+@pytest.mark.parametrize("unit", ["N s^2/m^2", "N/m^3", "1/s", "kg m/s", "J", "W/K", "rad/s"])
+def test_units_of_the_si_are_taken(unit):
+    assert formula("mine", "F*x", units={"F": unit}).linear[0].unit == unit
 
 
 def test_scans_of_a_formula_keep_to_bounds_or_to_what_the_runs_reach():

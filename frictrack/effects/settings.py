@@ -21,6 +21,7 @@ from frictrack.errors import FrictrackError
 TIE = re.compile(
     r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
 )
+LONGEST = 120  # characters of a tie
 Pair = tuple[float, float]
 
 
@@ -96,7 +97,7 @@ class Settings:
             self._refuse(f"fix: expected {p.name} between {low:g} and {high:g} {p.unit} but got {value:g}")
         if "prior" in change:
             self._check_prior(p, change["prior"], (low, high))
-        if change.get("tie") is not None and not TIE.fullmatch(change["tie"]):
+        if change.get("tie") is not None and not _tied(change["tie"]):
             self._refuse(
                 f'tie: expected another parameter for {p.name}, as in "vibration.frequency" or '
                 f'"2*vibration.frequency", but got "{change["tie"]}"'
@@ -115,6 +116,11 @@ class Settings:
         raise FrictrackError(f'[[effect]] "{self.effect}": {what}', usage=True)
 
 
+def _tied(text: str) -> re.Match[str] | None:
+    """A tie taken apart; None for what is none, or longer than names are."""
+    return TIE.fullmatch(text) if len(text) <= LONGEST else None
+
+
 @dataclass(frozen=True)
 class Tie:
     """What a parameter equals: `factor` times another effect's (or its own effect's) parameter."""
@@ -129,7 +135,7 @@ class Tie:
     @classmethod
     def read(cls, text: str) -> Tie:
         """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `Settings` has checked."""
-        found = TIE.fullmatch(text)
+        found = _tied(text)
         if found is None:
             raise FrictrackError(f'expected a tie such as "vibration.frequency" but got "{text}"', usage=True)
         return cls(found["of"], found["name"], float(found["factor"] or 1.0))
