@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +10,14 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
+from frictrack.fit.along import Along, Projected, Search, displacement_block
+from frictrack.fit.along.table import is_scannable
 from frictrack.fit.layout import LEVEL, Layout
 from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
 from frictrack.fit.problem import Problem, Response
 from frictrack.fit.scan import Family, families, per_run_coefficients
 from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.fit.turning import bent, first_law
 from frictrack.fit.turns import follows, in_turn, known, led_the_other_way, untied
 from frictrack.models import Model
 from frictrack.records import Array, Mask
@@ -22,6 +25,7 @@ from frictrack.records import Array, Mask
 TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
 STOPPING = 2.0  # frames before the stop that are left out
 PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
+EXPLAINED = 1.3  # chi-squared per frame: a law that good needs no second way
 TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at this level
 
 
@@ -31,11 +35,80 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
     spans = spans_of(pieces, len(names), fps)
-    found = [_from_scratch(model, pieces, names, spans)]
+    found = []
+    with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
+        found.append(_along(model, pieces, names, spans))
+    if not found or found[0].chi2 > EXPLAINED * found[0].problem.n_frames:
+        found += _by_growth(model, pieces, names, spans, needed=not found)
+    return until_stop(min(found, key=lambda s: s.objective))
+
+
+def _by_growth(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], needed: bool
+) -> list[Solution]:
+    """Laws to which one effect after the other was added; raises FrictrackError when `needed` and there is none."""
+    found = []
+    with nullcontext() if needed else suppress(FrictrackError):
+        found.append(_from_scratch(model, pieces, names, spans))
     for other in led_the_other_way(model):
         with suppress(FrictrackError):  # the way that was asked for is there already
             found.append(_retold(_from_scratch(other, pieces, names, spans), model))
-    return until_stop(min(found, key=lambda s: s.objective))
+    return found
+
+
+def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The law that variable projection finds along the measured motion, all effects at once; then what it cannot scan.
+
+    Raises FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
+    """
+    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
+    if any(lacking):
+        raise FrictrackError(next(filter(None, lacking)))
+    _, scanned = in_turn(model)
+    later = [e for e in scanned if not is_scannable(e)]
+    first = Model(tuple(e for e in model.effects if e not in later))
+    layout = Layout(first, names, spans)
+    fine = max(e.fine for e in first.effects)
+    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
+    blocks = [displacement_block(p) for p in ready]
+    along = Along(layout, blocks)
+    search = Search(along)
+    state = search()
+    absent = search.idle(state, PULSE_PRICE * np.log(along.size))
+    if absent:
+        layout = replace(layout, absent=absent)
+        along = Along(layout, blocks)
+        known = dict(zip(search.along.layout.names, state.numbers, strict=True))
+        problem = Projected(along, along.data)
+        state = problem.refine(problem.at(np.array([known[n] for n in layout.names])))
+    law = Problem(first, layout, ready)
+    solution = settle_scatter(law, along.law(state.numbers, state.coefficients), law.first_starts())
+    solution = _each_loosened(solution)
+    for effect in later:
+        solution = grow(solution, effect)
+    return settled(reordered(solution, model)) if later else solution
+
+
+def _each_loosened(solution: Solution) -> Solution:
+    """One amplitude for all runs, or one per run where that is significantly better, wave after wave."""
+    runs = len(solution.problem.layout.run_names)
+    for effect in solution.problem.model.effects if runs > 1 else ():
+        sizes = {
+            p.name: {"per_run": True}
+            for p in effect.parameters
+            if p.role == "amplitude" and _loose(p) and not p.per_run
+        }
+        if not sizes or not per_run_coefficients(effect):
+            continue
+        old = solution.problem.layout
+        changed = Model(tuple(effect.adjusted(**sizes) if e is effect else e for e in old.model.effects))
+        layout = replace(old, model=changed)
+        there = dict(zip(old.names, solution.p, strict=True))
+        p = np.array([there.get(name, there.get(name.split("[")[0], 0.0)) for name in layout.names])
+        loose = settle_scatter(solution.problem.over(layout, solution.problem.pieces), p, solution.starts, solution.tau)
+        if solution.objective - loose.objective > chi2_distribution.isf(TIE_ALPHA, runs - 1):
+            solution = loose
+    return solution
 
 
 def _retold(solution: Solution, model: Model) -> Solution:
@@ -59,6 +132,8 @@ def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
 
 def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """One effect after the other, then all together to the end."""
+    if any(p.turns for p in pieces):
+        return _through_turns(model, pieces, names, spans)
     plain, scanned = in_turn(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
@@ -66,6 +141,17 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
     problem = Problem(layout.model, layout, pieces)
     solution = settle_scatter(problem, _first_guess(problem), problem.first_starts())
     for effect in scanned:
+        solution = grow(solution, effect)
+    return settled(reordered(solution, model))
+
+
+def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The same for runs that are followed through stops and reversals."""
+    together, later = bent(model)
+    layout = Layout(Model(tuple(together)), names, spans)
+    problem = Problem(layout.model, layout, pieces)
+    solution = settle_scatter(problem, first_law(problem), problem.first_starts())
+    for effect in later:
         solution = grow(solution, effect)
     return settled(reordered(solution, model))
 
@@ -93,6 +179,8 @@ def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
 def _sliding(response: Response) -> int:
     """Frames of a piece before the model's own stop."""
     piece, motion = response.piece, response.motion
+    if piece.turns:
+        return len(piece.t)
     speed = (piece.path.s[0] * motion.v_edge)[piece.at]
     slowing = np.abs(np.gradient(speed, piece.t))
     late = np.flatnonzero(speed < STOPPING * slowing * np.gradient(piece.t))

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.effects import Effect
 from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import State
 from frictrack.records import Array
@@ -79,7 +80,7 @@ class Table:
         out = np.zeros((g, c, len(rows)))
         short = rows.astype(np.float32)
         for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
-            out[:, at] += (mine @ short[:, cut].T).reshape(g, len(at), -1)
+            out[:, at] += (mine @ short[:, cut].T).reshape(g, len(at), len(rows))
         return out
 
 
@@ -109,7 +110,7 @@ def grid_of(along: Along, effect: str, run: int | None) -> Grid:
     made = next(e for e in along.layout.model.effects if e.name == effect)
     span = along.layout.span if run is None else along.layout.spans[run]
     highest = max(b.highest for b in along.blocks)
-    scanned = [p for p in made.nonlinear if p.scan is not None and p.fixed is None]
+    scanned = [p for p in made.nonlinear if p.scan is not None and p.free]
     axes = []
     for p in scanned:
         assert p.scan is not None
@@ -132,12 +133,23 @@ class Item:
     run: int | None = None
 
 
+MOST_AXES = 3  # numbers of one effect that are scanned together
+
+
+def is_scannable(effect: Effect) -> bool:
+    """Whether the forms of an effect are few columns on a grid: no modifier, not too many numbers at once."""
+    scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
+    return not effect.modifies and len(scanned) <= MOST_AXES
+
+
 def items_of(along: Along) -> list[Item]:
     """What a model has to scan, in its order."""
     out = []
     for effect in along.layout.model.effects:
         g = next(k for k, group in enumerate(along.groups) if effect.name in group.names)
-        scanned = [p for p in effect.nonlinear if p.scan is not None and p.fixed is None]
+        scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
+        if not is_scannable(effect):
+            continue
         if any(p.per_run for p in scanned):
             out += [Item(effect.name, g, r) for r in along.runs if (effect.name, r) not in along.layout.absent]
         elif scanned and effect.linear:

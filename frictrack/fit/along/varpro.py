@@ -46,6 +46,15 @@ class Search:
         state = self._complete(problem, state)
         return self._exchanged(problem, state)
 
+    def idle(self, state: State, price: float) -> frozenset[tuple[str, int]]:
+        """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
+        problem = Projected(self.along, self.along.data, self.tau)
+        gains = {i: problem.without(state, self.mine[i]).misfit - state.misfit for i in self.items if i.run is not None}
+        best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
+        return frozenset(
+            (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(price, best[i.effect])
+        )
+
     def first(self) -> Array:
         """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""
         low, high = self.along.layout.bounds
