@@ -341,7 +341,7 @@ def without_mass():
 )
 def test_runs_that_cannot_be_fitted_are_refused_in_one_sentence(runs, said):
     with pytest.raises(FrictrackError) as caught:
-        fit("coulomb", runs())
+        fit("coulomb", runs(), domain="displacement")
     assert said in str(caught.value)
 
 

@@ -241,6 +241,18 @@ class TestRuns:
         assert plain(again.summary()) == plain(result.summary())
 
 
+class TestSearch:
+    def test_differential_evolution_over_the_nonlinear_numbers_finds_what_varpro_does(self):
+        run = swing(n=1500)
+        plain, found = fit("tustin", [run]), fit("tustin", [run], search="de", over="nonlinear")
+        assert found.errors["rms_N"] == pytest.approx(plain.errors["rms_N"], rel=1e-3)
+        assert numbers(found)[0] == pytest.approx(numbers(plain)[0], rel=0.02)
+        best = found.summary()["optima"][0]
+        assert best["misfit"] == pytest.approx(np.sum(found.solution.residual**2) * found.errors["noise_N"] ** 2)
+        again = restore([run], state(found))
+        assert again.summary()["optima"] == found.summary()["optima"]
+
+
 class TestRefused:
     @pytest.mark.parametrize(
         ("runs", "how", "said"),
@@ -251,13 +263,12 @@ class TestRefused:
                 "expected friction_N of all runs or of none but film of 2 runs has none; give these a study",
             ),
             (lambda: [swing()], {"model": "coulomb,lens"}, "since friction itself was measured, but lens acts on the"),
-            (lambda: [swing()], {"search": "sga"}, 'expected search = "varpro" where friction itself was measured'),
             (lambda: [swing()], {"model": "coulomb,drive_error"}, "drive_error needs a measured drive of every run"),
             (lambda: [swing()], {"domain": "displacement"}, "expected a mass for a fit of the displacement"),
             (lambda: [swing(), swing(1)], {}, "expected every run to have its own name but got swing twice"),
             (lambda: [swing(role="validation")], {}, "expected at least one run to fit but all have role"),
         ],
-        ids=["mixed", "picture", "search", "no drive", "no mass", "same name", "validation only"],
+        ids=["mixed", "picture", "no drive", "no mass", "same name", "validation only"],
     )
     def test_in_one_sentence(self, runs, how, said):
         how = {"model": "coulomb"} | how

@@ -30,6 +30,7 @@ from frictrack.fit.series import (
     common_load,
     is_series,
     measured,
+    search_series,
     series_pieces,
     solve_series,
     spans_of_series,
@@ -129,18 +130,17 @@ def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None) -> 
 
 
 def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Reference) -> Fit:
-    if route.search != "varpro":
-        raise FrictrackError(
-            f'expected search = "varpro" where friction itself was measured but got "{route.search}"; leave it out',
-            usage=True,
-        )
     fitted = [r for r in runs if r.role == "fit"]
     if not fitted:
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
     pieces = series_pieces(fitted, reference.load)
-    solution = solve_series(law, pieces, tuple(r.name for r in fitted), _fps(fitted))
-    return _finish(Found(solution), runs, reference, (route, (0,) * len(fitted)))
+    names, lengths = tuple(r.name for r in fitted), (0,) * len(fitted)
+    if route.search == "varpro":
+        return _finish(Found(solve_series(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths))
+    how = route.search, route.over, np.random.default_rng(route.seed)
+    solution, optima = search_series(law, pieces, (names, _fps(fitted)), how)
+    return _finish(Found(solution, None, *optima), runs, reference, (route, lengths))
 
 
 def _sections(runs: Sequence[Run], reference: Reference, law: Model) -> list[list[Piece]]:
@@ -283,4 +283,5 @@ def _cell_restored(problem: SeriesProblem, saved: dict[str, Any], runs: Sequence
     p, tau = np.asarray(saved["p"]), float(saved["tau"])
     solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
     route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
-    return _finish(Found(solution), runs, reference, (route, (0,) * len(problem.pieces)))
+    found = Found(solution, None, np.asarray(saved["optima"]), np.asarray(saved["costs"]))
+    return _finish(found, runs, reference, (route, (0,) * len(problem.pieces)))

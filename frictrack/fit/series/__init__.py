@@ -1,6 +1,6 @@
 """Runs whose friction was measured: fitted to that series, without differentiation and without a mass."""
 
-from frictrack.fit.series.law import covariance, heldout_rms, solve_series
+from frictrack.fit.series.law import covariance, heldout_rms, search_series, solve_series
 from frictrack.fit.series.problem import (
     SeriesPiece,
     SeriesProblem,
@@ -26,6 +26,7 @@ __all__ = [
     "measured",
     "remarks",
     "row",
+    "search_series",
     "series_pieces",
     "solve_series",
     "spans_of_series",

@@ -16,9 +16,11 @@ from scipy.stats import t as student
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.along import Along, Block, Projected, Search, State
+from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.covariance import covariance_of
 from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.layout import Layout
+from frictrack.fit.papers import searched, spread_of
 from frictrack.fit.pieces import Piece
 from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.series.problem import SeriesProblem, spans_of_series
@@ -39,14 +41,40 @@ def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], 
 
     Raises FrictrackError when the runs lack what an effect needs.
     """
-    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
-    if any(lacking):
-        raise FrictrackError(next(filter(None, lacking)))
-    layout = Layout(model, names, spans_of_series(pieces, fps))
+    layout = _layout(model, pieces, names, fps)
     along = Along(layout, [_block(p) for p in pieces])
     state = _reshaped(Projected(along, along.data), Search(along)())
     problem = SeriesProblem(model, layout, pieces)
     return settle_scatter(problem, along.law(state.numbers, state.coefficients), problem.first_starts())
+
+
+def search_series(
+    model: Model,
+    pieces: Sequence[Piece],
+    known: tuple[tuple[str, ...], float],
+    how: tuple[str, str, np.random.Generator],
+) -> tuple[Solution, tuple[Array, Array]]:
+    """The law that a global search finds, as it is, and its "group of feasible solutions": unknowns (k, P), SSE in N^2.
+
+    `known` holds the names of the runs and the frame rate; `how` method, what is searched ("all" or "nonlinear"), rng.
+    Raises FrictrackError when the runs lack what an effect needs.
+    """
+    (names, fps), (method, over, rng) = known, how
+    layout = _layout(model, pieces, names, fps)
+    kind = Reduced if over == "nonlinear" else Misfit
+    misfit = kind(layout, [_block(p) for p in pieces], unit=float(pieces[0].sigma[0]) ** 2)
+    optima, costs = searched(misfit, method, rng, np.ones(len(layout.slots)))
+    problem = SeriesProblem(model, layout, pieces)
+    held = np.zeros(len(layout.slots), dtype=bool)
+    tau = spread_of(layout, optima[0])
+    return refine(problem, optima[0], problem.first_starts(), tau=tau, free=held, max_steps=0), (optima, costs)
+
+
+def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Layout:
+    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
+    if any(lacking):
+        raise FrictrackError(next(filter(None, lacking)))
+    return Layout(model, names, spans_of_series(pieces, fps))
 
 
 def _block(piece: Piece) -> Block:
