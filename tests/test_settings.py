@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from runs import BASE, MASS, Spec, measured, study
@@ -12,6 +14,7 @@ from frictrack.effects import catalogue, settings
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, own_effects
+from frictrack.study.write import EFFECT
 
 WIDER = 0.02  # as far as a stated deviation is wider than a known noise would make it
 TWO = (Spec(4.0), Spec(5.0))
@@ -465,6 +468,20 @@ def test_a_study_files_own_effects_are_listed_and_its_model_is_read_alone(study_
     law = models.from_toml(study_of_its_own)
     assert law.names == ["coulomb", "viscous"]
     assert law.effects[1].parameter("F_v").prior == (0.4, 0.001)
+
+
+def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
+    """Each key of the commented example by itself: together they would contradict each other."""
+    lines = [line for line in EFFECT.splitlines() if re.match(r"\[\[effect|\w+ = ", line)]
+    cut = [i for i, line in enumerate(lines) if line == "[[effect]]"]
+    bare = study_file.read_text()
+    keys = [re.split(r"\s{3,}", line)[0] for line in lines]
+    assert len(cut) == 2
+    for key in keys[2 : cut[1]]:
+        study_file.write_text(f"{bare}\n{keys[0]}\n{keys[1]}\n{key}\n")
+        assert open_study(study_file).effects[0].effect == "vibration"
+    study_file.write_text(bare + "\n" + "\n".join(keys[cut[1] :]))
+    assert [e.name for e in own_effects(open_study(study_file).effects)] == ["magnet"]
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,22 @@ sensor = "acc.csv"          an accelerometer or load cell beside the camera (t_s
 impact_energy = "2 J"       of the hammer: more kinetic energy than that cannot be
 role = "validation"         not fitted, only predicted"""
 
+EFFECT = """What is known of an effect beside the runs, in every model that has it; `frictrack effects` lists them:
+[[effect]]
+effect = "vibration"
+fix = {frequency = 60}             held there; stribeck's fix = {delta = false} frees what is held at 1
+bounds = {amplitude = [0, 2]}      SI
+prior = {frequency = [60, 0.5]}    known from elsewhere: mean and standard deviation
+tie = {frequency = "2*vibration:2.frequency"}   the same unknown as another one, or a multiple
+per_run = ["amplitude"]            one in every run; {phase = false}: one for all
+An effect of your own, which `frictrack add` then puts into the model; t, x, v, s (direction), L (load) and mass are
+the run's, every other name is a parameter:
+[[effect]]
+effect = "magnet"
+formula = "F * s * exp(-((x - x_c)/w)^2)"
+units = {F = "N", x_c = "m", w = "m"}
+bounds = {w = [0.002, 0.05]}"""
+
 
 def find_recordings(folder: Path) -> list[Path]:
     """Films, tables and folders of pictures in a folder, by name."""
@@ -89,7 +105,8 @@ def write_study(
         runs.append(table)
     document["run"] = runs
     text = tomlkit.dumps(document)
-    text += "".join(f"\n# {line}" for line in RUN.splitlines()) + "\n" if commented else ""
+    for words in (RUN, EFFECT) if commented else ():
+        text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
     path.write_text(text, encoding="utf-8")
     return path
 
