@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frictrack import effects, export, models, plots
+from frictrack import effects, export, models, plots, report
 from frictrack.compare import compare
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
@@ -371,6 +371,20 @@ class TestFlow:
         again = Session(open_study(session.study.path))
         assert again.fit() == session.fit()
         assert again.history() == session.history()
+
+    def test_a_report_without_a_diagnosis_speaks_of_newtons_and_draws_loops(self, session, monkeypatch):
+        monkeypatch.setattr(Session, "diagnose", lambda self, seed=0: None)
+        results = session.results()
+        assert results.papers is None
+        assert results.notes == ()
+        page = report.render(results)
+        assert "Friction itself was measured" in page
+        assert "Coulomb + viscous + presliding leaves 17 % of the measured friction force" in page
+        assert "friction force, rms" in page
+        assert "µ = 0.61" in page
+        assert "displacement itself" not in page
+        files = {path.stem: path.read_text() for path in export.write(results, "csv")}
+        assert "rms_N" in files["errors"]
 
     def test_pictures_show_newtons(self, session):
         run = strokes()

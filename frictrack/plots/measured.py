@@ -107,6 +107,8 @@ def _motion_title(run: RunResults) -> str:
     m = run.motion
     at = run.friction.free if run.friction is not None and np.any(run.friction.free) else np.ones(len(m), bool)
     v = m.v[at]
+    if np.any(np.diff(np.sign(v)) != 0):
+        return f"{run.name} moves to and fro at up to {number(float(np.max(np.abs(v))), 2)} m/s"
     start, end = abs(float(v[0])), abs(float(v[-1]))
     change = "slows" if end < start else "speeds up"
     if min(start, end) < RESTS * max(start, end):
