@@ -98,9 +98,11 @@ def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
     if len(values) < 3:
         return values, rise
     root = np.sign(values - best) * np.sqrt(rise)
-    along = np.linspace(values[0], values[-1], DRAWN)
-    along = np.unique(np.concatenate([along, values]))
-    return along, np.asarray(PchipInterpolator(values, root)(along)) ** 2
+    wide = values[0] > 0 and values[-1] > WIDE * values[0]
+    at = np.log(values) if wide else values
+    along = np.unique(np.concatenate([np.linspace(at[0], at[-1], DRAWN), at]))
+    curve = np.asarray(PchipInterpolator(at, root)(along)) ** 2
+    return (np.exp(along) if wide else along), curve
 
 
 def _interval(told: Mapping[str, Any], factor: float) -> str:
