@@ -90,7 +90,7 @@ class Parameter:
     """A named number of an effect, with unit and bounds.
 
     `linear` ones are the coefficients of the effect's columns, in order. The others are non-linear: `scan`
-    gives the grid on which they are first looked for; a grid of one value says that it is known. A `phase` is never
+    gives the grid on which they are first looked for, `known` the value where the runs tell it. A `phase` is never
     scanned: its two quadratures are.
     A `depth` scales what a modifier changes; it is scanned as if it were a coefficient.
     `per_run` parameters have one value in every run.
@@ -103,6 +103,7 @@ class Parameter:
     per_run: bool = False
     role: Literal["", "phase", "depth", "amplitude"] = ""
     scan: Callable[[Span], Array] | None = None
+    known: Callable[[Span], float | None] | None = None
     fixed: float | None = None
     loaded: bool = False  # a coefficient whose column carries the load and the run's friction level
     signed: bool = False  # a place, which may lie on either side of zero; others are positive sizes

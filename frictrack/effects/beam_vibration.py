@@ -93,7 +93,7 @@ beam_vibration = Effect(
         Parameter("amplitude", "N", linear=True, role="amplitude"),
         Parameter("frequency", "Hz", scan=frequencies),
         Parameter("r", "1", scan=ratios),
-        Parameter("beam_length", "m", scan=lengths),
+        Parameter("beam_length", "m", scan=lengths, known=lambda span: span.beam_length),
         Parameter("phase", "rad", per_run=True, role="phase"),
     ),
     columns=columns,

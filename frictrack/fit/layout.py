@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,6 +65,7 @@ class Layout:
     led: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "model", _told(self.model, self.span))
         slots: list[Slot] = []
         fixed: dict[tuple[str, str], float] = {}
         for effect in self.model.effects:
@@ -229,12 +230,18 @@ class Layout:
         raise KeyError((effect, parameter, run))
 
 
+def _told(model: Model, span: Span) -> Model:
+    """The model with those parameters fixed that the runs tell."""
+    known = [
+        e.adjusted(**{p.name: {"fixed": told(p, span)} for p in e.parameters if p.free and told(p, span) is not None})
+        for e in model.effects
+    ]
+    return replace(model, effects=tuple(known))
+
+
 def told(p: Parameter, span: Span) -> float | None:
-    """The value of a parameter that is fixed, or that the runs tell: its scan has one value. None where it is free."""
-    if p.fixed is not None or p.scan is None:
-        return p.fixed
-    grid = p.scan(span)
-    return float(grid[0]) if len(grid) == 1 else None
+    """The value of a parameter that is fixed, or that the runs tell; None where it is free."""
+    return p.fixed if p.fixed is not None or p.known is None else p.known(span)
 
 
 def reach(p: Parameter, span: Span) -> tuple[float, float]:
