@@ -137,10 +137,11 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
     return Reference(mass, load)
 
 
-def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame: int = 1) -> list[Piece]:
+def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning: bool = False) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    A mass that is to be fitted is counted in units of the reference.
+    Under a law that passes stops and reversals (`turning`), a run with a measured drive is one piece. A mass that is
+    to be fitted is counted in units of the reference.
     Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
     """
     if run.mass is None and run.drive is None:
@@ -149,7 +150,9 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame:
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
-    begin = _Begin(reference, *_way(run), per_frame)
+    begin = _Begin(reference, *_way(run), 1)
+    if turning and run.drive is not None:
+        return [_turning(run, index, noise, begin)]
     made = []
     for section in moving_sections(run):
         rows = np.arange(len(disp))[section]
@@ -162,6 +165,18 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, per_frame:
             "look at its velocity, or give free = [t0, t1]"
         )
     return made
+
+
+def _turning(run: Run, index: int, noise: Array, begin: _Begin) -> Piece:
+    """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
+    disp = run.displacement
+    use = disp.valid & np.isfinite(disp.x)
+    if run.free is not None:
+        use &= (disp.t >= run.free[0]) & (disp.t <= run.free[1])
+    rows = np.flatnonzero(use)
+    piece = _piece(run, index, rows, noise, begin)
+    first = np.sign(run.motion.v[rows[0]]) if is_moving(run)[rows[0]] else 0.0
+    return replace(piece, turns=True, path=replace(piece.path, s=np.full_like(piece.path.t, first)))
 
 
 def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:

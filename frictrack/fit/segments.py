@@ -34,7 +34,7 @@ QUARTERS = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter is he
 
 def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
     """Frames per segment of one run whose stretches of one direction are given; 0 leaves them whole."""
-    if run.drive is None:
+    if run.drive is None or any(p.turns for p in sections):
         return 0
     whole = max(len(p.t) for p in sections)
     ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= SHORTEST)]

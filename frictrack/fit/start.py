@@ -35,6 +35,8 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
     spans = spans_of(pieces, len(names), fps)
+    if any(p.turns for p in pieces):
+        return _through_turns(model, pieces, names, spans)
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
@@ -132,8 +134,6 @@ def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
 
 def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """One effect after the other, then all together to the end."""
-    if any(p.turns for p in pieces):
-        return _through_turns(model, pieces, names, spans)
     plain, scanned = in_turn(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
@@ -146,7 +146,7 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 
 def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """The same for runs that are followed through stops and reversals."""
+    """The law of runs that are followed through stops and reversals."""
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
     problem = Problem(layout.model, layout, pieces)
