@@ -1,0 +1,198 @@
+"""Friction with memory against states that scipy integrates, and against runs of known truth."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+from runs import BASE, MASS, measured
+from scipy.integrate import solve_ivp
+
+from frictrack import models
+from frictrack.effects import Path, get
+from frictrack.effects.memory import headings
+from frictrack.effects.presliding import bending
+from frictrack.simulate.slide import Conditions, simulate
+
+NM = 1e-9
+LENGTH, LAG, RATE = 3e-5, 3e-3, 2 * np.pi * 7
+LUGRE = {"F_c": 2.0, "sigma_1": 20.0, "sigma_0": 1e-4, "F_s": 1.5, "v_s": 0.05, "delta": 2.0}
+DAHL = {"coulomb": {"F_c": 2.0}, "viscous": {"F_v": 1.0}, "presliding": {"stiffness": 1e-4, "exponent": 1.0}}
+
+
+def place(t):
+    return 2e-4 * np.sin(RATE * t) + 1e-4 * t
+
+
+def speed(t):
+    return 2e-4 * RATE * np.cos(RATE * t) + 1e-4
+
+
+def to_and_fro(n=800, duration=0.7):
+    t = np.linspace(0, duration, n)
+    return Path(t, place(t), speed(t), headings(speed(t)))
+
+
+def state(rate, t, start):
+    return solve_ivp(rate, (t[0], t[-1]), [start], rtol=1e-10, atol=1e-14, max_step=1e-4, t_eval=t).y[0]
+
+
+def drive(t):
+    return 5 * np.sin(2 * np.pi * 20 * t) * (1 - np.exp(-t / 0.02))
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.5, 1.5])
+def test_dahls_state_is_the_one_that_scipy_integrates_through_many_reversals(exponent):
+    path = to_and_fro()
+
+    def rate(t, w):
+        return speed(t) / LENGTH * np.maximum(1 - w * np.sign(speed(t)), 0.0) ** exponent
+
+    np.testing.assert_allclose(bending(path, LENGTH, exponent), state(rate, path.t, 1.0), atol=1e-6)
+
+
+def test_without_an_exponent_a_contact_is_elastic_up_to_slip():
+    path = to_and_fro()
+    w, truth = bending(path, LENGTH, 0.0), [1.0]
+    for dx in np.diff(place(np.linspace(0, 0.7, 799 * 50 + 1))):
+        truth.append(np.clip(truth[-1] + dx / LENGTH, -1.0, 1.0))
+    np.testing.assert_allclose(w, np.array(truth)[::50], atol=2e-3)
+
+
+def test_lugres_columns_sum_to_the_published_force():
+    path = to_and_fro(3200)
+    q = LUGRE | {"v_s": 0.004}
+    stiffness = q["F_c"] / q["sigma_0"]
+
+    def level(v):
+        return q["F_c"] * (1 + (q["F_s"] - 1) * np.exp(-((v / q["v_s"]) ** 2)))
+
+    def rate(t, z):
+        return speed(t) - stiffness * np.abs(speed(t)) * z / level(speed(t))
+
+    z = state(rate, path.t, level(speed(0.0)) / stiffness)
+    truth = stiffness * z + q["sigma_1"] * rate(path.t, z)
+    made = get("lugre").columns(path, q) @ [q["F_c"], q["sigma_1"]]
+    np.testing.assert_allclose(made, truth, atol=1e-5 * np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize("tau", [1e-6, 1e-4, 1e-3, 1e-2])
+def test_a_lag_follows_the_level_of_dry_friction(tau):
+    t = np.linspace(0, 0.1, 401)
+    v = 4.0 - 38.0 * t
+    path = Path(t, 4 * t - 19 * t**2, v, np.ones_like(t))
+    level = np.exp(-v / 0.4)
+    made = get("friction_lag").columns(path, {"tau": tau}, level[:, None])[:, 0]
+    # u' = (c - u)/tau for c = exp(k t - 10) in closed form
+    k = 38.0 / 0.4
+    truth = level / (1 + k * tau) + level[0] * (1 - 1 / (1 + k * tau)) * np.exp(-t / tau)
+    np.testing.assert_allclose(made, truth, atol=1e-6 * np.max(level))
+
+
+def test_a_contact_that_rests_is_unbent_and_one_that_slides_is_bent():
+    t = np.linspace(0, 0.01, 50)
+    path = Path(t, t**2, 2 * t, np.r_[0.0, np.ones(49)])
+    w = bending(path, LENGTH, 1.0)
+    np.testing.assert_allclose(w, 1 - np.exp(-(t**2) / LENGTH), atol=1e-12)
+    sliding = Path(t, t, np.ones(50), np.ones(50))
+    np.testing.assert_array_equal(bending(sliding, LENGTH, 1.0), 1.0)
+
+
+def test_a_path_begins_as_the_motion_before_it_has_left_the_contact():
+    whole = to_and_fro()
+    cut = 300
+    before = np.stack([whole.t, whole.x, whole.v])[:, : cut + 1]
+    rest = Path(whole.t[cut:], whole.x[cut:], whole.v[cut:], whole.s[cut:], before=before)
+    np.testing.assert_allclose(bending(rest, LENGTH, 1.0), bending(whole, LENGTH, 1.0)[cut:], atol=1e-12)
+    q = LUGRE | {"v_s": 0.004}
+    np.testing.assert_allclose(get("lugre").columns(rest, q), get("lugre").columns(whole, q)[cut:], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "of"),
+    [
+        ("presliding", {"stiffness": (2e-5, 1e-4, 7e-5), "exponent": (1.0, 0.3, 1.0)}),
+        ("friction_lag", {"tau": (1e-3, 1e-2, 4e-3)}),
+        (
+            "lugre",
+            {"sigma_0": (2e-5, 1e-4, 7e-5), "F_s": (1.2, 2.0, 1.5), "v_s": (0.01, 3e-3, 0.02), "delta": (2, 2, 2)},
+        ),
+    ],
+)
+def test_a_population_end_to_end_is_the_same_as_one_by_one(name, of):
+    one, effect = to_and_fro(), get(name)
+    n, count = len(one.t), 3
+    inner = [np.column_stack([one.s, one.s * np.exp(-np.abs(one.v) / 0.01)])] if effect.modifies else []
+    singles = [effect.columns(one, {k: q[i] for k, q in of.items()}, *inner) for i in range(count)]
+    long = Path(*(np.tile(q, count) for q in (one.t, one.x, one.v, one.s)), starts=(0, n, 2 * n))
+    values = {k: np.repeat(np.array(q, dtype=float), n) for k, q in of.items()}
+    made = effect.columns(long, values, *(np.tile(c, (count, 1)) for c in inner))
+    np.testing.assert_allclose(made, np.concatenate(singles), atol=1e-12)
+
+
+def test_lag_comes_before_presliding_whatever_the_order_in_which_they_are_named():
+    path = to_and_fro()
+    values = {"coulomb": {}, "stribeck": {"v_s": 0.01, "delta": 1.0}, "friction_lag": {"tau": LAG}} | {
+        "presliding": {"stiffness": LENGTH, "exponent": 1.0}
+    }
+    one = models.of(["coulomb", "stribeck", "friction_lag", "presliding"]).force_columns(path, values)
+    two = models.of(["presliding", "friction_lag", "stribeck", "coulomb"]).force_columns(path, values)
+    np.testing.assert_array_equal(one["stribeck"], two["stribeck"])
+
+
+def test_stiffness_is_quoted_from_the_level_of_dry_friction():
+    quote = get("presliding").quote({"stiffness": 1e-4}, {"coulomb.F_c": 2.0, "stribeck.F_s": 1.0})
+    assert quote["stiffness"] == pytest.approx(3e4)
+    quote = get("lugre").quote({"F_c": 2.0, "F_s": 1.5, "sigma_0": 1e-4}, {})
+    assert quote == pytest.approx({"F_s": 3.0, "sigma_0": 2e4})
+
+
+def _dahl_rate(t, z):
+    level = 2.0 * z[2] + z[1]
+    return [z[1], (drive(t) - level) / MASS, z[1] / 1e-4 * (1 - z[2] * np.sign(z[1]))]
+
+
+def _lugre_rate(t, z):
+    stiffness, v = 2e4, z[1]
+    bend = v - stiffness * abs(v) * z[2] / (2 * (1 + 0.5 * np.exp(-((v / 0.05) ** 2))))
+    return [v, (drive(t) - stiffness * z[2] - 20 * bend - v) / MASS, bend]
+
+
+@pytest.mark.parametrize(
+    ("values", "rate"),
+    [(DAHL, _dahl_rate), ({"lugre": LUGRE, "viscous": {"F_v": 1.0}}, _lugre_rate)],
+    ids=["dahl", "lugre"],
+)
+def test_a_slide_under_a_drive_is_followed_through_sticking_and_reversal(values, rate):
+    t = np.arange(400) / 4000
+    run = simulate(models.of(list(values)), values, Conditions(MASS, drive=drive), t, (0.0, 0.0))
+    truth = solve_ivp(
+        rate, (0, t[-1]), [0.0, 0.0, 0.0], method="LSODA", rtol=1e-12, atol=1e-14, max_step=1e-4, t_eval=t
+    )
+    assert np.sum(np.diff(np.sign(run.v[1:])) != 0) >= 3
+    assert np.max(np.abs(run.x - truth.y[0])) < 0.1 * NM
+
+
+def test_a_slide_with_a_lag_is_followed():
+    t, values = np.arange(300) / 4000, BASE | {"friction_lag": {"tau": LAG}}
+    run = simulate(models.of(list(values)), values, Conditions(MASS), t, (0.0, 4.0))
+
+    def rate(t, z):
+        return [z[1], -(8 + z[2] + 1.2 * z[1]) / MASS, (6 * np.exp(-z[1] / 0.4) - z[2]) / LAG]
+
+    truth = solve_ivp(rate, (0, t[-1]), [0.0, 4.0, 6 * np.exp(-10.0)], rtol=1e-12, atol=1e-14, t_eval=t)
+    assert np.max(np.abs(run.x - truth.y[0])) < 0.1 * NM
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-5])
+def test_the_stiffness_is_found_from_a_run_that_reverses_under_a_drive(sigma):
+    t = np.arange(600) / 4000
+    slide = simulate(models.dahl(), DAHL, Conditions(MASS, drive=drive), t, (0.0, 0.0))
+    run = measured(t, slide.x, sigma=sigma, drive=drive(t))
+    found = import_module("frictrack.fit").fit("dahl", [run])
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+    for name, truth in (("coulomb.F_c", 2.0), ("viscous.F_v", 1.0), ("presliding.stiffness", 2e4)):
+        estimate = found.parameters[name]
+        assert abs(estimate.value - truth) < 4 * estimate.std + 1e-3 * truth
+        assert estimate.std < 0.2 * truth
