@@ -41,7 +41,7 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
             "number of frames, so "
             "that only ratios can be set beside the printed ones.",
         ),
-        (_table_errors(done), *_tables_parameters(done, filmed, effort)),
+        (_table_errors(done), *_tables_parameters(done, filmed)),
         {
             f"fig{figure}_{name}": (
                 "Measured by the papers' chain, and the law that MGA found (best of the seeds).",
@@ -149,14 +149,14 @@ def _table_errors(done: Mapping[Key, Identified]) -> Table:
 
 
 def _tables_parameters(
-    done: Mapping[Key, Identified], filmed: Mapping[tuple[str, str], Recording], effort: Effort
+    done: Mapping[Key, Identified], filmed: Mapping[tuple[str, str], Recording]
 ) -> tuple[Table, ...]:
     """Tables 1-4: printed (and rendered), MGA, and our own route in the displacement domain."""
     out = []
     for name, world, sources in (("atm1:2", "ATM1 tables", printed.ATM1), ("atm2:2", "ATM2 tables", printed.ATM2)):
         for group, source in sources.items():
             mine = done[group, world, name]
-            own = ours(name, filmed[group, world].run) if name == "atm1:2" or effort.long else None
+            own = ours(name, filmed[group, world].run)
             truth = laws.read(source, UNITS[name[:4].upper()])
             rows = [
                 [n, p, t, m, o]
@@ -202,7 +202,9 @@ def _own(own: Any, truth: Array, name: str) -> list[str]:
 
 
 def _text(estimate: Any) -> str:
-    return "not determined" if estimate.value is None else f"{estimate.value:.4g} ± {estimate.std:.2g}"
+    if estimate.value is None:
+        return "not determined"
+    return f"{estimate.value:.4g}" if estimate.std is None else f"{estimate.value:.4g} ± {estimate.std:.2g}"
 
 
 def _own_atm1(own: Any, truth: Array) -> list[str]:

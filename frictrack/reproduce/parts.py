@@ -78,10 +78,9 @@ class Effort:
     identified: int = 6  # seeds of every identification by a search of the papers
     budget: int = 36_040  # evaluations of each: 1000 generations of 40 individuals with a gap of 0.9
     lowest: int = 20_000  # evaluations in search of the lowest error known
-    long: bool = True  # ours on ATM2 too, which takes the longest
 
 
-FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=3000, lowest=1500, long=False)
+FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=3000, lowest=1500)
 
 
 def silent(done: int, total: int, what: str) -> None:

@@ -19,7 +19,7 @@ from frictrack.records import Array, Run
 from frictrack.reproduce.laws import Law, Real, Reduction
 from frictrack.search import SearchResult, minimise
 
-TIMES, EACH = 3, 3000  # differential evolutions in search of the lowest error, and fewest evaluations of one
+TIMES, EACH = 3, 3000  # differential evolutions in search of the lowest error; with fewer evaluations only one
 STARTS, STEPS = 2, 60  # optima of each that are followed down, and how far
 BOX = {
     "F_c": (0.0, 80.0),
@@ -106,7 +106,8 @@ def search(
 def lowest(law: Law, series: Series, starts: Sequence[Array], rng: np.random.Generator, budget: int) -> Array:
     """The parameters (d,) of the lowest error that is known: what a law can do, whatever search one has.
 
-    Differential evolution over the non-linear parameters, the rest by least squares, several times; from there and
+    Differential evolution over the non-linear parameters (a third of `budget` for each of them), the rest by least
+    squares, several times; from there and
     from `starts` down to the nearest minimum inside the box. For ATM2 this is no proof that there is none lower.
     """
     thin = series.thinned()
@@ -120,7 +121,7 @@ def _basins(law: Law, reduction: Reduction, series: Series, rng: np.random.Gener
     """Parameters (d,) at the optima of a reduced law."""
     where, cost = box(law)[list(reduction.nonlinear)], _reduced(reduction, series)
     times = TIMES if budget >= TIMES * EACH else 1
-    how: dict[str, Any] = {"method": "de", "rng": rng, "max_evaluations": budget // times}
+    how: dict[str, Any] = {"method": "de", "rng": rng, "max_evaluations": budget // TIMES * len(where)}
     found = [minimise(cost, where, **how) for _ in range(times)]
     return [_full(reduction, series, q) for one in found for q in one.optima[:STARTS]]
 
