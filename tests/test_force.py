@@ -193,6 +193,26 @@ class TestSearch:
         assert np.array_equal(first, same)
         assert not np.array_equal(first, other)
 
+    def test_non_linear_parameters_alone_reach_what_all_at_once_reach(self, monkeypatch):
+        monkeypatch.setattr(papers, "BUDGET", 400)
+        run, told = one_slide(), []
+        best = fit("tustin", [run], domain="force").found.force.chi2
+        result = fit("tustin", [run], domain="force", search="ga", over="nonlinear",
+                     callback=lambda *now: told.append(now))  # fmt: skip
+        assert result.found.force.chi2 < 1.02 * best
+        assert [generation for generation, _, _ in told] == list(range(len(told)))
+        assert list(told[0][1]) == ["stribeck.v_s"]
+        assert told[-1][2] <= told[0][2]
+
+    def test_a_callback_ends_a_search(self):
+        told = []
+        fit("tustin", [one_slide()], search="ga", domain="force", callback=lambda g, *_: told.append(g) or g == 2)
+        assert told == [0, 1, 2]
+
+    def test_an_extent_without_a_global_search_is_refused(self):
+        with pytest.raises(FrictrackError, match="works on the non-linear parameters anyway; leave it out"):
+            fit("tustin", [one_slide()], over="nonlinear")
+
     def test_search_comes_back_from_its_state_without_polish(self, monkeypatch):
         monkeypatch.setattr(papers, "BUDGET", 4000)
         result = fit("tustin", [one_slide()], search="ga", domain="force")

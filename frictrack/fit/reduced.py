@@ -27,6 +27,7 @@ from frictrack.search import minimise
 STARTS = 6  # searches, each followed by sweeps; the first that explains the run ends it
 BUDGET = 5000  # evaluations of each search
 EXPLAINED = 1.3  # chi-squared per frame of the re-simulated motion: a law that good is the one
+ENOUGH = 1.12  # the same along the measured motion of a force series
 NEAR = 5.0  # misfit over noise along the measured motion, beyond which it need not be re-simulated
 PHASES = 8  # tried round the circle
 TRIALS = 3  # best places of a scan that are followed downhill
@@ -67,6 +68,17 @@ def _explains(problem: Problem, p: Array) -> bool:
         return refine(problem, p, problem.first_starts()).chi2 < EXPLAINED * problem.n_frames
     except FrictrackError:  # its motion cannot be integrated
         return False
+
+
+def law_along(misfit: Reduced, rng: np.random.Generator) -> tuple[Array, float]:
+    """All unknowns (P,) of the best law along the measured motion, and its misfit in units of the noise."""
+    reduced = _Reduced(misfit)
+    found = []
+    for _ in range(STARTS):
+        found.append(reduced.law(rng))
+        if found[-1][1] < ENOUGH * reduced.frames:
+            break
+    return min(found, key=lambda law: law[1])
 
 
 class _Reduced:
