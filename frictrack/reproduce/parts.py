@@ -80,7 +80,7 @@ class Effort:
     lowest: int = 20_000  # evaluations in search of the lowest error known
 
 
-FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=3000, lowest=1500)
+FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=2000, lowest=450)
 
 
 def silent(done: int, total: int, what: str) -> None:
