@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, MASS, SHIFTS, Slider, force, integrate
+from scipy.integrate import solve_ivp
 
+from frictrack.effects import Path
+from frictrack.effects.memory import headings
+from frictrack.effects.presliding import bending
 from frictrack.errors import FrictrackError
 from frictrack.simulate.dynamics import Linear, Panels, solve
 
@@ -118,3 +122,59 @@ def test_a_law_without_a_motion_is_an_error_not_a_number():
 def test_a_law_that_runs_away_is_an_error_and_no_warning():
     with pytest.raises(FrictrackError, match="could not be integrated"):
         solved(lambda x, v, t: 1e7 * np.exp(x**2) * v**3, frames(0.02), (1.0, 5.0))
+
+
+def bristle(x, v, t, length=1e-4):
+    """Acceleration (1 + 3 p,) of a mass under a drive, held by a contact that bends; closed form between reversals."""
+    s = headings(v)
+    s[0] = 0.0
+    w = bending(Path(t, x, v, s), length, 1.0)
+    return (4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * w - v) / MASS
+
+
+def test_a_law_with_memory_is_followed_through_reversals():
+    t = frames(0.15)
+    panels = Panels(t)
+    motion, _ = solve(bristle, panels, (0.0, 0.0), np.zeros(len(panels.t)), memory=True)
+
+    def rate(t, z):
+        push = 4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * z[2] - z[1]
+        return [z[1], push / MASS, z[1] / 1e-4 * (1 - z[2] * np.sign(z[1]))]
+
+    truth = solve_ivp(
+        rate, (0, t[-1]), [0.0, 0.0, 0.0], method="LSODA", rtol=1e-11, atol=1e-13, max_step=2e-4, t_eval=t
+    )
+    assert np.sum(np.diff(np.sign(motion.v)) != 0) >= 3
+    assert np.max(np.abs(motion.x_edge - truth.y[0])) < 100 * NM  # reversals fall between the nodes
+
+
+def test_the_response_with_memory_is_the_derivative_of_the_motion():
+    panels = Panels(frames(0.08))
+
+    def law(c):
+        return lambda x, v, t: bristle(x, v, t) + c * np.cos(150 * t)
+
+    motion, response = solve(law(0.0), panels, (1e-4, 0.01), np.zeros(len(panels.t)), memory=True)
+    g = np.cos(150 * panels.t)[:, None]
+    _, by_c = response.respond(g, np.zeros((2, 1)))
+    _, by_start = response.respond(np.zeros((len(g), 2)), np.eye(2))
+
+    def moved(c, x, v):
+        ends = [solve(law(k * c), panels, (1e-4 + k * x, 0.01 + k * v), motion.a, memory=True)[0] for k in (1, -1)]
+        return (ends[0].x_edge - ends[1].x_edge) / (2 * max(c, x, v))
+
+    for made, truth in (
+        (by_c[:, 0, 0], moved(1e-4, 0.0, 0.0)),
+        (by_start[:, 0, 0], moved(0.0, 1e-7, 0.0)),
+        (by_start[:, 0, 1], moved(0.0, 0.0, 1e-6)),
+    ):
+        np.testing.assert_allclose(made, truth, atol=1e-3 * np.max(np.abs(truth)))
+
+
+def test_a_stiff_contact_that_sticks_first_is_followed_stretch_after_stretch():
+    panels = Panels(frames(0.1))
+    far_off = np.full(len(panels.t), 30.0)
+    motion, _ = solve(lambda x, v, t: bristle(x, v, t, 1e-5), panels, (0.0, 0.0), far_off, memory=True)
+    stuck = panels.edges < 3e-3  # until the drive overcomes friction the contact only bends
+    assert np.max(np.abs(motion.x_edge[stuck])) < 2e-5
+    assert np.ptp(motion.x_edge) > 5e-4
