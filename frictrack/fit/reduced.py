@@ -46,7 +46,9 @@ def solve_reduced(problem: Problem, runs: Sequence[Run], rng: np.random.Generato
     p = np.ones(len(problem.layout.slots))
     for i, run in enumerate(map(int, order)):
         mine = Problem(problem.model, problem.layout, [q for q in problem.pieces if q.run == run])
-        reduced = _Reduced(misfit_of(mine, chains_of(runs, mine.pieces), "nonlinear"))
+        misfit = misfit_of(mine, chains_of(runs, mine.pieces), "nonlinear")
+        assert isinstance(misfit, Reduced)
+        reduced = _Reduced(misfit)
         p = _first_law(mine, reduced, rng) if i == 0 else reduced.phased(rng, p)
     return settle_scatter(problem, p, problem.first_starts())
 
