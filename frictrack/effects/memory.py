@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from frictrack.effects.base import Path
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 SMALL = 0.5  # step below which the moments of the exponential are summed as a series
 TERMS = 14
@@ -46,7 +46,8 @@ def past(path: Path) -> Path | None:
     t, x, v = path.before[:, -LATELY:]
     count = len(path.starts)
     starts = tuple(len(t) * i for i in range(count))
-    return Path(*(np.tile(q, count) for q in (t, x, v, headings(v))), starts=starts)
+    t, x, v, s = (np.tile(q, count) for q in (t, x, v, headings(v)))
+    return Path(t, x, v, s, starts=starts)
 
 
 def last(path: Path) -> Array:
@@ -67,14 +68,14 @@ def headings(v: Array) -> Array:
     return np.asarray(s[np.maximum.accumulate(rows)]) if len(s) else s
 
 
-def turned(path: Path) -> Array:
+def turned(path: Path) -> Mask:
     """Where a sample's direction is not that of the one before, or there is none before, (n,)."""
     out = np.diff(path.s, prepend=path.s[:1]) != 0
     out[list(path.starts)] = True
     return np.asarray(out)
 
 
-def followed(target: Array, steps: tuple[Array, Array], broken: Array, begin: Array, starts: Sequence[int]) -> Array:
+def followed(target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array, starts: Sequence[int]) -> Array:
     """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
 
     Where the target is `broken` (n,), the first steps are made under the old target, the second under the new one.
@@ -95,7 +96,7 @@ def followed(target: Array, steps: tuple[Array, Array], broken: Array, begin: Ar
     return _recursion(whole, right)
 
 
-def averaged(value: Array, step: Array, broken: Array) -> Array:
+def averaged(value: Array, step: Array, broken: Mask) -> Array:
     """Mean (n,) of a value over the step to every sample, by the cubic with the slopes of parabolas."""
     rise = np.diff(value, prepend=value[:1])[:, None]
     rise[broken] = 0.0
@@ -112,7 +113,7 @@ def _recursion(decay: Array, right: Array) -> Array:
     return np.asarray(out)
 
 
-def _gained(target: Array, step: Array, broken: Array) -> Array:
+def _gained(target: Array, step: Array, broken: Mask) -> Array:
     """Integral (n, k) of exp(z - step) dc/dz over every step: what the state has not yet followed."""
     rise = np.diff(target, axis=0, prepend=target[:1])
     rise[broken] = 0.0
@@ -122,7 +123,7 @@ def _gained(target: Array, step: Array, broken: Array) -> Array:
     return out
 
 
-def _bends(rise: Array, step: Array, broken: Array) -> tuple[Array, Array]:
+def _bends(rise: Array, step: Array, broken: Mask) -> tuple[Array, Array]:
     """By how much the slope at either end of every step, times the step, differs from the rise; each (n, k)."""
     left, right = np.zeros_like(rise), np.zeros_like(rise)
     a, b = step[:-1, None], step[1:, None]

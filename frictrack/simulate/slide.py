@@ -108,7 +108,8 @@ class _Walk:
             return self.model.force(self.path(x, v, t, s), self.values)
         way = self.way(float(t[0]))
         lately = way[:3, way[0] < t[0]][:, -LONGEST:]
-        path = self.path(*(np.append(q, new) for q, new in zip(lately[[1, 2, 0]], (x, v, t), strict=True)), s)
+        whole_t, whole_x, whole_v = (np.append(q, new) for q, new in zip(lately, (t, x, v), strict=True))
+        path = self.path(whole_x, whole_v, whole_t, s)
         path.s[: -len(t)] = headings(lately[2])
         if self.model.turns and not np.any(lately[2]) and v[0] == 0:
             path.s[: 1 - len(t) or None] = 0.0  # so far it has only rested
