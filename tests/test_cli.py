@@ -60,7 +60,9 @@ def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
 def test_fit_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
     result = answer(capsys, "fit", "study.toml")
     assert result["model"] == ["coulomb", "viscous"]
-    assert set(result["parameters"]["coulomb.F_c"]) == {"value", "std", "unit", "at_bound", "reason"}
+    plain = {"value", "std", "unit", "at_bound", "reason"}
+    assert set(result["parameters"]["viscous.F_v"]) == plain
+    assert set(result["parameters"]["coulomb.F_c"]) == plain | {"mu"}  # beside newtons that carry the load
     assert {"domain", "search", "correlations", "errors", "per_run", "friction_scatter"} <= set(result)
 
 

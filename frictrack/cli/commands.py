@@ -145,7 +145,7 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
     model: Annotated[str | None, typer.Option(help="a model (tustin, atm1:2) or a comma list of effects")] = None,
     search: Annotated[Search | None, typer.Option(help="how parameters are sought (varpro)")] = None,
     over: Annotated[
-        Literal["all", "nonlinear"] | None, typer.Option(help="what a global search looks for; the rest is solved (all)")
+        Literal["all", "nonlinear"] | None, typer.Option(help="what a global search looks for (all)")
     ] = None,
     domain: Annotated[Literal["displacement", "force"] | None, typer.Option(help="what is compared")] = None,
     per: Annotated[Literal["group"] | None, typer.Option(help="one set of parameters per group of runs")] = None,

@@ -72,7 +72,8 @@ def effect(
         found = Effect(
             name=name,
             acts_on=acts_on,
-            equation=("" if acts_on == "force" else "y: ") + " + ".join(f"{p} {name}({', '.join(taken)})" for p in linear),
+            equation=("y: " * (acts_on == "measurement"))
+            + " + ".join(f"{p} {name}({', '.join(taken)})" for p in linear),
             parameters=made,
             columns=Columns(function, taken, len(linear)),
             scales_with=scales_with,

@@ -146,12 +146,12 @@ class Fit:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
         if self.measured:
-            out, held = series.errors_of(self.solution.responses), (None, rms)
+            out = series.errors_of(self.solution.responses)
         else:
-            out, held = errors_of([c for c in self.curves if c.role == "fit"], self.weighed), (rms * 1e6, None)
+            out = errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
         return out | {
-            "heldout_rms_um": held[0],
-            "heldout_rms_N": held[1],
+            "heldout_rms_um": None if self.measured else rms * 1e6,
+            "heldout_rms_N": rms if self.measured else None,
             "heldout": how,
             "reduced_chi2": self.reduced_chi2,
         }
@@ -181,7 +181,7 @@ class Fit:
 
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
         """The coefficient of friction beside newtons that carry the load, where the load is known."""
-        effect, _, parameter = address.split("[")[0].rpartition(".")
+        effect, _, parameter = address.partition("[")[0].rpartition(".")
         made = next((e for e in self.model.effects if e.name == effect), None)
         load = self.reference.load if self.measured or self.runs[0].mass is not None else float("nan")
         if made is None or found.value is None or found.unit != "N" or not np.isfinite(load):
@@ -201,8 +201,8 @@ class Fit:
     def _per_run(self) -> list[dict[str, Any]]:
         if self.measured:
             rows = [series.row(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
-            told = zip(self.predictions, self.validation, strict=True)
-            return rows + [series.row(s, 0, run, "validation") for s, run in told]
+            predicted = zip(self.predictions, self.validation, strict=True)
+            return rows + [series.row(s, 0, run, "validation") for s, run in predicted]
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.weighed)]
         rows += [
             _row(s, 0, weighed(run, self.reference.mass), "validation", self.curves)

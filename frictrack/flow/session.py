@@ -104,8 +104,8 @@ class Session:
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current: JSON of `fit`.
 
-        `how` may hold domain, search, over, seed, per; what is None stays as it was for the current model. `profiles` and a
-        bootstrap of so many `draws` are added to what is known of the fit.
+        `how` may hold domain, search, over, seed, per; what is None stays as it was for the current model. `profiles`
+        and a bootstrap of so many `draws` are added to what is known of the fit.
         """
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
