@@ -43,6 +43,8 @@ class Search:
         problem = Projected(self.along, self.along.data if data is None else data, self.tau)
         first = self.first() if numbers is None else numbers
         state = problem.at(first, problem.nothing(first), self.plain)
+        if problem.levels:
+            state = problem.refine(state, self.plain, steps=ROUGH)
         state = self._complete(problem, state)
         return self._exchanged(problem, state)
 
