@@ -111,7 +111,7 @@ def test_tables_print(told):
     rows = {t: told[t] for t in METHODS}
     limits = bound(SCENES["tustin"], 1e-5)
     text = accuracy.table(
-        "tustin", {"truth": SCENES["tustin"].law, "bound": limits, "methods": rows, "default_smoother_apart": 0.0}
+        "tustin", {"truth": SCENES["tustin"].law, "bound": limits, "methods": rows, "quick_smoother_apart": 0.0}
     )
     assert "20 draws" in text.splitlines()[2]
     assert len(text.splitlines()) == 9

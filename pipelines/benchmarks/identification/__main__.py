@@ -6,14 +6,14 @@
 accuracy: RMS error and bias of every parameter over the Cramer-Rao bound of the displacements (starts free, scatter
 known), and the share of truths within 1.96 of the deviations stated; CPU milliseconds of one fit. Scenes: one Tustin
 slide (671 frames, 5.6 to 0.06 m/s), five of them with 3 % scatter of the dry friction, and one with one or two lines
-(60 Hz, 134 Hz). Other ways are started at the truth and run on fewer draws. Fits here start from the quick smoother;
-the default one starts some of them too, and how much that changes is told.
+(60 Hz, 134 Hz). Other ways are started at the truth and run on fewer draws. How much a fit changes that starts from
+the quick smoother is told: at 50 um it may leave out slow frames at the end.
 
 emps: the Electro-Mechanical Positioning System (DATA_EMPS.mat and DATA_EMPS_PULSES.mat in FOLDER): the published fits
 reproduced, then frictrack's with the mass found; further effects are chosen on blocks held out of the first record.
 
-optima: how surely and how fast the global optimum is found, frictrack and other optimisers, which live in an environment
-of their own or are left out (--peers-python PATH | --no-peers; more in the folder of that name).
+optima: how surely and how fast the global optimum is found, frictrack and other optimisers, in an environment
+of their own or left out (--peers-python PATH | --no-peers; more in the folder of that name).
 """
 
 from __future__ import annotations

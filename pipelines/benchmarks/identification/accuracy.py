@@ -22,9 +22,9 @@ Rows = dict[str, dict[str, Any]]  # method -> figures
 Results = dict[str, dict[str, Any]]  # scene -> noise -> truth, bound and methods
 NORMAL = 1.96  # standard deviations that hold 95 %
 SEEN = 5.0  # standard deviations that a line must stand out for a bound to mean anything
-SLOW, QUICK = "structural", "kalman"  # smoothers: the default, and the one that starts most fits here
+DEFAULT, QUICK = "structural", "kalman"  # smoothers that start a fit and say where it begins and ends
 OURS = next(iter(METHODS))
-DEFAULT = "frictrack, default smoother"
+OTHER = "frictrack, quick smoother"
 
 
 class Job(NamedTuple):
@@ -44,10 +44,10 @@ def draw(job: Job) -> Draw:
     scene = SCENES[job.scene]
     found: Draw = {}
     for title in job.titles:
-        runs = films(scene, job.noise, job.seed, SLOW if title == DEFAULT else QUICK)
+        runs = films(scene, job.noise, job.seed, QUICK if title == OTHER else DEFAULT)
         start = time.process_time()
         try:
-            estimate = METHODS[OURS if title == DEFAULT else title](scene, runs)
+            estimate = METHODS[OURS if title == OTHER else title](scene, runs)
         except FrictrackError as fault:
             found[title] = str(fault)
             continue
@@ -97,8 +97,8 @@ class Plan(NamedTuple):
     workers: int
 
     def jobs(self, scene: str, noise: float) -> list[Job]:
-        """All draws of a scene; the default smoother has half as many as what is shown beside."""
-        wanted = ((OURS, self.seeds), *((m, self.beside) for m in METHODS if m != OURS), (DEFAULT, self.beside // 2))
+        """All draws of a scene; the quick smoother has half as many as what is shown beside."""
+        wanted = ((OURS, self.seeds), *((m, self.beside) for m in METHODS if m != OURS), (OTHER, self.beside // 2))
         return [Job(scene, noise, s, tuple(t for t, n in wanted if s < n)) for s in range(self.seeds)]
 
 
@@ -115,7 +115,7 @@ def compare(plan: Plan, say: Say) -> Results:
             draws = list(pool.map(draw, plan.jobs(name, noise), chunksize=5))
             rows = _judged(scene, limits, draws)
             apart = _apart(limits, draws)
-            told = {"truth": dict(scene.law), "bound": limits, "methods": rows, "default_smoother_apart": apart}
+            told = {"truth": dict(scene.law), "bound": limits, "methods": rows, "quick_smoother_apart": apart}
             results.setdefault(name, {})[f"{1e6 * noise:g} um"] = told
             say(table(f"{name}, {1e6 * noise:g} um", told))
     return results
@@ -132,10 +132,10 @@ def _faint(scene: Scene, limits: dict[str, float]) -> str:
 
 
 def _apart(limits: dict[str, float], draws: Iterable[Draw]) -> float:
-    """Most that a parameter changes with the smoother that starts the fit, over its bound."""
+    """Most that a parameter changes with the quick smoother in place of the default one, over its bound."""
     apart = [0.0]
     for d in draws:
-        one, other = d.get(DEFAULT), d[OURS]
+        one, other = d.get(OTHER), d[OURS]
         if one is not None and not isinstance(one, str) and not isinstance(other, str):
             apart += [abs(_off(n, one[0].values[n], other[0].values[n])) / limit for n, limit in limits.items()]
     return max(apart)
@@ -144,7 +144,7 @@ def _apart(limits: dict[str, float], draws: Iterable[Draw]) -> float:
 def table(title: str, told: dict[str, Any]) -> str:
     """One scene at one noise: a parameter per line, RMS error and bias over the bound, and coverage, per method."""
     rows = told["methods"]
-    lines = [f"\n{title}; start by the default smoother changes at most {told['default_smoother_apart']:.2g} bounds"]
+    lines = [f"\n{title}; the quick smoother changes at most {told['quick_smoother_apart']:.2g} bounds"]
     lines.append(f"{'':28}" + "".join(f"{_head(r):>24}" for r in rows.values()))
     lines.append(f"{'':28}" + "".join(f"{t[:23]:>24}" for t in rows))
     lines.append(f"{'':8}{'truth':>9}{'bound':>11}" + "".join(f"{'rms':>8}{'bias':>8}{'cover':>8}" for _ in rows))

@@ -56,7 +56,7 @@ SCENES = {
 }
 
 
-def films(scene: Scene, noise: float, seed: int, smoother: str = "kalman") -> list[Run]:
+def films(scene: Scene, noise: float, seed: int, smoother: str = "structural") -> list[Run]:
     """Measured runs of a scene, white noise of `noise` m, smoothed by one of the methods of `low_pass`."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name)), round(1e9 * noise)])
     levels = 1.0 + scene.scatter * rng.standard_normal(len(scene.speeds))
