@@ -41,7 +41,7 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
     # scans along the motion do not bend the levels of several runs: what these scatter may look like an effect
-    if not found or len(names) > 1 or found[0].chi2 > EXPLAINED * found[0].problem.n_frames:
+    if not found or found[0].chi2 > EXPLAINED * found[0].problem.n_frames:
         found += _by_growth(model, pieces, names, spans, needed=not found)
     return until_stop(min(found, key=lambda s: s.objective))
 

@@ -151,6 +151,8 @@ class Remembering:
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Node accelerations (3 p, k) and edge states (p + 1, 2, k) for inputs g (3 p, k), start (2, k)."""
         pairs = [self.along(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
+            raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
         a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
         return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
 
@@ -165,7 +167,10 @@ class Remembering:
         return a, edges
 
     def _corrected(self, rest: Array, tolerance: float) -> tuple[Array, Array]:
-        """What is to be added where `rest` is left of the equation: GMRES, preconditioned from the right."""
+        """What is to be added where `rest` is left of the equation: GMRES, preconditioned from the right.
+
+        Not a number where the law runs off to infinity.
+        """
         still = np.zeros(2)
         basis, moves, hessenberg = [rest / np.linalg.norm(rest)], [], np.zeros((KRYLOV + 1, KRYLOV))
         right = np.zeros(KRYLOV + 1)
@@ -178,6 +183,8 @@ class Remembering:
                 hessenberg[i, k] = b @ w
                 w = w - hessenberg[i, k] * b
             hessenberg[k + 1, k] = np.linalg.norm(w)
+            if not np.isfinite(hessenberg[k + 1, k]):
+                return np.full_like(a, np.nan), np.full_like(edges, np.nan)
             y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], right[: k + 2], rcond=None)[0]
             left = float(np.linalg.norm(right[: k + 2] - hessenberg[: k + 2, : k + 1] @ y))
             if left <= tolerance or hessenberg[k + 1, k] <= 1e-14 * right[0]:

@@ -27,11 +27,24 @@ Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m)
 
 
 @dataclass(frozen=True, eq=False)
+class Levels:
+    """How a law answers the levels of R runs: rows (R, M) per unit of each, and what else is known of them.
+
+    `held` (R, R) is the precision with which they are held, `pull` (R,) half the slope of the misfit downwards.
+    """
+
+    rows: Array
+    held: Array
+    pull: Array
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """One law: numbers (P_layout,), rows (K, M), coefficients (K,), which of these may move, and the misfit.
 
     `misfit` is the sum of squared residuals and of what holds the levels about one. Rows that are `out` take no part.
     `changes` tells how rows answer each number; `stamps` tells rows of different evaluations apart, group by group.
+    `levels` tells how the law answers the levels of its runs.
     """
 
     numbers: Array
@@ -42,6 +55,7 @@ class State:
     misfit: float
     out: Mask
     stamps: tuple[int, ...]
+    levels: Levels
     changes: dict[int, list[Change]] = field(default_factory=dict)
 
 
@@ -84,6 +98,7 @@ class Projected:
         width = self.high - self.low
         self._least = STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
         self._loaded = np.array([c.loaded for c in along.coefficients], dtype=bool)
+        self._firm = self._held[:, self.levels].T @ self._held[:, self.levels]
 
     def _known(self, tau: float) -> tuple[Array, Array]:
         """What is known beside the data: rows (m, P) of the numbers and what they aim at, (m,), in deviations.
@@ -105,7 +120,9 @@ class Projected:
         k = len(self.along.coefficients)
         zero = np.zeros((k, self.along.size))
         none = np.zeros(k, dtype=bool)
-        return State(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, (0,) * len(self.along.groups))
+        still = Levels(np.zeros((len(self.levels), self.along.size)), self._firm, np.zeros(len(self.levels)))
+        stamps = (0,) * len(self.along.groups)
+        return State(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, stamps, still)
 
     def without(self, state: State, coefficients: Indices) -> State:
         """The same law with some of its rows gone, the others' coefficients solved again."""
@@ -127,12 +144,35 @@ class Projected:
         base = known or self.nothing(numbers)
         rows, out = base.rows.copy(), base.out.copy()
         changes, stamps = dict(base.changes), list(base.stamps)
-        chosen = range(len(self.along.groups)) if groups is None or self.levels else groups
-        for g in chosen:
+        if self.levels:
+            self._relevel(base.numbers, numbers, rows, (changes, stamps))
+        for g in range(len(self.along.groups)) if groups is None else groups:
             self._evaluate(g, numbers, rows, changes)
             stamps[g] = next(self._stamps)
             out[self.along.coefficients_of(g) if taken is None else taken] = False
         return self._solved(numbers, rows, out, (tuple(stamps), changes))
+
+    def _relevel(
+        self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]
+    ) -> None:
+        """Carry what follows the friction levels along with them: rows, changes, and stamps of the groups touched."""
+        along, (changes, stamps) = self.along, kept
+        factor = new[self.levels] / old[self.levels]
+        if np.all(factor == 1.0):
+            return
+        for block, cut in zip(along.blocks, along.slices, strict=True):
+            rows[self._loaded, cut] *= factor[block.run]
+        for i, own in changes.items():
+            changes[i] = [(g, b, change * self._follows(g, b, factor)) for g, b, change in own]
+        for g in range(len(along.groups)):
+            if self._loaded[along.coefficients_of(g)].any():
+                stamps[g] = next(self._stamps)
+
+    def _follows(self, g: int, b: int, factor: Array) -> Array:
+        """By how much the columns of a group change with the levels of the runs, (columns, 1)."""
+        run = self.along.blocks[b].run
+        at = self.along.place[g][run]
+        return np.where((at >= 0) & self._loaded[at], factor[run], 1.0)[:, None]
 
     def _evaluate(self, g: int, numbers: Array, rows: Array, changes: dict[int, list[Change]]) -> None:
         """Rows of one group and how they answer its numbers, all from one evaluation."""
@@ -161,9 +201,20 @@ class Projected:
         c, moving = bounded(gram, right, self.along.low, self.along.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
-        if len(self._aim):
-            misfit += float(np.sum((self._held @ numbers - self._aim) ** 2))
-        return State(numbers, rows, c, moving, residual, misfit, out, *kept)
+        away = self._held @ numbers - self._aim
+        misfit += float(away @ away)
+        levels = self._levels(numbers, rows, c, (residual, away))
+        return State(numbers, rows, c, moving, residual, misfit, out, kept[0], levels, kept[1])
+
+    def _levels(self, numbers: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> Levels:
+        """How a law answers its levels; `left` is its residual, and how far its numbers are from what is known."""
+        along, slope = self.along, np.zeros((len(self.levels), self.along.size))
+        residual, away = left
+        if self.levels:
+            dry = c[self._loaded] @ rows[self._loaded]
+            for block, cut in zip(along.blocks, along.slices, strict=True):
+                slope[block.run, cut] = dry[cut] / numbers[self.levels[block.run]]
+        return Levels(slope, self._firm, slope @ residual - self._held[:, self.levels].T @ away)
 
     def refine(
         self,
@@ -202,8 +253,8 @@ class Projected:
         """Normal matrix (d, d) and gradient (d,) of the free numbers beside the coefficients."""
         slope = np.zeros((len(free), self.along.size))
         for row, i in zip(slope, free, strict=True):
-            if self.layout.slots[i].effect == LEVEL:
-                self._by_level(state, i, row)
+            if i in self.levels:
+                row += state.levels.rows[self.levels.index(i)]
             for g, b, change in state.changes.get(i, []):
                 at = self.along.place[g][self.along.blocks[b].run]
                 row[self.along.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
@@ -221,13 +272,6 @@ class Projected:
             normal += held.T @ held
             gradient = gradient - held.T @ (self._held @ state.numbers - self._aim)
         return normal, gradient
-
-    def _by_level(self, state: State, i: int, out: Array) -> None:
-        run = self.layout.slots[i].run
-        for b, block in enumerate(self.along.blocks):
-            if block.run == run:
-                rows = state.rows[self._loaded, self.along.slices[b]]
-                out[self.along.slices[b]] = state.coefficients[self._loaded] @ rows / state.numbers[i]
 
     def _step(self, state: State, linear: tuple[Array, Array], free: list[int], damping: float) -> tuple[Array, float]:
         """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from frictrack.effects import Effect
 from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import State
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 ABSORBED = 1e-6  # share of a column's square that must remain beside the law for it to count
 APART = 3  # steps of the grid within which a second pick is the same one
@@ -51,8 +51,9 @@ class Table:
     joint: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
 
     def against(self, along: Along, state: State, data: Array) -> tuple[Array, Array]:
-        """Inner products with the rows of a law (G, C, K), and with its residual (G, C)."""
-        out = np.zeros((*self.gram.shape[:2], len(state.coefficients)))
+        """Inner products with the rows of a law and of its R levels (G, C, K + R), and with its residual (G, C)."""
+        k = len(state.coefficients)
+        out = np.zeros((*self.gram.shape[:2], k + len(state.levels.rows)))
         for g, stamp in enumerate(state.stamps):
             mine = along.coefficients_of(g)
             if self.crosses.get(g, (None,))[0] != stamp:
@@ -60,7 +61,8 @@ class Table:
             out[:, :, mine] = self.crosses[g][1]
         if not self.measured or self.measured[0] is not data:
             self.measured[:] = [data, self._products(along.slices, data[None])[:, :, 0]]
-        return out, self.measured[1] - out @ state.coefficients
+        out[:, :, k:] = self._products(along.slices, state.levels.rows)
+        return out, self.measured[1] - out[:, :, :k] @ state.coefficients
 
     def neighbours(self) -> Array:
         """Gram matrices (G - 1, 2 C, 2 C) of every form and the next one on the grid."""
@@ -80,7 +82,8 @@ class Table:
         out = np.zeros((g, c, len(rows)))
         short = rows.astype(np.float32)
         for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
-            out[:, at] += (mine @ short[:, cut].T).reshape(g, len(at), len(rows))
+            shown = np.flatnonzero(short[:, cut].any(axis=1))  # most rows belong to one run
+            out[np.ix_(np.arange(g), at, shown)] += (mine @ short[shown, cut].T).reshape(g, len(at), len(shown))
         return out
 
 
@@ -248,21 +251,35 @@ def _crowds(numbers: Array) -> list[Array]:
 def _scanned(
     table: Table, state: State, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
 ) -> Scan:
-    """Gains of all forms beside a law that has none of them, from products with its rows (G, C, K) and residual."""
+    """Gains of all forms beside a law that has none of them, its levels free as far as they are held.
+
+    `products` are those with its rows and levels (G, C, K + R) and with its residual (G, C).
+    """
     cross, right = products
-    schur = table.gram.copy()
-    rows = state.rows[state.moving]
-    if len(rows):
-        gram = rows @ rows.T
-        size = np.sqrt(gram.diagonal())
-        unit = gram / size / size[:, None]
-        unit.flat[:: len(size) + 1] += 1e-12
-        beside = cross[:, :, state.moving] / size
-        flat = beside.reshape(-1, len(size))
-        schur -= (flat @ np.linalg.inv(unit)).reshape(beside.shape) @ beside.transpose(0, 2, 1)
+    schur, already = table.gram.copy(), 0.0
+    free = np.concatenate([state.moving, state.levels.rows.any(axis=1)])
+    if free.any():
+        inverse, size, pull = _beside(state, free)
+        beside = cross[:, :, free] / size
+        flat = (beside.reshape(-1, len(size)) @ inverse).reshape(beside.shape)
+        schur -= flat @ beside.transpose(0, 2, 1)
+        right, already = right - flat @ pull, float(pull @ inverse @ pull)
     c = np.clip(_solve(schur, right, np.einsum("gcc->gc", table.gram)), *box)
-    pull = (schur @ c[:, :, None])[:, :, 0]
-    return Scan(table.grid, np.einsum("gc,gc->g", c, 2 * right - pull), c)
+    bent = (schur @ c[:, :, None])[:, :, 0]
+    return Scan(table.grid, np.einsum("gc,gc->g", c, 2 * right - bent) + already, c)
+
+
+def _beside(state: State, free: Mask) -> tuple[Array, Array, Array]:
+    """Of the free rows and levels of a law (k,): their inverse Gram matrix, in units of their sizes (k,), and pulls."""
+    rows = np.concatenate([state.rows, state.levels.rows])[free]
+    k, own = len(state.coefficients), state.levels
+    held, pull = np.zeros((len(free), len(free))), np.zeros(len(free))
+    held[k:, k:], pull[k:] = own.held, own.pull
+    gram = rows @ rows.T + held[np.ix_(free, free)]
+    size = np.sqrt(gram.diagonal())
+    unit = gram / size / size[:, None]
+    unit.flat[:: len(size) + 1] += 1e-12
+    return np.linalg.inv(unit), size, pull[free] / size
 
 
 def _solve(schur: Array, right: Array, full: Array) -> Array:
