@@ -15,6 +15,7 @@ from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
+MIN_RUNS = 4  # fewer cannot tell how levels scatter: theirs are free about a mean of one
 
 
 @dataclass(frozen=True)
@@ -296,13 +297,14 @@ def settle(layout: Layout, p: Array) -> Array:
 def balanced(layout: Layout, p: Array) -> Array:
     """The same law with levels about one: their common factor is given to the coefficients that carry the load.
 
-    The factor is the one that brings the levels closest to one; the motion does not change. What is known of a
-    coefficient beside the runs already says what a level of one is.
+    The factor is the one that brings the levels closest to one, or their mean where too few runs leave only that held;
+    the motion does not change. What is known of a coefficient beside the runs already says what a level of one is.
     """
     levels = layout.levels
     if not levels or layout.levels_free or layout.anchored:
         return p
-    factor = float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
+    few = len(levels) < MIN_RUNS
+    factor = float(np.mean(p[levels])) if few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
     p = np.array(p)
     p[levels] /= factor
     loaded = [

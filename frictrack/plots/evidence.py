@@ -241,13 +241,21 @@ def _wrapped(name: str) -> str:
 
 def limited(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
     """Effects whose detection limit depends on a setting, so that a curve says more than the table."""
-    found = []
-    for effect in diagnosis["detection_limits"]:
-        curves = figures.get(effect, {})
-        depends = any(k not in RESULTS and len(np.unique(v)) > 4 for k, v in curves.items())
-        if depends and np.any(np.isfinite(curves["limit"])):
-            found.append(effect)
-    return found
+    return [e for e in diagnosis["detection_limits"] if e in figures and len(_along(figures[e])[1]) > 4]
+
+
+def _along(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
+    """The setting on which a limit depends most, its values (n,), and the limit where it is worst otherwise (n,).
+
+    Values at which no size could be seen are left out.
+    """
+    settings = [name for name in curves if name not in RESULTS]
+    if not settings:
+        return "", np.empty(0), np.empty(0)
+    name = max(settings, key=lambda n: len(np.unique(curves[n])))
+    at, limit = envelope(curves[name], curves["limit"], np.maximum)
+    good = np.isfinite(limit) & (limit > 0)
+    return name, at[good], limit[good]
 
 
 @styled
@@ -271,11 +279,7 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
 
 
 def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
-    settings = [name for name in curves if name not in RESULTS]
-    name = max(settings, key=lambda n: len(np.unique(curves[n])))
-    at, limit = envelope(curves[name], curves["limit"], np.maximum)
-    good = np.isfinite(limit) & (limit > 0)
-    at, limit = at[good], limit[good]
+    name, at, limit = _along(curves)
     factor, shown = style.scaled(at, _unit(effect, name))
     size, size_unit = style.scaled(limit, written)
     ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)

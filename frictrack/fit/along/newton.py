@@ -152,9 +152,7 @@ class Projected:
             out[self.along.coefficients_of(g) if taken is None else taken] = False
         return self._solved(numbers, rows, out, (tuple(stamps), changes))
 
-    def _relevel(
-        self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]
-    ) -> None:
+    def _relevel(self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]) -> None:
         """Carry what follows the friction levels along with them: rows, changes, and stamps of the groups touched."""
         along, (changes, stamps) = self.along, kept
         factor = new[self.levels] / old[self.levels]
@@ -252,9 +250,8 @@ class Projected:
     def _linearised(self, state: State, free: list[int]) -> tuple[Array, Array]:
         """Normal matrix (d, d) and gradient (d,) of the free numbers beside the coefficients."""
         slope = np.zeros((len(free), self.along.size))
+        slope[[i in self.levels for i in free]] = state.levels.rows
         for row, i in zip(slope, free, strict=True):
-            if i in self.levels:
-                row += state.levels.rows[self.levels.index(i)]
             for g, b, change in state.changes.get(i, []):
                 at = self.along.place[g][self.along.blocks[b].run]
                 row[self.along.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
