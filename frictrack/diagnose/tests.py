@@ -48,23 +48,30 @@ class Tests:
 
 
 def candidates(solution: Solution) -> list[Effect]:
-    """Every effect of the library that could enter the model, under the name it would have there."""
+    """Every effect of the library that could enter the model, under the name it would have there.
+
+    One that takes the place of others, such as LuGre, is another law and no missing cause.
+    """
     model = solution.problem.model
+    taken = frozenset().union(*(e.replaces for e in model.effects))
+    kinds = {e.kind for e in model.effects}
     out = []
     for effect in effects.LIBRARY.values():
+        if effect.replaces or effect.kind in taken or (effect.name in model and not _may_repeat(effect)):
+            continue
+        if effect.modifies and not kinds & effect.modifies:
+            continue
         if effect.acts_on == "measurement" and is_series(solution.problem):
-            continue
-        once = not any(p.scan is not None or p.role == "phase" for p in effect.parameters)
-        if effect.name in model and once:
-            continue
-        if effect.kind in ("stribeck", "coulomb") and any(e.kind in ("atm2",) for e in model.effects):
-            continue
-        if effect.modifies and not any(e.kind in effect.modifies for e in model.effects):
-            continue
-        if effect.kind in ("stribeck", "lens", "peak_locking") and effect.name in model:
             continue
         out.append(effect.called(model.next_instance(effect.name)))
     return out
+
+
+def _may_repeat(effect: Effect) -> bool:
+    """Whether a second cause of the kind would be another one: a line, a moment or a place on the course of its own."""
+    places = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
+    own = any(p.role == "phase" or p.per_run for p in effect.parameters)
+    return (own or places) and any(p.scan is not None for p in effect.parameters)
 
 
 def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:

@@ -2,21 +2,63 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Part, Path, frequencies, wave
 from frictrack.effects.stribeck import speeds
 from frictrack.records import Array
 
+F_C = Parameter("f_c", "N", linear=True, loaded=True)
+F_S = Parameter("f_s", "N", linear=True, loaded=True)
+F_V = Parameter("f_v", "N s/m", linear=True)
+V_S = Parameter("v_s", "m/s", scan=speeds)
 
-def _sum_of_sines(path: Path, nonlinear: Nonlinear, kind: str, order: int) -> Array:
-    waves = (
-        wave(nonlinear[f"{kind}_frequency_{i}"] * path.t, nonlinear[f"{kind}_phase_{i}"])[:, 0]
-        for i in range(1, order + 1)
-    )
-    return np.sum(list(waves), axis=0)
+
+def _decay(path: Path, nonlinear: Nonlinear) -> Array:
+    return np.asarray(np.exp(-path.speed / nonlinear["v_s"]))
+
+
+def _sliding(path: Path, nonlinear: Nonlinear) -> Array:
+    """What multiplies the sines of the sliding term, (n,)."""
+    return path.load * path.s * (1 - _decay(path, nonlinear))
+
+
+def _static(path: Path, nonlinear: Nonlinear) -> Array:
+    return (path.load * path.s * _decay(path, nonlinear))[:, None]
+
+
+def _sine(path: Path, own: Nonlinear) -> Array:
+    return wave(own["frequency"] * path.t, own["phase"])
+
+
+SINE = (
+    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("phase", "rad", (-np.pi, np.pi), per_run=True, role="phase"),
+)
+STATIC = Effect("static", "force", "f_s exp(-|v|/v_s)", (F_S, V_S), _static)
+SLIDING = Effect(
+    name="sliding",
+    acts_on="force",
+    equation="f_c sin(2 pi frequency t + phase) (1 - exp(-|v|/v_s))",
+    parameters=(replace(F_C, role="amplitude"), V_S, *SINE),
+    columns=lambda path, own: _sine(path, own) * _sliding(path, own)[:, None],
+)
+VISCOUS = Effect(
+    name="viscous",
+    acts_on="force",
+    equation="f_v sin(2 pi frequency t + phase) v",
+    parameters=(replace(F_V, role="amplitude"), *SINE),
+    columns=lambda path, own: _sine(path, own) * path.v[:, None],
+)
+
+
+def _part(effect: Effect, i: int) -> Part:
+    """One sine of a sum, its amplitude its own."""
+    names = (f"{effect.name}_{p.name}_{i}" if p in SINE else p.name for p in effect.parameters)
+    return Part(effect.called(f"{effect.name}:{i}"), tuple(names))
 
 
 @cache
@@ -26,24 +68,21 @@ def atm2(order: int) -> Effect:
     f = S_c f_c + (f_s - S_c f_c) exp(-|v|/v_s) + S_v f_v v, with S_c = sum sin(omega_i t + phi_i) and
     S_v = sum sin(Omega_j t + Phi_j). For v < 0 the dry part carries sgn v.
     """
+    lines = [(kind, i) for kind in ("sliding", "viscous") for i in range(1, order + 1)]
+    waves = [_part(effect, i) for effect in (SLIDING, VISCOUS) for i in range(1, order + 1)]
+
+    def total(path: Path, nonlinear: Nonlinear, kind: str) -> Array:
+        sines = (
+            wave(nonlinear[f"{kind}_frequency_{i}"] * path.t, nonlinear[f"{kind}_phase_{i}"])[:, 0]
+            for i in range(1, order + 1)
+        )
+        return np.sum(list(sines), axis=0)
 
     def columns(path: Path, nonlinear: Nonlinear) -> Array:
         """f_c, f_s and f_v columns, shape (n, 3)."""
-        decay = np.exp(-path.speed / nonlinear["v_s"])
-        sliding = _sum_of_sines(path, nonlinear, "sliding", order)
-        viscous = _sum_of_sines(path, nonlinear, "viscous", order)
-        dry = path.load * path.s
-        return np.column_stack([dry * sliding * (1 - decay), dry * decay, viscous * path.v])
+        sliding = total(path, nonlinear, "sliding") * _sliding(path, nonlinear)
+        return np.column_stack([sliding, _static(path, nonlinear), total(path, nonlinear, "viscous") * path.v])
 
-    lines = tuple(
-        parameter
-        for kind in ("sliding", "viscous")
-        for i in range(1, order + 1)
-        for parameter in (
-            Parameter(f"{kind}_frequency_{i}", "Hz", scan=frequencies),
-            Parameter(f"{kind}_phase_{i}", "rad", (-np.pi, np.pi), per_run=True, role="phase"),
-        )
-    )
     return Effect(
         name=f"atm2:{order}",
         acts_on="force",
@@ -51,14 +90,9 @@ def atm2(order: int) -> Effect:
             "f_c S_c (1 - exp(-|v|/v_s)) + f_s exp(-|v|/v_s) + f_v S_v v, "
             f"S = sum of {order} sines sin(2 pi frequency t + phase)"
         ),
-        parameters=(
-            Parameter("f_c", "N", linear=True, loaded=True),
-            Parameter("f_s", "N", linear=True, loaded=True),
-            Parameter("f_v", "N s/m", linear=True),
-            Parameter("v_s", "m/s", scan=speeds),
-            *lines,
-        ),
+        parameters=(F_C, F_S, F_V, V_S, *(replace(p, name=f"{k}_{p.name}_{i}") for k, i in lines for p in SINE)),
         columns=columns,
+        relaxed=(Part(STATIC, ("f_s", "v_s")), *waves),
         replaces=frozenset({"coulomb", "stribeck", "viscous"}),
         scales_with="load",
         what="Sliding and viscous friction are each multiplied by a sum of sines in time.",

@@ -138,6 +138,7 @@ class Effect:
     memory: bool = False  # its columns depend on the whole motion so far, not on the moment alone
     turns: bool = False  # its force passes a stop or a reversal without a jump
     rank: int = 0  # order among modifiers: one of higher rank reshapes what those of lower rank have left
+    relaxed: tuple[Part, ...] = ()  # what it is where every one of its waves has an amplitude of its own
     formula: str | None = None  # of a user's effect that a study file writes as a formula
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
@@ -185,6 +186,14 @@ class Effect:
             raise KeyError(f"{self.name} has {', '.join(sorted(known))} but not {', '.join(changes.keys() - known)}")
         parameters = tuple(_adjusted(p, changes.get(p.name, {})) for p in self.parameters)
         return replace(self, parameters=parameters)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a relaxed effect; `names` are what the whole calls its parameters, in order."""
+
+    effect: Effect
+    names: tuple[str, ...]
 
 
 FEWEST = 9  # places in a scan between bounds

@@ -140,9 +140,12 @@ MOST_AXES = 3  # numbers of one effect that are scanned together
 
 
 def is_scannable(effect: Effect) -> bool:
-    """Whether the forms of an effect are few columns on a grid: no modifier, not too many numbers at once."""
+    """Whether the forms of an effect are few columns on a grid: no modifier, not too many numbers at once.
+
+    One that is relaxed is scanned part by part.
+    """
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-    return not effect.modifies and len(scanned) <= MOST_AXES
+    return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MOST_AXES)
 
 
 def items_of(along: Along) -> list[Item]:
@@ -151,7 +154,7 @@ def items_of(along: Along) -> list[Item]:
     for effect in along.layout.model.effects:
         g = next(k for k, group in enumerate(along.groups) if effect.name in group.names)
         scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-        if not is_scannable(effect):
+        if not is_scannable(effect) or effect.relaxed:
             continue
         if any(p.per_run for p in scanned):
             out += [Item(effect.name, g, r) for r in along.runs if (effect.name, r) not in along.layout.absent]

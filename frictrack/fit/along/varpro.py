@@ -41,12 +41,15 @@ class Search:
     def __call__(self, data: Array | None = None, numbers: Array | None = None) -> State:
         """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
         problem = Projected(self.along, self.along.data if data is None else data, self.tau)
+        return self._exchanged(problem, self.completed(problem, numbers))
+
+    def completed(self, problem: Projected, numbers: Array | None = None) -> State:
+        """The law with every effect where it gained most when it was taken in, refined roughly."""
         first = self.first() if numbers is None else numbers
         state = problem.at(first, problem.nothing(first), self.plain)
         if problem.levels:
             state = problem.refine(state, self.plain, steps=ROUGH)
-        state = self._complete(problem, state)
-        return self._exchanged(problem, state)
+        return self._complete(problem, state)
 
     def idle(self, state: State, price: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
