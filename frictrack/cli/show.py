@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from math import hypot
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -327,7 +328,7 @@ def _behind(row: dict[str, Any]) -> list[str]:
 
 def effects(out: Console, result: dict[str, Any]) -> None:
     """The library: what each effect adds, looks like, and is mistaken for."""
-    table = Table("effect", "equation", "parameters", "looks like", "mistaken for", show_lines=True)
+    table = _table("effect", "equation", "parameters", "looks like", "mistaken for", box=box.SQUARE, show_lines=True)
     for e in result["effects"]:
         units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
         units += "".join(f"\nneeds {what}" for what in e["needs"])
@@ -353,8 +354,8 @@ def _cell(value: Any) -> str:
     return "" if value is None else escape(str(value))
 
 
-def _table(*headers: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="dim")
+def _table(*headers: str, **style: Any) -> Table:
+    table = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
     for header in headers:
         table.add_column(header, overflow="fold")
     return table
