@@ -35,7 +35,7 @@ def _sine(path: Path, own: Nonlinear) -> Array:
 
 
 SINE = (
-    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("frequency", "Hz", (0.0, np.inf), scan=frequencies),  # printed ones make less than a period in a run
     Parameter("phase", "rad", (-np.pi, np.pi), per_run=True, role="phase"),
 )
 STATIC = Effect("static", "force", "f_s exp(-|v|/v_s)", (F_S, V_S), _static)

@@ -20,7 +20,6 @@ from frictrack.fit.pieces import Piece, Reference, pieces_of, reference_of, span
 from frictrack.fit.predict import predicted
 from frictrack.fit.problem import Problem
 from frictrack.fit.profile import Profile, profile
-from frictrack.fit.reduced import solve_reduced, starts_alone
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
 from frictrack.fit.segments import divided, segment_frames
@@ -36,7 +35,7 @@ from frictrack.fit.series import (
     spans_of_series,
 )
 from frictrack.fit.solve import refine
-from frictrack.fit.start import grow, solve_model, until_stop, without
+from frictrack.fit.start import grow, solve_model, without
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run
@@ -81,7 +80,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     point by address after every generation and stops the search by a true answer.
     Runs of the role "validation" are not fitted but predicted. Forces are quoted at `reference_mass` (kg), default
     the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
-    unknown domain or search. `seed` also serves the search for a start of ATM2 under "varpro".
+    unknown domain or search.
     """
     check_how(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
@@ -109,11 +108,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     names = tuple(r.name for r in fitted)
     route = Route(domain, search, seed, over)
     if search == "varpro":
-        if starts_alone(law):
-            solution = solve_model(law, pieces, names, _fps(fitted))
-        else:
-            start = scaffold(law, pieces, names, _fps(fitted))
-            solution = until_stop(solve_reduced(start, fitted, np.random.default_rng(seed)))
+        solution = solve_model(law, pieces, names, _fps(fitted))
         found = in_force(solution, fitted) if domain == "force" else Found(solution)
     else:
         found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route, callback)

@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.along import Along, Projected, Search, displacement_block
+from frictrack.fit.along import Along, Projected, displacement_block, search_of
 from frictrack.fit.along.table import is_scannable
 from frictrack.fit.layout import LEVEL, Layout
 from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
@@ -41,7 +41,8 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
     # scans along the motion do not bend the levels of several runs: what these scatter may look like an effect
-    if not found or found[0].chi2 > EXPLAINED * found[0].problem.n_frames:
+    grown = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
+    if not found or (grown and found[0].chi2 > EXPLAINED * found[0].problem.n_frames):
         found += _by_growth(model, pieces, names, spans, needed=not found)
     return until_stop(min(found, key=lambda s: s.objective))
 
@@ -75,7 +76,7 @@ def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tup
     ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
     blocks = [displacement_block(p) for p in ready]
     along = Along(layout, blocks)
-    search = Search(along)
+    search = search_of(along)
     state = search()
     absent = search.idle(state, PULSE_PRICE * np.log(along.size))
     if absent:

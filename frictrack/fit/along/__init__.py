@@ -1,17 +1,29 @@
 """Along the measured motion the coefficients of a law are linear: blocks of data, rows of a model, and searches.
 
     along = Along(layout, [force_block(run, path, friction, sigma), ...])     a force series: no mass, no derivative
-    state = Search(along)()                       the law: state.numbers (P,), state.coefficients (K,), state.misfit
+    state = search_of(along)()                    the law: state.numbers (P,), state.coefficients (K,), state.misfit
     p = along.law(state.numbers, state.coefficients)                          all unknowns of the layout, (P,)
     state = Projected(along, along.data).refine(Projected(along, along.data).at(p), groups)     from a known start
 
-`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain. `Search(along)(data)`
+`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain. `search_of(along)(data)`
 searches other data (M,) along the same motion with the tables of the first.
 """
 
 from frictrack.fit.along.blocks import Block, chain_block, displacement_block, force_block
 from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import Projected, State
+from frictrack.fit.along.tied import Tied, search_of
 from frictrack.fit.along.varpro import Search
 
-__all__ = ["Along", "Block", "Projected", "Search", "State", "chain_block", "displacement_block", "force_block"]
+__all__ = [
+    "Along",
+    "Block",
+    "Projected",
+    "Search",
+    "State",
+    "Tied",
+    "chain_block",
+    "displacement_block",
+    "force_block",
+    "search_of",
+]

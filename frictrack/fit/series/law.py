@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.along import Along, Block, Projected, Search, State
+from frictrack.fit.along import Along, Block, Projected, State, search_of
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.covariance import covariance_of
 from frictrack.fit.heldout import UNSEEN, _predictable
@@ -43,7 +43,7 @@ def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], 
     """
     layout = _layout(model, pieces, names, fps)
     along = Along(layout, [_block(p) for p in pieces])
-    state = _reshaped(Projected(along, along.data), Search(along)())
+    state = _reshaped(Projected(along, along.data), search_of(along)())
     problem = SeriesProblem(model, layout, pieces)
     return settle_scatter(problem, along.law(state.numbers, state.coefficients), problem.first_starts())
 
