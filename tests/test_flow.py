@@ -411,3 +411,13 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     edit(film_study, "fps = 1000", "fps = 2000")
     session(film_study).bring_up_to("track")
     assert made == ["block recording", "block track"]
+
+
+def test_a_global_search_tells_its_progress_generation_by_generation(study_file: Path) -> None:
+    told: list[tuple[int, int, str]] = []
+    at_it = Session(open_study(study_file), lambda done, total, what: told.append((done, total, what)))
+    at_it.fit(search="de", domain="force")
+    generations = [(done, total) for done, total, what in told if what.startswith("de: misfit")]
+    assert len(generations) > 3
+    assert [done for done, _ in generations] == sorted(done for done, _ in generations)
+    assert all(done < total for done, total in generations)

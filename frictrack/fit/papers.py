@@ -30,7 +30,8 @@ DOMAINS = ("displacement", "force")
 SEARCHES = ("varpro", *METHODS)
 OVER = ("all", "nonlinear")
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
-BUDGET = 36_000  # evaluations: the first paper's 1000 generations of 40 with the common gap of 0.9
+GENERATIONS = 1000  # of the first paper
+BUDGET = 36 * GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
 ROOM = 1.5  # times the largest friction measured: how far a force is searched
 SHIFT = 0.01  # of the travelled span: how far the picture may be shifted
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from frictrack.effects import Effect
 from frictrack.effects.settings import Settings, check_ties, definitions
 from frictrack.fit import fit, restore, state
 from frictrack.fit.certainty import merged
+from frictrack.fit.papers import GENERATIONS
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
@@ -181,7 +182,17 @@ class Tried:
             how["per"] = spec.per
         if self.study.mass is not None:
             how["reference_mass"] = self.study.mass[0]
-        return fit(spec.model(self.study.effects), self.runs, **how)
+        fitted = fit(spec.model(self.study.effects), self.runs, callback=self._told(spec.search), **how)
+        self.progress(GENERATIONS, GENERATIONS, spec.search)
+        return fitted
+
+    def _told(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
+        """Progress of a global search, generation by generation."""
+
+        def told(generation: int, best: Mapping[str, float], misfit: float) -> None:
+            self.progress(min(generation, GENERATIONS - 1), GENERATIONS, f"{search}: misfit {misfit:.4g}")
+
+        return told
 
     def papers(self) -> Any:
         """The current model by the papers' route (force domain, SGA), kept beside the others."""
