@@ -20,6 +20,7 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 SLOW = 2.1  # periods in a run up to which a wave counts as slow
+CLOSE = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
 STEP = 0.1  # periods between the frequencies of a slow wave
 PHASES = 16  # round the circle
 TURN = np.arange(PHASES) * 2 * np.pi / PHASES - np.pi
@@ -105,6 +106,17 @@ class Relaxed:
             periods = sorted(self._value(p, w.frequency) * duration for w in self.waves if w.size == size)
             out += [f if f > SLOW else 0.0 for f in periods]
         return np.array(out)
+
+    def exchanged(self, p: Array) -> Iterator[Array]:
+        """A law (P,) with two waves of two sums exchanged that stand close to each other."""
+        for one, other in combinations(self.waves, 2):
+            f, g = (self._value(p, w.frequency) for w in (one, other))
+            near = abs(f - g) * self.whole.layout.span.duration < CLOSE
+            if one.size != other.size and near and max(f, g) > self.slow[-1]:
+                q = p.copy()
+                self._put(q, one, g, self._value(p, other.phase))
+                self._put(q, other, f, self._value(p, one.phase))
+                yield q
 
     def places(self, p: Array, data: Array) -> list[tuple[float, Array]]:
         """Where the slowest waves of two sums may stand, beside all others of a law (P,): misfits, and numbers (P,)."""

@@ -25,8 +25,10 @@ from frictrack.records import Array
 
 VALUES = 8  # tried of what parts share
 PLACES = (0.4, 0.6, 0.8)  # of the scan of what parts share: where waves are looked for
-STARTS = 4  # sets of waves that are tied
-TRIALS = 10  # places of two slow waves that are followed down
+STARTS = 8  # sets of waves that are tied, at most
+WORSE = 1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
+TRIALS = 5  # places of two slow waves that are followed down
+AGAIN = 8  # the same beside the best law
 FIRST, LAST = 4, 30  # steps before a law may be given up, and in all
 SAME = 0.25  # periods in a run within which two waves are one
 
@@ -83,31 +85,35 @@ class Tied:
 
     def _first(self, data: Array) -> State:
         """The law of the longest run."""
-        problem = Projected(self.single[self.runs[0]], data)
+        first = self.single[self.runs[0]]
+        problem = Projected(first, data)
         best: State | None = None
-        for p in self._starts(data):
-            best = self._followed(problem, self._slow(p, data), best)
+        for misfit, p in self._starts(data):
+            if best is not None and misfit > WORSE * best.misfit:
+                break
+            best = self._followed(problem, [p, *self._slow(p, data)[:TRIALS]], best)
         assert best is not None
+        p = first.law(best.numbers, best.coefficients)
+        for q in [p, *self.relaxed[0].exchanged(p)]:
+            best = self._followed(problem, self._slow(q, data)[:AGAIN], best)
         return best
 
-    def _starts(self, data: Array) -> list[Array]:
-        """Numbers (P,) of the best relaxed laws, of every set of waves the best."""
-        coarse = [self.relaxed[round(q * (len(self.relaxed) - 1))] for q in PLACES]
-        found = sorted((law for r in coarse for law in r.laws(data)), key=lambda law: law[0])
-        chosen: list[Array] = []
-        sets: list[Array] = []
-        for _, p in found:
+    def _starts(self, data: Array) -> list[tuple[float, Array]]:
+        """Misfits and numbers (P,) of the best relaxed laws, of every set of waves the best."""
+        coarse = {round(q * (len(self.relaxed) - 1)) for q in PLACES}
+        found = sorted((law for i in sorted(coarse) for law in self.relaxed[i].laws(data)), key=lambda law: law[0])
+        chosen: list[tuple[float, Array]] = []
+        for misfit, p in found:
             mine = self.relaxed[0].fast(p)
-            if not any(len(mine) == len(s) and np.all(np.abs(mine - s) < SAME) for s in sets):
-                sets.append(mine)
-                chosen.append(p)
+            if all(np.any(np.abs(mine - self.relaxed[0].fast(q)) > SAME) for _, q in chosen):
+                chosen.append((misfit, p))
         return chosen[:STARTS]
 
     def _slow(self, p: Array, data: Array) -> list[Array]:
-        """A law (P,) as it stands, and with the slowest waves of two sums elsewhere: the places that look best."""
+        """A law (P,) with the slowest waves of two sums elsewhere, the place that looks best first."""
         found = [place for r in self.relaxed for place in r.places(p, data)]
         costs = np.array([c for c, _ in found])
-        return [p, *(found[i][1] for i in np.argsort(costs)[:TRIALS])]
+        return [found[i][1] for i in np.argsort(costs)]
 
     def _followed(self, problem: Projected, trials: Iterable[Array], best: State | None) -> State:
         for p in trials:
