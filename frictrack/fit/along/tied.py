@@ -30,6 +30,8 @@ WORSE = 1.5  # times the misfit of the best tied law: a relaxed one beyond, alth
 TRIALS = 5  # places of two slow waves that are followed down
 AGAIN = 8  # the same beside the best law
 FIRST, LAST = 4, 30  # steps before a law may be given up, and in all
+FAR = 4.0  # times the best misfit: given up after the first steps
+ROUGHLY = 1e-4  # of the misfit that a step must promise while laws are compared
 SAME = 0.25  # periods in a run within which two waves are one
 
 
@@ -96,7 +98,7 @@ class Tied:
         p = first.law(best.numbers, best.coefficients)
         for q in [p, *self.relaxed[0].exchanged(p)]:
             best = self._followed(problem, self._slow(q, data)[:AGAIN], best)
-        return best
+        return problem.refine(best, steps=LAST)
 
     def _starts(self, data: Array) -> list[tuple[float, Array]]:
         """Misfits and numbers (P,) of the best relaxed laws, of every set of waves the best."""
@@ -117,8 +119,11 @@ class Tied:
 
     def _followed(self, problem: Projected, trials: Iterable[Array], best: State | None) -> State:
         for p in trials:
-            state = problem.refine(problem.at(p), steps=FIRST)
-            state = problem.refine(state, steps=LAST, below=np.inf if best is None else best.misfit)
+            state = problem.refine(problem.at(p), steps=FIRST, enough=ROUGHLY)
+            if best is not None and state.misfit > FAR * best.misfit:
+                continue
+            below = np.inf if best is None else best.misfit
+            state = problem.refine(state, steps=LAST, enough=ROUGHLY, below=below)
             if best is None or state.misfit < best.misfit:
                 best = state
         assert best is not None
