@@ -26,6 +26,7 @@ TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fe
 STOPPING = 2.0  # frames before the stop that are left out
 PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
 EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
+SHARES = (1.0, 0.5, 0.2, 0.0)  # of the coefficients that a start along the measured motion keeps
 TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at this level
 
 
@@ -40,7 +41,6 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
-    # scans along the motion do not bend the levels of several runs: what these scatter may look like an effect
     grown = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
     if not found or (grown and found[0].chi2 > EXPLAINED * found[0].problem.n_frames):
         found += _by_growth(model, pieces, names, spans, needed=not found)
@@ -86,11 +86,22 @@ def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tup
         problem = Projected(along, along.data)
         state = problem.refine(problem.at(np.array([known[n] for n in layout.names])))
     law = Problem(first, layout, ready)
-    solution = settle_scatter(law, along.law(state.numbers, state.coefficients), law.first_starts())
-    solution = _each_loosened(solution)
+    solution = _each_loosened(_tamed(law, along.law(state.numbers, state.coefficients)))
     for effect in later:
         solution = grow(solution, effect)
     return settled(reordered(solution, model)) if later else solution
+
+
+def _tamed(problem: Problem, p: Array) -> Solution:
+    """The law refined from p (P,), or from a share of its coefficients where no motion can be integrated under all.
+
+    Along the measured motion a law that lacks an effect may be so wild that its own motion runs away.
+    """
+    linear = np.array([s.linear for s in problem.layout.slots])
+    for share in SHARES[:-1]:
+        with suppress(FrictrackError):
+            return settle_scatter(problem, np.where(linear, share * p, p), problem.first_starts())
+    return settle_scatter(problem, np.where(linear, SHARES[-1] * p, p), problem.first_starts())
 
 
 def _each_loosened(solution: Solution) -> Solution:

@@ -54,7 +54,10 @@ class Search:
     def idle(self, state: State, price: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
         problem = Projected(self.along, self.along.data, self.tau)
-        gains = {i: problem.without(state, self.mine[i]).misfit - state.misfit for i in self.items if i.run is not None}
+        bare = {i: problem.without(state, self.mine[i]) for i in self.items if i.run is not None}
+        if problem.levels:  # these take over what they can
+            bare = {i: problem.refine(law, (), steps=ROUGH) for i, law in bare.items()}
+        gains = {i: law.misfit - state.misfit for i, law in bare.items()}
         best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
         return frozenset(
             (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(price, best[i.effect])
