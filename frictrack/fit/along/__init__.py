@@ -5,8 +5,8 @@
     p = along.law(state.numbers, state.coefficients)                          all unknowns of the layout, (P,)
     state = Projected(along, along.data).refine(Projected(along, along.data).at(p), groups)     from a known start
 
-`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain. `search_of(along)(data)`
-searches other data (M,) along the same motion with the tables of the first.
+`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain.
+`search_of(along)(data)` searches other data (M,) along the same motion with the tables of the first.
 """
 
 from frictrack.fit.along.blocks import Block, chain_block, displacement_block, force_block

@@ -15,7 +15,6 @@ from frictrack.effects.base import Part
 from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import Projected, State
 from frictrack.fit.along.varpro import ROUGH, Search
-from frictrack.fit.layout import Layout
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -210,7 +209,8 @@ class Relaxed:
         numbers = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.along.layout.slots]])
         rows = []
         for g in set(range(len(self.along.groups))) - self.groups:
-            rows.append(np.concatenate([self.along.rows(g, b, numbers)[0] for b in range(len(self.along.blocks))], axis=1))
+            each = [self.along.rows(g, b, numbers)[0] for b in range(len(self.along.blocks))]
+            rows.append(np.concatenate(each, axis=1))
         for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
             w = next(w for w in self.waves if w.size == size)
             own = self._quadratures(w, np.array([self._value(p, w.frequency)]))[0]
