@@ -13,6 +13,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.bootstrap import Bootstrap, bootstrap
 from frictrack.fit.certainty import Certainty, certainty, with_certainty
 from frictrack.fit.groups import GroupFits, by_group
+from frictrack.fit.growth import grow, without
 from frictrack.fit.layout import Layout
 from frictrack.fit.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.fit.papers import Callback, check_how, scaffold
@@ -35,7 +36,7 @@ from frictrack.fit.series import (
     spans_of_series,
 )
 from frictrack.fit.solve import refine
-from frictrack.fit.start import grow, solve_model, without
+from frictrack.fit.start import solve_model
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run
