@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import BASE, FPS, HIDDEN, MASS, PER_RUN_PHASE, Slider, Spec, integrate, measured, study, with_hidden
+from runs import BASE, FPS, HIDDEN, MASS, PER_RUN_PHASE, SIX, Slider, Spec, integrate, measured, study, with_hidden
 
 from frictrack import models
 from frictrack.errors import FrictrackError
@@ -16,6 +17,7 @@ from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.solve import refine
 from frictrack.records import Displacement, Motion
 from frictrack.results import plain
+from frictrack.simulate.slide import Conditions, simulate
 
 NEVER_SLOW = (Spec(7.0, 1, 0.05), Spec(8.0, 1, 0.05))
 SLOWS_TO_A_STOP = (Spec(2.2, 1, 0.09),)
@@ -350,3 +352,43 @@ def test_an_effect_whose_need_the_runs_lack_is_refused():
     blind = replace(blind, displacement=replace(blind.displacement, pixel_pitch=None))
     with pytest.raises(FrictrackError, match="peak_locking needs the pixel pitch of every run; give scale in"):
         fit("coulomb,peak_locking", [blind])
+
+
+# ---------------------------------------------------------------- levels of several runs
+
+
+@pytest.mark.parametrize("runs", [2, 3])
+def test_levels_of_few_runs_are_free_about_a_mean_of_one(runs):
+    made, levels = study(specs=(Spec(4.0), Spec(5.0), Spec(-4.5))[:runs], sigma=1e-5, scatter=0.2)
+    solution = fit("tustin", made).solution
+    found = solution.p[solution.problem.layout.levels]
+    assert found == pytest.approx(levels / levels.mean(), rel=2e-3)
+    assert solution.objective == pytest.approx(solution.chi2, rel=1e-6)  # what holds their mean costs nothing
+    assert solution.chi2 < 1.2 * solution.problem.n_frames
+
+
+@pytest.mark.parametrize("name", ["texture", "patch"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
+    """Where scans take the levels as they stand, what these scatter by looks like an effect at a wrong place."""
+    monkeypatch.setattr(sys.modules["frictrack.fit.start"], "EXPLAINED", np.inf)  # the first way alone
+    law, values = with_hidden(name)
+    small = values | {name: {k: 0.3 * v if k in ("amplitude", "F") else v for k, v in values[name].items()}}
+    made, _ = study(law, small, SIX[1:5], sigma=5e-6, scatter=0.1, rng=np.random.default_rng(seed))
+    fitted = fit(law, made)
+    assert fitted.solution.chi2 < 1.15 * fitted.solution.problem.n_frames
+    place = {"texture": "texture.period", "patch": "patch.x_c"}[name]
+    assert abs(fitted.parameters[place].value - truth_of(small)[place]) < 4 * fitted.parameters[place].std
+
+
+def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
+    """A strong swing that the law lacks, down to a slow end: the best static law of it runs away at first."""
+    from frictrack.reproduce import laws, printed, recordings  # noqa: PLC0415
+
+    known = laws.library(laws.atm1(2), laws.read(printed.ATM1["low"], "sample"))
+    t = np.arange(468) / FPS
+    slide = simulate(*known, Conditions(2.0), t, (0.0, 3.0))
+    run = measured(t, slide.x, sigma=recordings.SIGMA, mass=2.0)
+    plain_law, one_line, whole = (fit(law, [run]).solution for law in ("tustin", "atm1:1", "atm1:2"))
+    assert whole.chi2 < 1.15 * whole.problem.n_frames
+    assert one_line.chi2 < plain_law.chi2
