@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from frictrack import models
+from frictrack import effects, models
 from frictrack.effects import Path, Span
-from frictrack.fit.along import Along, Projected, Search, displacement_block, force_block
+from frictrack.fit import fit
+from frictrack.fit.along import Along, Projected, Search, displacement_block, force_block, search_of
 from frictrack.fit.along.blocks import double_integral
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.along.newton import bounded
 from frictrack.fit.layout import Layout
+from frictrack.simulate import Conditions, simulate
+from tests.runs import MASS, measured
 
 N, FPS = 652, 4000.0
 T = np.arange(N) / FPS
@@ -63,7 +66,6 @@ class TestBlocks:
         assert np.array_equal(twice(rows)[2, 1], twice(rows[2, 1]))
 
     def test_frames_a_force_falls_out_of_the_displacement_of_a_slide(self):
-        from frictrack.fit import fit  # noqa: PLC0415
         from tests.test_force import one_slide  # noqa: PLC0415
 
         problem = fit("tustin", [one_slide()]).solution.problem
@@ -144,6 +146,74 @@ class TestSearch:
         for frequency in (31.7, 250.3):
             state = search(tustin(8, 14, 1.2, 0.4) + line(1.0, frequency, 0.5) + rng.normal(0, 1, N))
             assert numbers(made, state)["vibration.frequency"] == pytest.approx(frequency, abs=1.0)
+
+
+def printed(p):
+    """ATM2, Eq. 4 of the first paper, every sum read with t: f_c f_s f_v v_s, then frequency and phase of each sine."""
+    sines = [line(1.0, *q) for q in np.reshape(p[4:], (-1, 2))]
+    half, decay = len(sines) // 2, np.exp(-V / p[3])
+    return sum(sines[:half]) * p[0] * (1 - decay) + p[1] * decay + sum(sines[half:]) * p[2] * V
+
+
+def drawn(rng, order=2):
+    """A truth at random: in either sum one sine of a period or so, and faster ones."""
+    f_c = rng.uniform(3, 15)
+    p = [f_c, f_c + rng.uniform(1, 12), rng.uniform(0.3, 3), rng.uniform(0.15, 1.2)]
+    for _ in range(2):
+        for low, high in [(1.5, 10), *[(15, 190)] * (order - 1)]:
+            p += [rng.uniform(low, high), rng.uniform(-np.pi, np.pi)]
+    return np.array(p)
+
+
+class TestTied:
+    def test_atm2_as_printed_comes_to_the_least_squares_optimum_from_nothing(self):
+        rng = np.random.default_rng(11)
+        made = along("atm2:2", np.zeros(N))
+        search = search_of(made)
+        for _ in range(10):
+            truth = drawn(rng)
+            data = printed(truth) + rng.normal(0, 1, N)
+            state = search(data)
+            assert state.misfit <= 1.001 * best(printed, data, truth)
+            values, _ = made.layout.values(made.law(state.numbers, state.coefficients), 0)
+            assert state.misfit == pytest.approx(np.sum((data - made.layout.model.force(PATH, values)) ** 2), rel=1e-6)
+
+    @pytest.mark.parametrize("order", [1, 3])
+    def test_other_orders(self, order):
+        rng = np.random.default_rng(12)
+        truth = drawn(rng, order)
+        data = printed(truth) + rng.normal(0, 1, N)
+        assert search_of(along(f"atm2:{order}", data))().misfit <= 1.001 * best(printed, data, truth)
+
+    def test_bounds_and_fixed_values_are_kept(self):
+        rng = np.random.default_rng(13)
+        truth = np.array([8, 14, 1.2, 0.4, 4.0, 0.5, 38.0, 1.0, 6.0, -1.0, 75.0, 2.0])
+        data = printed(truth) + rng.normal(0, 1, N)
+        changes = {"v_s": {"fixed": 0.5}, "viscous_frequency_2": {"bounds": (20.0, 60.0)}}
+        law = models.Model((effects.atm2(2).adjusted(**changes),))
+        made = along(law, data)
+        state = search_of(made)()
+        values = made.layout.values(made.law(state.numbers, state.coefficients), 0)[0]["atm2:2"]
+        assert values["v_s"] == 0.5
+        assert 20 <= values["viscous_frequency_2"] <= 60
+
+    def test_runs_share_all_but_their_phases(self):
+        shared = {"f_c": 8.0, "f_s": 13.0, "f_v": 1.3, "v_s": 0.5, "sliding_frequency_1": 4.0}
+        shared |= {"sliding_frequency_2": 38.0, "viscous_frequency_1": 5.0, "viscous_frequency_2": 75.0}
+        phases = [k.replace("frequency", "phase") for k in shared if "frequency" in k]
+        runs = []
+        for name, duration, speed, own in (("a", 0.2, 5.0, (0.6, 0.1, -0.4, 2.0)), ("b", 0.17, 4.0, (-1, 2, 1, 0))):
+            t = np.arange(round(duration * 4000)) / 4000
+            values = {"atm2:2": shared | dict(zip(phases, own, strict=True))}
+            slide = simulate(models.atm2(2), values, Conditions(MASS), t, (0.0, speed))
+            runs.append(measured(t, slide.x, sigma=1e-6, name=name))
+        alone = fit("atm2:2", runs[:1])
+        assert alone.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+        assert any("nearly unidentifiable from these runs" in r for r in alone.estimates.remarks)
+        both = fit("atm2:2", runs)
+        assert both.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+        for name in ("f_c", "f_v", "v_s"):
+            assert both.parameters[f"atm2:2.{name}"].value == pytest.approx(shared[name], rel=0.02)
 
 
 class TestPopulations:

@@ -23,8 +23,8 @@ from frictrack.fit.layout import Layout, told
 from frictrack.models import Model
 from frictrack.records import Array
 
-VALUES = 8  # tried of what parts share
-PLACES = (0.4, 0.6, 0.8)  # of the scan of what parts share: where waves are looked for
+PLACES = (3, 6, 8)  # steps from the end of the scan of what parts share: where waves are looked for
+VALUES = 10  # the last ones of that scan, at all of which slow waves are looked for
 STARTS = 8  # sets of waves that are tied, at most
 WORSE = 1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
 TRIALS = 5  # places of two slow waves that are followed down
@@ -50,7 +50,12 @@ class Tied:
         self.runs = sorted(along.runs, key=lambda r: -length[r])
         self.single = {r: _alone(along, r, along.layout.model) for r in self.runs}
         first = self.single[self.runs[0]]
-        self.relaxed = [Relaxed(first, self.effect, common) for common in _commons(along.layout, self.effect)]
+        commons = _commons(along.layout, self.effect)
+        last = len(commons)
+        places = {max(last - k, 0) for k in PLACES}
+        some = sorted(places | set(range(max(last - VALUES, 0), last)))
+        self.relaxed = [Relaxed(first, self.effect, commons[i]) for i in some]
+        self.places = [r for i, r in zip(some, self.relaxed, strict=True) if i in places]
 
     def __call__(self, data: Array | None = None) -> State:
         """The law that explains data (M,), default the blocks' own, best."""
@@ -102,8 +107,7 @@ class Tied:
 
     def _starts(self, data: Array) -> list[tuple[float, Array]]:
         """Misfits and numbers (P,) of the best relaxed laws, of every set of waves the best."""
-        coarse = {round(q * (len(self.relaxed) - 1)) for q in PLACES}
-        found = sorted((law for i in sorted(coarse) for law in self.relaxed[i].laws(data)), key=lambda law: law[0])
+        found = sorted((law for r in self.places for law in r.laws(data)), key=lambda law: law[0])
         chosen: list[tuple[float, Array]] = []
         for misfit, p in found:
             mine = self.relaxed[0].fast(p)
@@ -150,9 +154,7 @@ def _commons(layout: Layout, effect: Effect) -> list[dict[str, float]]:
     """Values worth trying of what several parts share."""
     shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
     axes = [_axis(q, layout.span) for q in shared]
-    every = [dict(zip((q.name for q in shared), map(float, values), strict=True)) for values in product(*axes)]
-    some = np.linspace(0, len(every) - 1, min(VALUES, len(every))).round().astype(int)
-    return [every[i] for i in some]
+    return [dict(zip((q.name for q in shared), map(float, values), strict=True)) for values in product(*axes)]
 
 
 def _axis(q: Parameter, span: Span) -> Sequence[float]:
