@@ -25,7 +25,7 @@ from frictrack.records import Array
 
 PLACES = (3, 6, 8)  # steps from the end of the scan of what parts share: where waves are looked for
 VALUES = 10  # the last ones of that scan, at all of which slow waves are looked for
-STARTS = 8  # sets of waves that are tied, at most
+STARTS = 4  # sets of waves that are tied, at most
 WORSE = 1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
 TRIALS = 5  # places of two slow waves that are followed down
 AGAIN = 8  # the same beside the best law
