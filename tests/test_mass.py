@@ -185,7 +185,7 @@ def test_without_a_measured_drive_a_run_needs_a_mass(course):
     assert "expected a mass but got none" in str(caught.value)
     undriven = replace(seen(t, x, v, 1e-5, 0, name="slow"), drive=None, friction_N=np.full(len(t), F_C))
     with pytest.raises(FrictrackError, match=r'run "slow": expected a mass .* and give mass, or measure'):
-        fit(LAW, [undriven])
+        fit(LAW, [undriven], domain="displacement")
 
 
 def test_one_mass_is_sought_for_all_runs_or_for_none(course):
