@@ -11,9 +11,9 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.groups import GroupFits
-from frictrack.fit.problem import Response
 from frictrack.fit.series import SeriesPiece
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
 from frictrack.models import Model
 from frictrack.records import Array, Run
 

@@ -11,7 +11,7 @@ from frictrack.fit.along import Along, Projected, Search, displacement_block, fo
 from frictrack.fit.along.blocks import double_integral
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.along.newton import bounded
-from frictrack.fit.layout import Layout
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
 

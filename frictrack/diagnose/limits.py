@@ -10,7 +10,7 @@ from scipy.stats import ncx2
 
 from frictrack.diagnose.null import Ensemble
 from frictrack.diagnose.tests import Scanned
-from frictrack.fit.scan import ABSORBED, Family
+from frictrack.fit.simulated.scan import ABSORBED, Family
 from frictrack.records import Array
 
 POWER = 0.95

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.scan import Family
-from frictrack.fit.scatter import Basis
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.scan import Family
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.unknowns.scatter import Basis
 from frictrack.motion import noise_level
 from frictrack.records import Array
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.scatter import restraint
-from frictrack.fit.solve import Solution, refine
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.unknowns.scatter import restraint
 
 SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
 NEAR = 40.0  # measured difference beyond which the expected one is not worth computing

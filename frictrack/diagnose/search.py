@@ -17,12 +17,12 @@ from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, series
-from frictrack.fit.estimate import Estimates, estimates
 from frictrack.fit.force import linear_estimates
 from frictrack.fit.groups import GroupFits
-from frictrack.fit.growth import grow, settled
 from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.growth import grow, settled
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.estimate import Estimates, estimates
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other

@@ -11,10 +11,10 @@ from scipy.fft import dct
 from frictrack import effects
 from frictrack.diagnose.null import Ensemble
 from frictrack.effects import Effect
-from frictrack.fit.growth import PULSE_PRICE
-from frictrack.fit.scan import Family, families
 from frictrack.fit.series import is_series
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.growth import PULSE_PRICE
+from frictrack.fit.simulated.scan import Family, families
+from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 
 ALPHA = 0.01  # half for lack of fit, half for candidates

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import residual_force
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 
 BINS = 24

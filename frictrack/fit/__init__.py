@@ -10,20 +10,11 @@ import numpy as np
 from frictrack import models
 from frictrack.effects.settings import check_ties
 from frictrack.errors import FrictrackError
-from frictrack.fit.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.certainty import Certainty, certainty, with_certainty
 from frictrack.fit.groups import GroupFits, by_group
-from frictrack.fit.growth import grow, without
-from frictrack.fit.layout import Layout
-from frictrack.fit.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.fit.papers import Callback, check_how, scaffold
-from frictrack.fit.pieces import Piece, Reference, pieces_of, reference_of, spans_of
 from frictrack.fit.predict import predicted
-from frictrack.fit.problem import Problem
-from frictrack.fit.profile import Profile, profile
 from frictrack.fit.result import Fit
 from frictrack.fit.routes import Found, Route, by_search, in_force, standing
-from frictrack.fit.segments import divided, segment_frames
 from frictrack.fit.series import (
     SeriesProblem,
     check_model,
@@ -35,8 +26,17 @@ from frictrack.fit.series import (
     solve_series,
     spans_of_series,
 )
-from frictrack.fit.solve import refine
-from frictrack.fit.start import solve_model
+from frictrack.fit.simulated.growth import grow, without
+from frictrack.fit.simulated.pieces import Piece, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.segments import divided, segment_frames
+from frictrack.fit.simulated.solve import refine
+from frictrack.fit.simulated.start import solve_model
+from frictrack.fit.sure.bootstrap import Bootstrap, bootstrap
+from frictrack.fit.sure.certainty import Certainty, certainty, with_certainty
+from frictrack.fit.sure.profile import Profile, profile
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.pieces import Piece
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array, Mask
 
 if TYPE_CHECKING:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.stats import t as student
 
-from frictrack.fit.covariance import inverse
-from frictrack.fit.estimate import Estimates, estimates, told
-from frictrack.fit.pieces import MIN_FRAMES, Piece
-from frictrack.fit.problem import Problem, Response
-from frictrack.fit.quoted import quoted_values, shown
-from frictrack.fit.scatter import MIN_RUNS, restraint_rows
-from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.fit.simulated.pieces import MIN_FRAMES, Piece
+from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
+from frictrack.fit.sure.covariance import inverse
+from frictrack.fit.sure.estimate import Estimates, estimates, told
+from frictrack.fit.sure.quoted import quoted_values, shown
+from frictrack.fit.unknowns.scatter import MIN_RUNS, restraint_rows
 from frictrack.motion.filter import weights
 from frictrack.motion.grid import frame_grid
 from frictrack.motion.stencil import NODES, stencils

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.pieces import Piece
-from frictrack.fit.problem import Problem
-from frictrack.fit.scatter import restraint_rows
-from frictrack.fit.solve import Solution, refine
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.unknowns.scatter import restraint_rows
 from frictrack.records import Array
 
 UNSEEN = 1e9  # times sigma: a frame that does not count

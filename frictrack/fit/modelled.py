@@ -21,11 +21,11 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import ndtri
 
 from frictrack.fit.blows import struck
-from frictrack.fit.covariance import inverse
-from frictrack.fit.mass import friction_law, ratio
-from frictrack.fit.problem import Response
-from frictrack.fit.scatter import restraint_rows
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.covariance import inverse
+from frictrack.fit.unknowns.mass import friction_law, ratio
+from frictrack.fit.unknowns.scatter import restraint_rows
 from frictrack.motion import noise_level
 from frictrack.records import Array, Modelled, Run
 

@@ -18,10 +18,10 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.along.blocks import Block, chain_block, displacement_block
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.force import Chain, noise_of
-from frictrack.fit.layout import Layout, Slot, balanced, settle
-from frictrack.fit.pieces import Piece, spans_of
-from frictrack.fit.problem import Problem
-from frictrack.fit.scatter import MIN_RUNS
+from frictrack.fit.simulated.pieces import Piece, spans_of
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.unknowns.layout import Layout, Slot, balanced, settle
+from frictrack.fit.unknowns.scatter import MIN_RUNS
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.search import METHODS, minimise

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.layout import Layout
-from frictrack.fit.pieces import Piece, Reference, pieces_of
-from frictrack.fit.problem import Problem
-from frictrack.fit.segments import divided, segment_frames
 from frictrack.fit.series import is_series, series_pieces
-from frictrack.fit.solve import Solution, refine
-from frictrack.fit.start import until_stop
+from frictrack.fit.simulated.pieces import Piece, Reference, pieces_of
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.segments import divided, segment_frames
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.simulated.start import until_stop
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section
 from frictrack.records import Array, Mask, Run
 

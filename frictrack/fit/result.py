@@ -11,17 +11,17 @@ import numpy as np
 
 from frictrack.fit import routes, series
 from frictrack.fit.blows import collisions
-from frictrack.fit.certainty import Certainty
-from frictrack.fit.estimate import Estimate, Estimates, estimates
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
 from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.mass import friction_law, weighed
 from frictrack.fit.modelled import bands, modelled
-from frictrack.fit.pieces import Reference
-from frictrack.fit.problem import Response
 from frictrack.fit.routes import Found, Route
-from frictrack.fit.scatter import MIN_RUNS
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.pieces import Reference
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.certainty import Certainty
+from frictrack.fit.sure.estimate import Estimate, Estimates, estimates
+from frictrack.fit.unknowns.mass import friction_law, weighed
+from frictrack.fit.unknowns.scatter import MIN_RUNS
 from frictrack.models import Model
 from frictrack.records import Array, Curve, Modelled, Run
 

@@ -10,10 +10,10 @@ import numpy as np
 from frictrack.fit.force import Chain, ForceProblem, at_rest, chains_of, seen, solve_force
 from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.papers import Callback, misfit_of, searched, spread_of
-from frictrack.fit.pieces import Piece
-from frictrack.fit.problem import Problem
-from frictrack.fit.solve import Solution, refine
-from frictrack.fit.start import until_stop
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.simulated.start import until_stop
 from frictrack.records import Array, Mask, Run
 
 PERIODS = 2.0  # of the cut-off: length of the blocks that are held out within a run

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from frictrack.effects import Path
 from frictrack.fit.force import Chain
-from frictrack.fit.pieces import Piece
+from frictrack.fit.simulated.pieces import Piece
 from frictrack.records import Array
 
 PASSED = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth

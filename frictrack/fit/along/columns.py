@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from frictrack.effects import Effect, Path
 from frictrack.effects.settings import Tie
 from frictrack.fit.along.blocks import Block
-from frictrack.fit.layout import Layout
-from frictrack.fit.rules import follow
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.rules import follow
 from frictrack.models import Model
 from frictrack.records import Array
 

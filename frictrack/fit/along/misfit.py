@@ -13,9 +13,9 @@ import numpy as np
 
 from frictrack.fit.along.blocks import Block
 from frictrack.fit.along.columns import NONE, Along, Indices
-from frictrack.fit.layout import LEVEL, Layout
-from frictrack.fit.rules import follow
-from frictrack.fit.scatter import prior_misfit
+from frictrack.fit.unknowns.layout import LEVEL, Layout
+from frictrack.fit.unknowns.rules import follow
+from frictrack.fit.unknowns.scatter import prior_misfit
 from frictrack.records import Array
 
 CROWD = 20  # laws evaluated at once: what they need stays in the cache

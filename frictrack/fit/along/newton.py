@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.fit.along.columns import NONE, Along, Indices
-from frictrack.fit.layout import LEVEL
-from frictrack.fit.scatter import restraint_rows
+from frictrack.fit.unknowns.layout import LEVEL
+from frictrack.fit.unknowns.scatter import restraint_rows
 from frictrack.records import Array, Mask
 
 STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns

@@ -19,7 +19,7 @@ from frictrack.fit.along.columns import Along
 from frictrack.fit.along.newton import Projected, State
 from frictrack.fit.along.relaxed import Relaxed
 from frictrack.fit.along.varpro import Search
-from frictrack.fit.layout import Layout, told
+from frictrack.fit.unknowns.layout import Layout, told
 from frictrack.models import Model
 from frictrack.records import Array
 

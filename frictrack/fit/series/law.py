@@ -17,14 +17,14 @@ from scipy.stats import t as student
 from frictrack.errors import FrictrackError
 from frictrack.fit.along import Along, Block, Projected, State, search_of
 from frictrack.fit.along.misfit import Misfit, Reduced
-from frictrack.fit.covariance import covariance_of
 from frictrack.fit.heldout import UNSEEN, _predictable
-from frictrack.fit.layout import Layout
 from frictrack.fit.papers import searched, spread_of
-from frictrack.fit.pieces import Piece
-from frictrack.fit.scatter import restraint_rows
 from frictrack.fit.series.problem import SeriesProblem, spans_of_series
-from frictrack.fit.solve import Solution, refine, settle_scatter
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
+from frictrack.fit.sure.covariance import covariance_of
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.scatter import restraint_rows
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 

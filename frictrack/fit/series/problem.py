@@ -15,9 +15,9 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import Layout
-from frictrack.fit.pieces import Piece, Reference, _Begin, _path, _way
-from frictrack.fit.problem import Problem, Response
+from frictrack.fit.simulated.pieces import Piece, Reference, _Begin, _path, _way
+from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
 from frictrack.motion import noise_level

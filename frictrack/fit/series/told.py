@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.problem import Response
 from frictrack.fit.series.law import likeness
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array, Curve, Run
 
 UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film

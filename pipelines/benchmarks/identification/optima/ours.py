@@ -12,8 +12,8 @@ from frictrack import models
 from frictrack.effects import Path, Span
 from frictrack.fit.along import Along, Search, Tied, force_block, search_of
 from frictrack.fit.along.misfit import Misfit, Reduced
-from frictrack.fit.layout import Layout
 from frictrack.fit.papers import settings_of
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.search import minimise
 
 from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X

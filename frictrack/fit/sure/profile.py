@@ -18,10 +18,10 @@ import numpy as np
 from scipy.stats import norm
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.covariance import plain_covariance
-from frictrack.fit.held import Held, pivot_of
-from frictrack.fit.quoted import Quantity, quantity
-from frictrack.fit.solve import Solution, refine
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.sure.covariance import plain_covariance
+from frictrack.fit.sure.held import Held, pivot_of
+from frictrack.fit.sure.quoted import Quantity, quantity
 from frictrack.records import Array
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ import numpy as np
 from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import Layout
-from frictrack.fit.pieces import Piece
-from frictrack.fit.rules import MASS as NAME
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.rules import MASS as NAME
 from frictrack.models import Model
 from frictrack.records import Array, Run
 

@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 
 from frictrack.effects import Effect, Span
-from frictrack.fit.pieces import MIN_FRAMES, Piece, Rows, spans_of
+from frictrack.fit.simulated.pieces import MIN_FRAMES, Piece, Rows, spans_of
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run

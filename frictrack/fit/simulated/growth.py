@@ -10,12 +10,12 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import Layout
-from frictrack.fit.pieces import Piece
-from frictrack.fit.problem import Problem
-from frictrack.fit.scan import Family, families, per_run_coefficients
-from frictrack.fit.solve import Solution, refine, settle_scatter
-from frictrack.fit.turns import follows, in_turn, known, untied
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.scan import Family, families, per_run_coefficients
+from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
+from frictrack.fit.simulated.turns import follows, in_turn, known, untied
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.models import Model
 from frictrack.records import Array
 

@@ -10,8 +10,8 @@ import numpy as np
 from frictrack.effects import Effect, Parameter
 from frictrack.effects.base import Within
 from frictrack.effects.settings import Tie
-from frictrack.fit.rules import quoted
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.unknowns.rules import quoted
 from frictrack.models import Model
 
 SURE = 4.0  # standard deviations of a prior, beyond which nothing is looked for

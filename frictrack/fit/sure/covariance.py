@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import t as student
 
-from frictrack.fit.scatter import MIN_RUNS, restraint_rows
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.unknowns.scatter import MIN_RUNS, restraint_rows
 from frictrack.motion.noise import SPREAD
 from frictrack.records import Array
 

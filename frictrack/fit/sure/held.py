@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.problem import Problem, Response
-from frictrack.fit.quoted import Quantity
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.quoted import Quantity
 from frictrack.records import Array, Mask
 
 NEWTON = 12  # steps for the pivot at most; one where the quantity is linear in it

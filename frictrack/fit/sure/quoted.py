@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import LEVEL, Layout
-from frictrack.fit.mass import ratio
-from frictrack.fit.problem import Problem
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.unknowns.layout import LEVEL, Layout
+from frictrack.fit.unknowns.mass import ratio
 from frictrack.records import Array
 
 BETWEEN = " - "  # of two addresses: their difference

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.covariance import covariance_of
-from frictrack.fit.identifiable import partners, remarks, unsettled
-from frictrack.fit.mass import NAME as MASS
-from frictrack.fit.quoted import gradient_of, quoted, shown
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.covariance import covariance_of
+from frictrack.fit.sure.identifiable import partners, remarks, unsettled
+from frictrack.fit.sure.quoted import gradient_of, quoted, shown
+from frictrack.fit.unknowns.mass import NAME as MASS
 from frictrack.records import Array
 
 ALIKE = 0.95  # correlation from which two parameters are told to trade places

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.effects.settings import Tie
-from frictrack.fit.rules import MASS, Rule, follow, quoted, rules_of
+from frictrack.fit.unknowns.rules import MASS, Rule, follow, quoted, rules_of
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 

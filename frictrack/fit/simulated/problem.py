@@ -9,8 +9,8 @@ import numpy as np
 
 from frictrack.effects import Path
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import Layout
-from frictrack.fit.pieces import Piece
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.simulate.dynamics import Motion6, solve

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.covariance import batches_of, plain_covariance
 from frictrack.fit.force import ForceProblem
-from frictrack.fit.problem import Problem, Response
-from frictrack.fit.quoted import quoted, shown
-from frictrack.fit.scatter import MIN_RUNS
-from frictrack.fit.solve import Solution, settle_scatter
-from frictrack.fit.start import solve_model
+from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.simulated.solve import Solution, settle_scatter
+from frictrack.fit.simulated.start import solve_model
+from frictrack.fit.sure.covariance import batches_of, plain_covariance
+from frictrack.fit.sure.quoted import quoted, shown
+from frictrack.fit.unknowns.scatter import MIN_RUNS
 from frictrack.records import Array
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.layout import balanced, settle
-from frictrack.fit.problem import Problem, Response
-from frictrack.fit.scatter import Basis, basis_of, prior_departure, prior_rows, restraint, restraint_rows
+from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.unknowns.layout import balanced, settle
+from frictrack.fit.unknowns.scatter import Basis, basis_of, prior_departure, prior_rows, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
 PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back

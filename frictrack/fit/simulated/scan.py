@@ -16,9 +16,9 @@ import numpy as np
 from frictrack.effects import Effect, Path, Span
 from frictrack.effects.settings import Tie
 from frictrack.errors import FrictrackError
-from frictrack.fit.problem import Response
-from frictrack.fit.scatter import Basis
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.unknowns.scatter import Basis
 from frictrack.models import Model, Values
 from frictrack.records import Array
 

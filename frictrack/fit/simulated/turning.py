@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.pieces import Piece
-from frictrack.fit.problem import Problem
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.problem import Problem
 from frictrack.models import Model
 from frictrack.records import Array
 

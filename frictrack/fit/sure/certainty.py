@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.profile import Profile, profile
+from frictrack.fit.sure.bootstrap import Bootstrap, bootstrap
+from frictrack.fit.sure.profile import Profile, profile
 
 if TYPE_CHECKING:
     from frictrack.fit.result import Fit

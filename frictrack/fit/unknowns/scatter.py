@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from frictrack.fit.layout import MIN_RUNS, Layout
-from frictrack.fit.rules import MASS
+from frictrack.fit.unknowns.layout import MIN_RUNS, Layout
+from frictrack.fit.unknowns.rules import MASS
 from frictrack.records import Array
 
 TAU = (1e-4, 0.5)  # where the relative spread of the level is looked for

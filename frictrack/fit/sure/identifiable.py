@@ -8,12 +8,12 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.covariance import NULL, Z95, inverse
-from frictrack.fit.layout import LEVEL, Slot
-from frictrack.fit.mass import NAME as MASS
-from frictrack.fit.profile import Walk
-from frictrack.fit.quoted import quantity, shown
-from frictrack.fit.solve import Solution
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.covariance import NULL, Z95, inverse
+from frictrack.fit.sure.profile import Walk
+from frictrack.fit.sure.quoted import quantity, shown
+from frictrack.fit.unknowns.layout import LEVEL, Slot
+from frictrack.fit.unknowns.mass import NAME as MASS
 from frictrack.models import Model
 from frictrack.records import Array
 
