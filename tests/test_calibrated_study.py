@@ -16,7 +16,7 @@ from test_plots import results
 from frictrack import report
 from frictrack.errors import FrictrackError
 from frictrack.flow.stages import RunWork
-from frictrack.report import tables, words
+from frictrack.report import record, tables, words
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -170,7 +170,7 @@ def test_measured_friction_does_not_go_with_the_scale():
 def test_the_record_says_how_the_scale_was_given(scale, said):
     found = results(film=True)
     runs = tuple(replace(r, settings=r.settings | {"scale": scale}) for r in found.runs)
-    assert said in [str(cell) for row in tables.settings(replace(found, runs=runs)).rows for cell in row]
+    assert said in [str(cell) for row in record.settings(replace(found, runs=runs)).rows for cell in row]
 
 
 # ---- the whole way

@@ -13,6 +13,7 @@ from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
+from frictrack.report import measured as of_measurement
 from frictrack.report import numbers, tables, words
 
 MINUS = "\N{MINUS SIGN}"
@@ -289,7 +290,7 @@ def measured(**changes):
 
 
 def test_a_good_measurement_is_said_in_two_sentences():
-    told = words.measurement(measured().runs)
+    told = of_measurement.measurement(measured().runs)
     assert [str(s) for s in told] == [
         "One frame tells the position to 0.0020 px (1.0 µm); something fixed in the same pictures is seen to rest "
         "within 0.010 px.",
@@ -298,7 +299,7 @@ def test_a_good_measurement_is_said_in_two_sentences():
     made = tables.measurement(measured().runs)
     assert made.heads[-2:] == ("exposure / µs", "blur / px")
     assert made.rows[0][-3:] == ("none", "50.0", "0.30")
-    assert words.measurement(results().runs) == []
+    assert of_measurement.measurement(results().runs) == []
 
 
 @pytest.mark.parametrize(
@@ -318,11 +319,11 @@ def test_a_good_measurement_is_said_in_two_sentences():
 def test_the_worst_of_a_measurement_is_said(changes, said, monkeypatch):
     monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
     found = measured(**changes)
-    assert said in words.measurement(found.runs)[1]
+    assert said in of_measurement.measurement(found.runs)[1]
     assert said in report.render(found)
 
 
 def test_nothing_fixed_in_the_picture_is_said():
     found = measured()
     runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
-    assert "no picture shows something fixed" in words.measurement(runs)[0]
+    assert "no picture shows something fixed" in of_measurement.measurement(runs)[0]

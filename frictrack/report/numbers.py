@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from markupsafe import Markup, escape
 
@@ -103,3 +104,9 @@ def span(pair: list[float] | tuple[float, float] | None, factor: float = 1.0) ->
     if not pair:
         return "\N{EN DASH}"
     return " to ".join(number(factor * end) for end in pair)
+
+
+def low_to_high(values: Sequence[float]) -> str:
+    """The extent of some values in two digits: "0.31 to 1.5", or one number where they agree."""
+    low, high = number(min(values), 2), number(max(values), 2)
+    return low if low == high else f"{low} to {high}"

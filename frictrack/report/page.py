@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.report import budgets, tables, words
+from frictrack.report import budgets, measured, record, tables, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -82,7 +82,7 @@ def render(results: Results) -> str:
         films=_pictures(results),
         motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
         cutoffs=_cutoffs(results, draw),
-        smoothing=words.smoothing(results),
+        smoothing=measured.smoothing(results),
         friction=draw(plots.friction(results.runs)) if _forces(results) else None,
         budgets=[draw(plots.budget(run.name, run.budget)) for run in results.runs[:MOST_RUNS] if run.budget],
         worth=budgets.told(results.runs),
@@ -100,9 +100,10 @@ def render(results: Results) -> str:
         profiles=_profiles(results.current, draw),
         drawn=words.drawn(results.current) if results.current else "",
         tables=tables,
+        record=record,
         formula=formula,
         quantity=quantity,
-        measured=words.measurement(results.runs),
+        measured=measured.measurement(results.runs),
         scale_line=words.scale_line(results),
         scale_error=words.scale_error(results),
     )

@@ -5,22 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from platform import python_version
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from frictrack.plots import passes, plain_name
 from frictrack.plots import unit as written_unit
 from frictrack.report.numbers import number, quantity, size, span, typed
 from frictrack.report.words import before_after
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import ModelResults, RunResults
 
 PER_RUN = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
 SCALED = ("N", "N s", "m", "m/s")  # units of what is as wrong as the scale is; in N s/m and N/m it cancels
-LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
 Cell = str | Markup
 
 
@@ -315,88 +311,6 @@ def measurement(runs: Sequence[RunResults]) -> Table:
     heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
              "shake / px", "exposure / µs", "blur / px")  # fmt: skip
     return table(heads, rows, range(1, len(heads)))
-
-
-def settings(results: Results) -> Table:
-    """What each run was made with."""
-    rows = []
-    for run in results.runs:
-        s = run.settings
-        mass = s.get("mass")
-        rows.append(
-            (
-                run.name,
-                run.source,
-                quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
-                f"{s['fps']:g} Hz" if "fps" in s else "",
-                _scale(s.get("scale", "")),
-                f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
-                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN and (k, v) != ("reference", "auto")),
-            )
-        )
-    return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
-
-
-def _scale(written: Any) -> str:
-    """A scale as the study file gives it, in a few words."""
-    if isinstance(written, list):
-        return ", checked against ".join(_scale(one) for one in written)
-    if not isinstance(written, dict):
-        return str(written)
-    if "board" in written:
-        names = written["board"] if isinstance(written["board"], list) else [written["board"]]
-        along, across = written["squares"]
-        return f"board in {', '.join(map(str, names))}: {along} x {across} squares of {written['square']}"
-    if "target" in written:
-        return f"the target's size, {written['target']}"
-    if "plane" in written:
-        return f"{len(written['points'])} points of known place"
-    return f"ruler of {written['length']}"
-
-
-SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")
-
-
-def findings(results: Results) -> Table:
-    """What was decided and found on the way, run by run."""
-    rows: list[Sequence[Cell]] = []
-    for run in results.runs:
-        rows.append((run.name, f"low-pass: {run.filtered.reason}"))
-        if run.friction is not None:
-            rows.append(("", f"free section: {run.friction.reason}"))
-        rows += [("", note) for note in run.notes]
-    rows += [("study", note) for note in results.notes]
-    rows += [("diagnosis", note) for note in (results.diagnosis or {}).get("remarks", [])]
-    return table(("", "finding"), rows)
-
-
-def hashes(results: Results) -> Table:
-    """Films and stages, each by the first digits of its hash."""
-    stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
-    rows = [
-        (
-            run.name,
-            _hash(run.film.hash if run.film else ""),
-            *(_hash(run.hashes.get(stage, "")) for stage in stages),
-        )
-        for run in results.runs
-    ]
-    return table(("run", "film (sha256)", *stages), rows)
-
-
-def _hash(full: str) -> Cell:
-    return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
-
-
-def versions(results: Results) -> str:
-    """The software that was used."""
-    found = [f"frictrack {results.version}", f"Python {python_version()}"]
-    for name in LIBRARIES:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
-    return ", ".join(found)
 
 
 def validation(model: ModelResults) -> bool:

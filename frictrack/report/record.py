@@ -1,0 +1,97 @@
+"""The record of a study: settings, findings, hashes and versions, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from frictrack.report.numbers import quantity
+from frictrack.report.tables import Cell, Table, table
+from frictrack.results import Results
+
+LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
+SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")  # keys with a column of their own
+
+
+def settings(results: Results) -> Table:
+    """What each run was made with."""
+    rows = []
+    for run in results.runs:
+        s = run.settings
+        mass = s.get("mass")
+        rows.append(
+            (
+                run.name,
+                run.source,
+                quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
+                f"{s['fps']:g} Hz" if "fps" in s else "",
+                _scale(s.get("scale", "")),
+                f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
+                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN and (k, v) != ("reference", "auto")),
+            )
+        )
+    return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
+
+
+def _scale(written: Any) -> str:
+    """A scale as the study file gives it, in a few words."""
+    if isinstance(written, list):
+        return ", checked against ".join(_scale(one) for one in written)
+    if not isinstance(written, dict):
+        return str(written)
+    if "board" in written:
+        names = written["board"] if isinstance(written["board"], list) else [written["board"]]
+        along, across = written["squares"]
+        return f"board in {', '.join(map(str, names))}: {along} x {across} squares of {written['square']}"
+    if "target" in written:
+        return f"the target's size, {written['target']}"
+    if "plane" in written:
+        return f"{len(written['points'])} points of known place"
+    return f"ruler of {written['length']}"
+
+
+def findings(results: Results) -> Table:
+    """What was decided and found on the way, run by run."""
+    rows: list[Sequence[Cell]] = []
+    for run in results.runs:
+        rows.append((run.name, f"low-pass: {run.filtered.reason}"))
+        if run.friction is not None:
+            rows.append(("", f"free section: {run.friction.reason}"))
+        rows += [("", note) for note in run.notes]
+    rows += [("study", note) for note in results.notes]
+    rows += [("diagnosis", note) for note in (results.diagnosis or {}).get("remarks", [])]
+    return table(("", "finding"), rows)
+
+
+def hashes(results: Results) -> Table:
+    """Films and stages, each by the first digits of its hash."""
+    stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
+    rows = [
+        (
+            run.name,
+            _hash(run.film.hash if run.film else ""),
+            *(_hash(run.hashes.get(stage, "")) for stage in stages),
+        )
+        for run in results.runs
+    ]
+    return table(("run", "film (sha256)", *stages), rows)
+
+
+def _hash(full: str) -> Cell:
+    return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
+
+
+def versions(results: Results) -> str:
+    """The software that was used."""
+    found = [f"frictrack {results.version}", f"Python {python_version()}"]
+    for name in LIBRARIES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
