@@ -171,6 +171,11 @@ class Effect:
         """Parameters that are quoted otherwise than they are sought, such as F_s for F_s - F_c."""
         return frozenset() if self.quote is None else frozenset(self.quote({p.name: 1.0 for p in self.parameters}, {}))
 
+    @property
+    def sized(self) -> bool:
+        """Whether it has a size: coefficients, or a depth."""
+        return any(p.linear or p.role == "depth" for p in self.parameters)
+
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
         return next(p for p in self.parameters if p.name == name)

@@ -149,8 +149,8 @@ def _columns(solution: Solution, response: Response, effect: Effect, grid: list[
     else:
         path = piece.along(motion.x, motion.v, level)
         if effect.modifies:
-            dry = _modified(problem.model, effect, path, values)
-            made = [effect.columns(path, form, dry) - dry for form in forms]
+            inner = _modified(problem.model, effect, path, values)
+            made = [effect.columns(path, form, inner) - (inner if effect.sized else 0.0) for form in forms]
         else:
             made = [_formed(effect, path, form) for form in forms]
         g = -np.concatenate(made, axis=1) / piece.mass
@@ -177,10 +177,13 @@ def _phases(effect: Effect) -> list[dict[str, float]]:
 
 
 def _modified(model: Model, effect: Effect, path: Path, values: Values) -> Array:
-    """Force of the effects that a modifier reshapes, (n, 1)."""
+    """What a modifier reshapes: the force that is there (n, 1), or for one without a size its columns (n, k).
+
+    A delay has no size to grow with a coefficient: the columns that it makes of the others' have each their own.
+    """
     columns = model.force_columns(path, values)
-    total = np.zeros((len(path.t), 1))
-    for e in model.effects:
-        if e.kind in effect.modifies and e.name in columns:
-            total[:, 0] += columns[e.name] @ model.coefficients(e.name, values)
-    return total
+    reshaped = [e.name for e in model.effects if e.kind in effect.modifies and e.name in columns]
+    if not effect.sized:
+        return np.concatenate([columns[name] for name in reshaped], axis=1)
+    force: Array = np.sum([columns[name] @ model.coefficients(name, values) for name in reshaped], axis=0)
+    return force[:, None]
