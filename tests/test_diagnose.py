@@ -144,7 +144,8 @@ def test_what_needs_the_pixel_pitch_is_not_tried_without_it_and_this_is_said():
     blind = replace(run, displacement=replace(run.displacement, pixel_pitch=None))
     found = diagnose(fit(LAW, [blind]))
     assert "peak_locking" not in found.detection_limits
-    assert any("peak_locking was not tried: it needs the pixel pitch" in remark for remark in found.remarks)
+    assert "peak_locking needs the pixel pitch of every run; give scale in [camera]" in found.remarks[0]
+    assert found.remarks[0].startswith("not tried: ")
     assert "peak_locking" in diagnose(fit(LAW, [run])).detection_limits
 
 

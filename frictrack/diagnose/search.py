@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -131,17 +131,19 @@ class _Round:
     draws: Ensemble
     tests: Tests
     tried: list[_Tried]
+    barred: dict[str, str]  # effects that could not be tried, and why
 
     @property
     def passing(self) -> list[_Tried]:
         return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0]
 
 
-def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Diagnosis:
-    """Search the library for what the fitted model lacks.
+def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: Progress | None = None) -> Diagnosis:
+    """Search the library, and effects of your `own`, for what the fitted model lacks.
 
-    p-values hold for the whole search (999 draws, `seed`). Effects are added one after the other while the best
-    passes; what an added effect makes needless is not added. Validation runs are not looked at.
+    `own` may also hold effects of the library with bounds, priors or fixed values. p-values hold for the whole search
+    (999 draws, `seed`). Effects are added one after the other while the best passes; what an added effect makes
+    needless is not added. Validation runs are not looked at.
     """
     tell = progress or (lambda done, total, what: None)
     rng = np.random.default_rng(seed)
@@ -149,22 +151,23 @@ def diagnose(fit: Fit, *, seed: int = 0, progress: Progress | None = None) -> Di
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain or fit.measured else settled(fit.solution)
-    first = _round(start, rng, lambda what: tell(0, MOST_ROUNDS, what))
+    first = _round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[_Tried] = []
     last = first
     while last.passing and len(found) < MOST_ROUNDS:
         found.append(replace(last.passing[0], solution=settled(last.passing[0].solution)))
         tell(len(found), MOST_ROUNDS, f"added {found[-1].scanned.effect.name}, testing again")
-        last = _round(found[-1].solution, rng, lambda what: tell(len(found), MOST_ROUNDS, what))
+        last = _round(found[-1].solution, own, rng, lambda what: tell(len(found), MOST_ROUNDS, what))
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     return _conclude(fit, first, last, found)
 
 
-def _round(solution: Solution, rng: np.random.Generator, tell: Callable[[str], None]) -> _Round:
+def _round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, tell: Callable[[str], None]) -> _Round:
     tell("drawing what nothing missing looks like")
     draws = ensemble(solution, rng)
     tell("trying every effect of the library")
-    tests = run_tests(solution, draws, candidates(solution))
+    library, barred = candidates(solution, own)
+    tests = run_tests(solution, draws, library)
     bare = information(solution)
     tried = []
     for s in _worth_refining(tests):
@@ -175,7 +178,7 @@ def _round(solution: Solution, rng: np.random.Generator, tell: Callable[[str], N
             continue
         tried.append(_Tried(s, grown, bare - information(grown), tests.p[s.effect.name]))
     tried.sort(key=lambda t: (-(t.p < ALPHA / 2), -t.delta_bic))
-    return _Round(solution, draws, tests, tried)
+    return _Round(solution, draws, tests, tried, barred)
 
 
 def _worth_refining(tests: Tests) -> list[Scanned]:
@@ -243,7 +246,7 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
         candidates=listed,
         unexplained=unexplained_force(last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
-        remarks=_remarks(fit),
+        remarks=_remarks(fit, first.barred),
         figures=curves,
     )
 
@@ -315,13 +318,10 @@ def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[st
     return limits, curves
 
 
-def _remarks(fit: Fit) -> list[str]:
+def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
+    out = [f"not tried: {'; '.join(barred.values())}"] if barred else []
     if fit.measured:
-        return series.remarks(fit.solution, fit.runs)
-    pieces = fit.solution.problem.pieces
-    out = []
-    if any(p.path.pixel_pitch is None for p in pieces):
-        out.append("peak_locking was not tried: it needs the pixel pitch (scale in [camera])")
+        return out + series.remarks(fit.solution, fit.runs)
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
     if any(run.has_incline for run in fit.runs):

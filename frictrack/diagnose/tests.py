@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,8 @@ from frictrack.fit.series import is_series
 from frictrack.fit.simulated.growth import PULSE_PRICE
 from frictrack.fit.simulated.scan import Family, families
 from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.simulated.turns import follows
+from frictrack.models import Model
 from frictrack.records import Array
 
 ALPHA = 0.01  # half for lack of fit, half for candidates
@@ -47,31 +49,44 @@ class Tests:
     critical: float  # excess that one search in 1/ALPHA * 2 exceeds by chance
 
 
-def candidates(solution: Solution) -> list[Effect]:
-    """Every effect of the library that could enter the model, under the name it would have there.
+def candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
+    """Every effect that could enter the model, under the name it would have there; and by name why another cannot.
 
-    One that takes the place of others, such as LuGre, is another law and no missing cause.
+    `own` are effects beside the library's, or some of these as a study sets them. One that takes the place of others,
+    such as LuGre, is another law and no missing cause.
     """
-    model = solution.problem.model
+    own = list(own)
+    model, paths = solution.problem.model, [p.path for p in solution.problem.pieces]
     taken = frozenset().union(*(e.replaces for e in model.effects))
     kinds = {e.kind for e in model.effects}
-    out = []
-    for effect in effects.LIBRARY.values():
-        if effect.replaces or effect.kind in taken or (effect.name in model and not _may_repeat(effect)):
+    found, barred = [], {}
+    for kind in effects.known(own).values():
+        if kind.name != kind.kind or kind.replaces or kind.kind in taken:
             continue
-        if effect.modifies and not kinds & effect.modifies:
+        if (kind.name in model and not _may_repeat(kind)) or (kind.modifies and not kinds & kind.modifies):
             continue
-        if effect.acts_on == "measurement" and is_series(solution.problem):
+        if kind.acts_on == "measurement" and is_series(solution.problem):
             continue
-        out.append(effect.called(model.next_instance(effect.name)))
-    return out
+        effect = effects.get(model.next_instance(kind.name), own)
+        if why := effect.lacks(paths) or _loose_end(effect, model):
+            barred[effect.name] = why
+        else:
+            found.append(effect)
+    return found, barred
+
+
+def _loose_end(effect: Effect, model: Model) -> str:
+    """Why an effect cannot enter a model alone: it is tied to one that is not there; "" where it can."""
+    if follows(effect, model.effects):
+        return ""
+    return f"{effect.name} follows an effect that the model does not have"
 
 
 def _may_repeat(effect: Effect) -> bool:
     """Whether a second cause of the kind would be another one: a line, a moment or a place on the course of its own."""
     places = any(p.signed and p.unit == "m" for p in effect.parameters) and effect.acts_on == "force"
     own = any(p.role == "phase" or p.per_run for p in effect.parameters)
-    return (own or places) and any(p.scan is not None for p in effect.parameters)
+    return (own or places) and any(p.scan is not None and p.free for p in effect.parameters)
 
 
 def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:
