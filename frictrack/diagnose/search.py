@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
+from frictrack.diagnose.experiments import settling
 from frictrack.diagnose.limits import detection_limit
 from frictrack.diagnose.null import Ensemble, ensemble
 from frictrack.diagnose.rivals import NEAR, SAME, information, separation
@@ -88,6 +89,7 @@ class Diagnosis:
     remarks: list[str]
     figures: dict[str, dict[str, Array]]
     noise_N: float | None = None  # where friction was measured
+    next_experiment: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def best(self) -> Candidate | None:
@@ -107,7 +109,7 @@ class Diagnosis:
             "fails_at": self.fails_at,
             "candidates": [c.summary() for c in self.candidates],
             "unexplained": self.unexplained,
-            "next_experiment": [],
+            "next_experiment": self.next_experiment,
             "detection_limits": self.detection_limits,
             "remarks": self.remarks,
         }
@@ -248,7 +250,16 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
         detection_limits=limits,
         remarks=_remarks(fit, first.barred),
         figures=curves,
+        next_experiment=_next(first, found, rivals),
     )
+
+
+def _next(first: _Round, found: list[_Tried], rivals: dict[str, tuple[str, ...]]) -> list[dict[str, Any]]:
+    """What to film or measure next, where candidates are not told apart well enough."""
+    best = [t.scanned.effect.name for t in found[:1]]
+    order = sorted(first.passing, key=lambda t: t.scanned.effect.name not in best)
+    passing = [(t.scanned.effect.name, t.solution, t.delta_bic) for t in order]
+    return settling(first.solution, passing, rivals.get(best[0], ()) if best else ())
 
 
 def _fails_at(fit: Fit, found: list[_Tried]) -> list[dict[str, Any]]:

@@ -1,0 +1,121 @@
+"""The menu: runs that could be filmed next, within what the set-up has shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.diagnose.experiments.planned import Film
+from frictrack.fit.simulated.solve import Solution
+
+FASTEST = 8.0  # m/s, that the set-ups of this field reach
+SLOWEST = 0.3  # m/s
+SLOWER, FASTER = 0.5, 1.5  # times the slowest and the fastest run so far
+TILT = np.deg2rad(5.0)
+NEAR = 0.15  # relative, within which two speeds are the same one
+TO_A_STOP = 0.8  # of the course, within which a run is to stop
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One entry of the menu: what to do, in words without the reason, and the run as it would be made."""
+
+    key: str
+    words: str
+    film: Film
+
+
+def menu(solution: Solution) -> list[Experiment]:
+    """Runs worth thinking of, for runs at hand that are explained by a solution."""
+    setup = _setup(solution)
+    return [*_speeds(setup), *_changes(setup)]
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """What the runs at hand show of the set-up: speeds (m/s), main direction, course (m), where runs start (m)."""
+
+    speeds: tuple[float, ...]
+    way: float
+    both: bool
+    course: tuple[float, float]
+    starts: dict[float, float]
+    braking: float
+    driven: bool
+
+    def film(self, speed: float, way: float | None = None) -> Film:
+        """A plain run at a speed."""
+        way = way or self.way
+        typical = float(np.median(self.speeds))
+        return Film((self.starts[way], way * speed), self.course, drive=way * self.way * speed / typical)
+
+
+def _setup(solution: Solution) -> _Setup:
+    first: dict[int, tuple[float, float]] = {}
+    for piece, start in zip(solution.problem.pieces, solution.starts, strict=True):
+        first.setdefault(piece.run, (float(start[0]), float(start[1])))
+    ways = np.array([np.sign(v) for _, v in first.values()])
+    span = solution.problem.layout.span
+    course = span.x_min, span.x_max
+    starts = {1.0: course[0], -1.0: course[1]}
+    a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
+    return _Setup(
+        speeds=tuple(sorted(abs(v) for _, v in first.values())),
+        way=1.0 if np.sum(ways) >= 0 else -1.0,
+        both=len(set(ways)) > 1,
+        course=course,
+        starts=starts,
+        braking=max(-float(np.median(a)), 0.1),
+        driven=any(p.path.drive is not None for p in solution.problem.pieces),
+    )
+
+
+def _speeds(setup: _Setup) -> Iterator[Experiment]:
+    """Slower, faster, to a stop, and the other way."""
+    typical, what = float(np.median(setup.speeds)), _verb(setup)
+    slow = max(SLOWER * setup.speeds[0], SLOWEST)
+    if slow < (1 - NEAR) * setup.speeds[0]:
+        yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.film(slow))
+    fast = min(FASTER * setup.speeds[-1], FASTEST)
+    if fast > (1 + NEAR) * setup.speeds[-1]:
+        yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.film(fast))
+    stop = float(np.sqrt(2 * setup.braking * TO_A_STOP * (setup.course[1] - setup.course[0])))
+    if not setup.driven and SLOWEST < stop < FASTEST:
+        words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
+        yield Experiment("to a stop", words, setup.film(stop))
+    back = "the other way" if setup.both else "in the other direction, which no run has had so far,"
+    words = f"{what} a run {back} at about {typical:.1f} m/s"
+    yield Experiment("reversed", words, setup.film(typical, -setup.way))
+    words = f"{what} another run like those at about {typical:.1f} m/s"
+    yield Experiment("repeat", words, setup.film(typical))
+
+
+def _changes(setup: _Setup) -> Iterator[Experiment]:
+    """Another mass, a tilted course, more frames per second, another zoom, a longer way."""
+    typical, what = float(np.median(setup.speeds)), _verb(setup)
+    plain, at = setup.film(typical), f"at about {typical:.1f} m/s"
+    yield Experiment("double mass", f"{what} a run with the mass doubled, {at}", replace(plain, mass=2.0))
+    yield Experiment("half mass", f"{what} a run with half the mass, {at}", replace(plain, mass=0.5))
+    for sign, word in ((1.0, "raised"), (-1.0, "lowered")):
+        words = f"{what} a run {at} with the far end of the course {word} by 5 degrees (give incline)"
+        yield Experiment(f"tilt {sign:+.0f}", words, replace(plain, tilt=sign * TILT))
+    words = f"{what} a run {at} at twice the frame rate, as long as the light allows"
+    yield Experiment("frame rate", words, replace(plain, rate=2.0))
+    words = f"{what} a run {at} at another zoom, a pixel being 0.7 times as large"
+    yield Experiment("zoom", words, replace(plain, pitch=0.7, course=_shown(setup, 0.7)))
+    words = f"{what} a longer run: half as far again, {at}, the camera moved back"
+    yield Experiment("longer", words, replace(plain, pitch=1.5, course=_shown(setup, 1.5)))
+
+
+def _shown(setup: _Setup, share: float) -> tuple[float, float]:
+    """So much of the course as another zoom shows, from where the runs start."""
+    length = share * (setup.course[1] - setup.course[0])
+    if setup.way > 0:
+        return setup.course[0], setup.course[0] + length
+    return setup.course[1] - length, setup.course[1]
+
+
+def _verb(setup: _Setup) -> str:
+    return "Drive and film" if setup.driven else "Film"
