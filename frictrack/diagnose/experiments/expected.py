@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.diagnose.experiments.planned import Film, extended, filmed, spread
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.growth import TIE_ALPHA, is_loose
 from frictrack.fit.simulated.pieces import Piece, spans_of
 from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.fit.unknowns.layout import LEVEL, Layout
 from frictrack.fit.unknowns.scatter import restraint
@@ -19,6 +22,7 @@ from frictrack.records import Array
 
 PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
 MOMENTS = np.linspace(0.06, 0.94, 12)  # of the planned run, at which a rival's event is sought
+SIZES = ("amplitude", "depth")
 OWN_STEPS, STEPS = 4, 8  # of Gauss-Newton: on the planned run alone, and on all runs
 
 
@@ -71,12 +75,36 @@ class Duel:
         layout, p = extended(self.fitted, span, film.phase, free=True)
         start = np.array([film.start[0], film.start[1]])
         p, start = _placed(self.rival.solution, layout, piece, (p, start, tau))
-        problem = self.rival.solution.problem.over(layout, [*self.ideal, piece])
-        found = refine(problem, p, [*self.fitted.starts, start], tau=tau, max_steps=STEPS)
+        pieces, starts = [*self.ideal, piece], [*self.fitted.starts, start]
+        problem = self.rival.solution.problem.over(layout, pieces)
+        found = refine(problem, p, starts, tau=tau, max_steps=STEPS)
         told, q = extended(truth, span, film.phase)
         held = restraint(told, q, tau)
-        price = unknowns(layout) - unknowns(told)
-        return found.objective - float(held @ held) + price * float(np.log(problem.n_frames))
+        best = _loosened(found, self.rival.effect, tau)
+        price = unknowns(best.problem.layout) - unknowns(told)
+        return best.objective - float(held @ held) + price * float(np.log(problem.n_frames))
+
+
+def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
+    """The rival with an amplitude per run, where one amplitude is significantly worse: what a fit would make of it."""
+    layout = tied.problem.layout
+    old = next(e for e in layout.model.effects if e.name == effect)
+    sizes = {p.name: {"per_run": True} for p in old.parameters if p.role in SIZES and is_loose(p) and not p.per_run}
+    runs = len(layout.run_names)
+    worse = float(chi2_distribution.isf(TIE_ALPHA, runs - 1))
+    if not (sizes and per_run_coefficients(old)) or tied.objective < worse:
+        return tied
+    effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
+    free = replace(layout, model=replace(layout.model, effects=effects))
+    there = dict(zip(layout.names, tied.p, strict=True))
+    p = np.array(
+        [there.get(n, there.get(f"{s.effect}.{s.parameter}", 0.0)) for n, s in zip(free.names, free.slots, strict=True)]
+    )
+    try:
+        loose = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=STEPS)
+    except FrictrackError:
+        return tied
+    return loose if tied.objective - loose.objective > worse else tied
 
 
 def unknowns(layout: Layout) -> int:
