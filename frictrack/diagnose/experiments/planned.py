@@ -86,14 +86,20 @@ def filmed(truth: Solution, film: Film, fine: int = 1) -> Piece:
     not get far enough to be judged.
     """
     layout, p = extended(truth, truth.problem.layout.span, film.phase)
-    blank = _blank(truth, film, max([fine, *(e.fine for e in truth.problem.model.effects)]))
-    problem = Problem(layout.model, layout, [blank])
+    fine = max([fine, *(e.fine for e in truth.problem.model.effects)])
+    piece = blank(bench_of(truth), film, len(layout.run_names) - 1, fine)
+    return moved(Problem(layout.model, layout, [piece]), p, film)
+
+
+def moved(problem: Problem, p: Array, film: Film) -> Piece:
+    """The one piece of a problem with the motion that a law gives it, up to where the mass stops or is gone."""
+    piece = problem.pieces[0]
     found = problem.evaluate(p, [np.array(film.start)])[0]
-    x, v = found.motion.x_edge[blank.at], found.motion.v_edge[blank.at]
+    x, v = found.motion.x_edge[piece.at], found.motion.v_edge[piece.at]
     n = _kept(x, np.sign(film.start[1]) * v, film.course)
     if n < LEAST:
         raise FrictrackError(f"expected a run of at least {LEAST} frames but the mass would be gone after {n}")
-    seen = replace(blank, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
+    seen = replace(piece, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
     return seen.first(n)
 
 
@@ -103,40 +109,70 @@ def _kept(x: Array, speed: Array, course: tuple[float, float]) -> int:
     return int(over[0]) if len(over) else len(x)
 
 
-def _blank(truth: Solution, film: Film, fine: int) -> Piece:
-    """A piece for the planned run whose motion is still to be simulated."""
-    like = template(truth.problem.pieces)
-    fps = truth.problem.layout.spans[0].fps * film.rate
-    s = float(np.sign(film.start[1]))
-    slowing = _deceleration(truth)
-    reach = (film.course[1] - film.start[0]) if s > 0 else (film.start[0] - film.course[0])
-    stops = abs(film.start[1]) / slowing
-    leaves = reach / max(0.5 * abs(film.start[1]), STOPPED)
-    n = int(np.clip(fps * MARGIN * min(stops, leaves), LEAST, LONGEST)) + 1
-    if like.path.drive is not None:
-        n = int(np.clip(fps * (like.t[-1] - like.t[0]), LEAST, LONGEST)) + 1
+@dataclass(frozen=True)
+class Bench:
+    """What holds for every planned run: frames per second, noise (m), mass (kg), incline (rad), usual deceleration.
+
+    `path` holds what is known of a run beside its motion; `like` is a run after whose drive, vertical motion and angle
+    the planned ones are modelled, where such were measured.
+    """
+
+    fps: float
+    noise: float
+    mass: float
+    slowing: float
+    path: Path
+    incline: float = 0.0
+    like: Piece | None = None
+
+
+def bench_of(solution: Solution) -> Bench:
+    """The bench as the runs at hand show it."""
+    like = template(solution.problem.pieces)
+    return Bench(
+        fps=solution.problem.layout.spans[0].fps,
+        noise=float(np.median(np.concatenate([piece.sigma for piece in solution.problem.pieces]))),
+        mass=like.mass,
+        slowing=_deceleration(solution),
+        path=like.path,
+        incline=_incline(like),
+        like=like,
+    )
+
+
+def blank(bench: Bench, film: Film, run: int, fine: int = 1) -> Piece:
+    """A piece for a planned run, the `run`-th of its problem, whose motion is still to be simulated."""
+    fps, s = bench.fps * film.rate, float(np.sign(film.start[1]))
+    n = int(np.clip(fps * _seconds(bench, film, s), LEAST, LONGEST)) + 1
     panels = Panels(np.arange((n - 1) * fine + 1) / (fps * fine))
-    path, known, mass = _circumstances(truth, film, panels.t, s)
-    noise = float(np.median(np.concatenate([piece.sigma for piece in truth.problem.pieces])))
+    path, known, mass = _circumstances(bench, film, panels.t, s)
     t = np.arange(n) / fps
     return Piece(
-        run=len(truth.problem.layout.run_names),
+        run=run,
         frames=np.arange(n),
         t=t,
         y=np.full(n, film.start[0]),
-        sigma=np.full(n, noise * film.pitch),
+        sigma=np.full(n, bench.noise * film.pitch),
         panels=panels,
         at=np.arange(n) * fine,
         per_frame=fine,
         x_hat=film.start[0] + film.start[1] * panels.t,
         v_hat=np.full_like(panels.t, film.start[1]),
-        a_hat=known - s * slowing,
+        a_hat=known - s * bench.slowing,
         known=known,
         path=path,
         mass=mass,
         way=np.array([[0.0], [film.start[0]], [film.start[1]]]),
-        angle=None if like.angle is None else _again(like, like.angle, like.t, t),
+        angle=_again(bench.like, None if bench.like is None else bench.like.angle, t, at_frames=True),
     )
+
+
+def _seconds(bench: Bench, film: Film, s: float) -> float:
+    """Time within which the mass has stopped or left the course."""
+    if bench.like is not None and bench.like.path.drive is not None:
+        return float(bench.like.t[-1] - bench.like.t[0])
+    reach = (film.course[1] - film.start[0]) if s > 0 else (film.start[0] - film.course[0])
+    return MARGIN * min(abs(film.start[1]) / bench.slowing, reach / max(0.5 * abs(film.start[1]), STOPPED))
 
 
 def _deceleration(solution: Solution) -> float:
@@ -145,15 +181,15 @@ def _deceleration(solution: Solution) -> float:
     return max(float(np.median(a)), 0.1)
 
 
-def _circumstances(truth: Solution, film: Film, nodes: Array, s: float) -> tuple[Path, Array, float]:
+def _circumstances(bench: Bench, film: Film, nodes: Array, s: float) -> tuple[Path, Array, float]:
     """What is known of the planned run along its nodes, the acceleration by drive and incline there, and the mass."""
-    like = template(truth.problem.pieces)
-    old = like.path
-    incline = _incline(like) + film.tilt
-    lean = float(np.cos(incline) / np.cos(_incline(like)))
-    mass = like.mass * film.mass
+    old, like = bench.path, bench.like
+    incline = bench.incline + film.tilt
+    lean = float(np.cos(incline) / np.cos(bench.incline))
+    mass = bench.mass * film.mass
     known = np.full_like(nodes, -GRAVITY * np.sin(incline))
-    drive_at = None if old.drive_at is None else _scaled(old.drive_at, film.drive, like.t[0])
+    begin = 0.0 if like is None else float(like.t[0])
+    drive_at = None if old.drive_at is None else _scaled(old.drive_at, film.drive, begin)
     drive = None if drive_at is None else drive_at(nodes)
     if drive is not None:
         known = known + drive / mass
@@ -170,9 +206,9 @@ def _circumstances(truth: Solution, film: Film, nodes: Array, s: float) -> tuple
         pixel_pitch=None if old.pixel_pitch is None else old.pixel_pitch * film.pitch,
         drive=drive,
         drive_at=drive_at,
-        lift=None if old.lift is None else _again(like, old.lift, old.t, nodes),
+        lift=_again(like, old.lift, nodes),
         gravity=old.gravity * lean,
-        angle=None if old.angle is None else _again(like, old.angle, old.t, nodes),
+        angle=_again(like, old.angle, nodes),
         travelled=0.0,
         begins=film.start[0],
         before=np.array([[0.0], [film.start[0]], [film.start[1]]]),
@@ -195,10 +231,12 @@ def _scaled(drive_at: Callable[[Array], Array], factor: float, begin: float) -> 
     return at
 
 
-def _again(like: Piece, series: Array, times: Array, t: Array) -> Array:
-    """What was measured beside a run, taken to come again in the planned one."""
+def _again(like: Piece | None, series: Array | None, t: Array, *, at_frames: bool = False) -> Array | None:
+    """What was measured beside a run, taken to come again in the planned one; None where nothing was."""
+    if like is None or series is None:
+        return None
     period = float(like.t[-1] - like.t[0])
-    return np.interp(like.t[0] + (t % period), times, series)
+    return np.interp(like.t[0] + (t % period), like.t if at_frames else like.path.t, series)
 
 
 def spread(solution: Solution, runs: int) -> float:
