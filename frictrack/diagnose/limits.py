@@ -10,7 +10,7 @@ from scipy.stats import ncx2
 
 from frictrack.diagnose.null import Ensemble
 from frictrack.diagnose.tests import Scanned
-from frictrack.fit.simulated.scan import ABSORBED, Family
+from frictrack.fit.simulated.scan import ABSORBED, Scan
 from frictrack.records import Array
 
 POWER = 0.95
@@ -28,33 +28,31 @@ def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple
     The amplitude of one coefficient (for events: of the best run) whose expected likelihood ratio passes the
     threshold of the whole search; phases at their worst.
     """
-    family = scanned.families[0]
+    found = scanned.scans[0]
+    family = found.family
     threshold = scanned.quantile + critical
-    freedom = family.gram.shape[1]
-    if len(scanned.families) > 1:
-        threshold += 2 * np.log(draws.series.shape[0])
-    shrink = draws.shrinks[int(draws.best[0])]
-    per_amplitude = _unit_gain(family, shrink)
-    needed = np.sqrt(noncentrality(threshold, freedom) / np.maximum(per_amplitude, 1e-300))
+    if len(scanned.scans) > 1:
+        threshold += 2 * np.log(len(draws.series.data))
+    per_amplitude = _unit_gain(found, draws.left)
+    needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
     visited = per_amplitude > VISITED * np.median(per_amplitude)
     worst = int(np.argmax(np.where(visited, needed, 0.0))) if visited.any() else 0
     size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
     unit = size.unit if size else ""
-    at = {p.name: family.grid[worst][p.name] for p in scanned.effect.nonlinear if p.scan is not None}
-    curve = {name: np.array([g[name] for g in family.grid]) for name in at} | {"limit": needed}
+    at = {p.name: family.point(worst)[p.name] for p in scanned.effect.nonlinear if p.scan is not None}
+    curve = dict(zip(family.names, family.values.T, strict=True)) | {"limit": needed}
     value = float(needed[worst]) if np.isfinite(needed[worst]) else None
     reason = None if value is not None else "the fitted law absorbs it whatever its size"
     return {"value": value, "unit": unit, "at": at, "power": POWER, "reason": reason}, curve
 
 
-def _unit_gain(family: Family, shrink: Array) -> Array:
+def _unit_gain(found: Scan, left: Array) -> Array:
     """Expected likelihood ratio of every form at amplitude one, phases at their worst, (G,)."""
-    schur = family.gram - family.on_basis @ shrink @ family.on_basis.transpose(0, 2, 1)
-    k = family.k
+    schur, full = found.schur(left), found.full()
     gains = []
-    for i in range(0, schur.shape[1], k):
-        left = np.linalg.eigvalsh(schur[:, i : i + k, i : i + k])[:, 0]
-        whole = np.einsum("gkk->g", family.gram[:, i : i + k, i : i + k])
-        gains.append(np.where(left > ABSORBED * whole, left, 0.0))  # less is rounding
+    for i in range(0, schur.shape[1], found.family.k):
+        mine = slice(i, i + found.family.k)
+        least = np.linalg.eigvalsh(schur[:, mine, mine])[:, 0]
+        gains.append(np.where(least > ABSORBED * full[:, mine].sum(axis=1), least, 0.0))  # less is rounding
     return np.asarray(np.sum(gains, axis=0))

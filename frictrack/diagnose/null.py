@@ -8,81 +8,101 @@ uncertainties enter every p-value.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from frictrack.fit.simulated.scan import Family
+from frictrack.fit.simulated.beside import Beside, beside
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.scan import Series, Short
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.unknowns.scatter import Basis
-from frictrack.motion import noise_level
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 DRAWS = 999
 TAUS = np.geomspace(0.002, 0.32, 9)
-SMALL = 200  # forms times columns up to which the spread is profiled inside each candidate
+WHITE = 20.0  # variance of a third difference of white noise of variance one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ensemble:
-    """The data (first column) and the draws beside it, ready for any candidate.
+    """The data (first column) and the draws beside it, ready for any candidate; `shrinks` go with the spreads."""
 
-    `series` (N, D) whitened, starts removed; `on_basis` (P', D); `best` (D,) index of each one's own spread.
-    """
-
-    basis: Basis
-    series: Array
-    on_basis: Array
-    taus: Array
+    law: Beside
+    series: Series
     shrinks: list[Array]
-    profile: Array  # restricted likelihood of the bare model at every spread, (T, D)
-    best: Array
 
-    def rises(self, family: Family) -> Array:
-        """Likelihood ratio of every form against the bare model, the spread estimated again: (G, D)."""
-        projected = family.project(self.series)
-        if len(family.grid) * family.gram.shape[1] <= SMALL:
-            stacked = np.stack([family.gains(projected, self.on_basis, s) for s in self.shrinks])
-            return np.asarray(self.profile.min(axis=0) - (self.profile[:, None] - stacked).min(axis=0))
-        out = np.zeros((len(family.grid), self.series.shape[1]))
-        for k, shrink in enumerate(self.shrinks):
-            mine = np.flatnonzero(self.best == k)
-            if len(mine):
-                out[:, mine] = family.gains(projected[:, :, mine], self.on_basis[:, mine], shrink)
-        return out
+    @property
+    def left(self) -> Array:
+        """What the law leaves of coordinates at the data's own spread, (L, L)."""
+        mine = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
+        return self.series.lefts[mine]
 
-    def residuals(self) -> Array:
+    def residuals(self) -> Short:
         """What the refitted bare model leaves of the data and of every draw, (N, D)."""
-        out = self.series.copy()
-        for k, shrink in enumerate(self.shrinks):
-            mine = self.best == k
-            out[:, mine] -= self.basis.u @ (shrink @ self.on_basis[:, mine])
+        out = self.series.data.copy()
+        u, coordinates = self.law.basis.u.astype(np.float32), self.law.turned.T @ self.series.own
+        for columns, shrink in zip(self.series.groups, self.shrinks, strict=True):
+            out[:, columns] -= u @ (shrink @ coordinates[:, columns]).astype(np.float32)
         return out
 
 
 def ensemble(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Ensemble:
     """Draws of the null hypothesis that the fitted model is the whole truth."""
-    basis = solution.basis
-    noise = np.concatenate([_noise(r.piece.t, r.q, rng, draws) for r in solution.responses])
-    levels = solution.problem.layout.levels
+    law = beside(solution)
+    seen, basis = law.solution, law.basis
+    data = np.empty((len(basis.u), 1 + draws), dtype=np.float32)
+    data[:, 0] = seen.unlevelled()
+    _fill_noise(law, data[:, 1:], rng)
+    levels = seen.problem.layout.levels
     if basis.random:
-        noise += solution.jac[:, levels] @ (solution.tau * rng.standard_normal((len(levels), draws)))
-    series = np.column_stack([solution.unlevelled(), noise])
-    on_basis = basis.u.T @ series
-    total = np.einsum("nd,nd->d", series, series)
-    taus = np.append(TAUS, solution.tau) if basis.random else np.array([1.0])
-    shrinks = [basis.shrink(tau) for tau in taus]
-    profile = np.stack([basis.misfit(on_basis, total, tau) + basis.logdet(tau) for tau in taus])
-    return Ensemble(basis, series, on_basis, taus, shrinks, profile, np.argmin(profile, axis=0))
+        scatter = seen.tau * rng.standard_normal((len(levels), draws))
+        data[:, 1:] += (seen.jac[:, levels] @ scatter).astype(np.float32)
+    own = law.coordinates(data)
+    taus = np.append(TAUS, seen.tau) if basis.random else np.array([1.0])
+    on_basis = law.turned.T @ own
+    profile = np.stack([basis.misfit(on_basis, np.zeros(1 + draws), tau) + basis.logdet(tau) for tau in taus])
+    best = np.argmin(profile, axis=0)
+    # draws of one spread side by side, those of the data's own first
+    order = np.concatenate([[0], 1 + np.argsort((best[1:] != best[0]) * (1 + best[1:]), kind="stable")])
+    used = list(dict.fromkeys(best[order].tolist()))
+    ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
+    groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
+    none = slice(0, 0)
+    series = Series(
+        np.ascontiguousarray(data[:, order]),
+        own[:, order],
+        [law.left(tau) for tau in taus],
+        [groups.get(t, none) for t in range(len(taus))],
+        profile[:, order],
+    )
+    return Ensemble(law, series, [basis.shrink(tau) for tau in taus])
 
 
-def _noise(t: Array, q: Array, rng: np.random.Generator, draws: int) -> Array:
-    """White noise of one piece over its own estimated level, start removed, (n, draws)."""
-    e = rng.standard_normal((len(t), draws))
-    step = np.median(np.diff(t))
-    frame = np.rint((t - t[0]) / step).astype(int)
-    grid = np.zeros((frame[-1] + 1, draws))
-    grid[frame] = e
-    present = np.zeros(len(grid), dtype=bool)
-    present[frame] = True
-    e /= noise_level(grid, present)[0]
-    return np.asarray(e - q @ (q.T @ e))
+def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
+    """White noise (N, D) of every run over its own estimated level, starts removed, in place."""
+    rng.standard_normal(out.shape, dtype=np.float32, out=out) if out.flags.c_contiguous else _draw(rng, out)
+    for run in law.runs:
+        mine = [i for i, s in enumerate(law.strips) if s.run == run]
+        squares = [_third_differences(law.strips[i].response, out[law.rows[i]]) for i in mine]
+        level = np.sqrt(sum(q for q, _ in squares) / max(sum(m for _, m in squares), 1) / WHITE)
+        for i in mine:
+            e = out[law.rows[i]]
+            e /= level
+            q = law.strips[i].response.q.astype(np.float32)
+            e -= q @ (q.T @ e)
+
+
+def _draw(rng: np.random.Generator, out: Short) -> None:
+    out[...] = rng.standard_normal(out.shape, dtype=np.float32)
+
+
+def _third_differences(response: Response, e: Short) -> tuple[Array, int]:
+    """Sum of the squared third differences over neighbouring frames (D,), and how many there are."""
+    whole = _neighbours(response.piece.frames)
+    d = np.diff(e, 3, axis=0)[whole]
+    return np.asarray(np.einsum("nd,nd->d", d, d), dtype=np.float64), int(np.sum(whole))
+
+
+def _neighbours(frames: Array) -> Mask:
+    """Which third differences have four neighbouring frames."""
+    return np.asarray(frames[3:] - frames[:-3] == 3)

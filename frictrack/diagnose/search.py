@@ -207,7 +207,7 @@ def _unrefined(first: _Round) -> list[Candidate]:
     for s in first.tests.scanned:
         if s.effect.name in done or first.tests.p[s.effect.name] >= 0.05:
             continue
-        count = s.families[0].gram.shape[1] + sum(p.scan is not None for p in s.effect.nonlinear)
+        count = s.scans[0].family.size + sum(p.scan is not None for p in s.effect.nonlinear)
         out.append(
             Candidate(
                 effect=s.effect.name,
@@ -323,8 +323,8 @@ def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[st
     limits, curves = {}, {}
     for s in first.tests.scanned:
         limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
-        if len(s.families) == 1:
-            curve["rise"] = s.rises[0]
+        if len(s.scans) == 1:
+            curve["rise"] = s.scans[0].rises
         curves[s.effect.name] = curve
     return limits, curves
 

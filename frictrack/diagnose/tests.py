@@ -13,9 +13,9 @@ from frictrack.diagnose.null import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.growth import PULSE_PRICE
-from frictrack.fit.simulated.scan import Family, families
+from frictrack.fit.simulated.scan import Scan, families, scan
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.turns import follows
+from frictrack.fit.simulated.turns import follows, known
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -28,10 +28,9 @@ class Scanned:
     """One candidate effect scanned over data and draws: its statistic above its own null quantile, (D,)."""
 
     effect: Effect
-    families: list[Family]
+    scans: list[Scan]
     statistic: Array
     quantile: float
-    rises: list[Array]  # of the data alone, per family, (G,)
 
     @property
     def excess(self) -> Array:
@@ -92,10 +91,10 @@ def _may_repeat(effect: Effect) -> bool:
 def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:
     """Test the fitted model for lack of fit and for every effect of the library."""
     scanned = [s for s in (_scan(solution, draws, e) for e in library) if s is not None]
-    tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.shape[1])
+    tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
     p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}
     return Tests(
-        p_lack_of_fit=lack_of_fit(solution, draws),
+        p_lack_of_fit=lack_of_fit(draws),
         scanned=scanned,
         p=p,
         critical=float(np.quantile(tallest[1:], 1 - ALPHA / 2)),
@@ -103,25 +102,25 @@ def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) ->
 
 
 def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> Scanned | None:
-    made = families(solution, effect, draws.basis)
+    made = families(draws.law, known(solution, effect))
     if not made:
         return None
-    rises = [draws.rises(f) for f in made]
-    tops = np.stack([r.max(axis=0) for r in rises])
+    scans = [scan(draws.law, family, draws.series) for family in made]
+    tops = np.stack([s.tops for s in scans])
     if len(made) > 1:  # events of single runs: each must pay its price
         price = PULSE_PRICE * np.log(solution.problem.n_frames)
         statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)
     else:
         statistic = tops[0]
     quantile = float(np.quantile(statistic[1:], COMMON))
-    return Scanned(effect, made, statistic, quantile, [r[:, 0] for r in rises])
+    return Scanned(effect, scans, statistic, quantile)
 
 
 def _p_value(null: Array, value: float) -> float:
     return float((1 + np.sum(null >= value)) / (len(null) + 1))
 
 
-def lack_of_fit(solution: Solution, draws: Ensemble) -> float:
+def lack_of_fit(draws: Ensemble) -> float:
     """Adaptive Neyman smooth test of the residuals against the measured noise (Fan 1996), calibrated by the draws.
 
     The residual of every piece is cosine-transformed; energies are summed up to a growing order, and the order
@@ -130,7 +129,7 @@ def lack_of_fit(solution: Solution, draws: Ensemble) -> float:
     residual = draws.residuals()
     energy = []
     at = 0
-    for r in solution.responses:
+    for r in draws.law.solution.responses:
         n = len(r.r)
         energy.append(dct(residual[at : at + n], axis=0, norm="ortho") ** 2)
         at += n

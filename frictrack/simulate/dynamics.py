@@ -99,11 +99,17 @@ class Linear:
         self._inverse = np.linalg.inv(stiffness)
         self._start = self._inverse @ start  # node response to the panel's first x and v
         self._end = np.stack([panels.h[:, None] ** 2 * _BA, panels.h[:, None] * _B], axis=1)  # (p, 2, 3)
-        step = self._end @ self._start
-        step[:, 0, 0] += 1
-        step[:, 0, 1] += panels.h
-        step[:, 1, 1] += 1
-        self._band = _chain(step)
+        self.panels = panels
+        self.across = self._end @ self._start  # from edge to edge, (p, 2, 2)
+        self.across[:, 0, 0] += 1
+        self.across[:, 0, 1] += panels.h
+        self.across[:, 1, 1] += 1
+        self._band = _chain(self.across)
+
+    @property
+    def pushed(self) -> Array:
+        """State at the end of every panel per unit of acceleration at its nodes, (p, 2, 3)."""
+        return np.asarray(self._end @ self._inverse)
 
     def step(self, rest: Array) -> tuple[Array, Array]:
         """Node accelerations (3 p,) and edge positions (p + 1,) that make up for what is left of the equation."""
@@ -114,12 +120,17 @@ class Linear:
         """Node accelerations (3 p, k) and edge states (p + 1, 2, k) for inputs g (3 p, k), start (2, k)."""
         k = g.shape[1]
         u = self._inverse @ g.reshape(-1, 3, k)
-        chain = np.concatenate([start[None], self._end @ u]).reshape(-1, k)
+        edges = self.chained(start, self._end @ u)
+        return (u + self._start @ edges[:-1]).reshape(-1, k), edges
+
+    def chained(self, start: Array, kicks: Array) -> Array:
+        """Edge states (p + 1, 2, k) from a start (2, k) and what every panel adds at its end, (p, 2, k)."""
+        k = start.shape[1]
+        chain = np.concatenate([start[None], kicks]).reshape(-1, k)
         edges, info = dtbtrs(self._band, chain, uplo="L", diag="U")
         if info:
             raise FrictrackError("the motion could not be integrated: the linear system is singular")
-        edges = edges.reshape(-1, 2, k)
-        return (u + self._start @ edges[:-1]).reshape(-1, k), edges
+        return np.asarray(edges.reshape(-1, 2, k))
 
 
 def _chain(step: Array) -> Array:
@@ -270,6 +281,18 @@ def solve(
             "(positive where the course rises toward +x)"
         )
     return solved
+
+
+def slopes(
+    acceleration: Acceleration,
+    panels: Panels,
+    motion: tuple[Array, Array],
+    start: tuple[float, float] = (0.0, 0.0),
+    *,
+    memory: bool = False,
+) -> tuple[Array, Linear]:
+    """Acceleration (3 p,) along any motion (x, v) at the nodes, and the response by its slopes of the moment there."""
+    return _Law(acceleration, panels, start, memory).local(*motion)
 
 
 def _newton(law: _Law, a: Array, tolerance: float) -> tuple[Motion6, Response] | None:

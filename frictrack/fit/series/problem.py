@@ -68,6 +68,8 @@ class SeriesPiece(Piece):
 class SeriesProblem(Problem):
     """A model over runs whose friction was measured; the pieces are `SeriesPiece`, one per run."""
 
+    simulates = False
+
     def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
         """The same kind of measurement under another layout, or over other pieces."""
         return SeriesProblem(layout.model, layout, pieces)

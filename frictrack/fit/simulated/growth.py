@@ -10,9 +10,10 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.beside import beside
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.scan import Family, families, per_run_coefficients
+from frictrack.fit.simulated.scan import Family, Scan, families, one_series, per_run_coefficients, scan
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.simulated.turns import follows, in_turn, known, untied
 from frictrack.fit.unknowns.layout import Layout
@@ -73,14 +74,12 @@ def _grown(solution: Solution, effect: Effect) -> Solution:
     One amplitude serves all runs unless that is significantly worse than an amplitude per run.
     Raises FrictrackError when the runs lack what the effect needs.
     """
-    basis = solution.basis
-    made = families(solution, known(solution, effect), basis)
+    law = beside(solution)
+    made = families(law, known(solution, effect))
     if not made:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
-    data = solution.unlevelled()[:, None]
-    shrink = basis.shrink(solution.tau)
-    on_basis = basis.u.T @ data
-    picks = [_pick(f, data, on_basis, shrink) for f in made]
+    series = one_series(law)
+    picks = [_pick(scan(law, f, series), law.left(solution.tau), series.own[:, 0]) for f in made]
     tied = _refined(solution, effect, _start_values(solution, effect, made, picks))
     if not (per_run_coefficients(effect) and len(solution.problem.layout.run_names) > 1) or len(made) > 1:
         return tied
@@ -107,17 +106,15 @@ def is_loose(p: Parameter) -> bool:
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 
 
-def _pick(family: Family, data: Array, on_basis: Array, shrink: Array) -> Pick:
+def _pick(found: Scan, left: Array, data: Array) -> Pick:
     """The best form whose coefficients keep their bounds."""
-    projected = family.project(data)
-    gains = family.gains(projected, on_basis, shrink)[:, 0]
-    low = np.array([p.bounds[0] for p in family.effect.linear])
-    for g in np.argsort(-gains)[:50]:
-        c = family.coefficients(int(g), projected, on_basis, shrink)
-        if len(c) != len(low) or np.all(c >= low):
-            return float(gains[g]), family.grid[g], c
-    g = int(np.argmax(gains))
-    return float(gains[g]), family.grid[g], np.maximum(family.coefficients(g, projected, on_basis, shrink), 1e-6)
+    family = found.family
+    for g in np.argsort(-found.rises)[:50].tolist():
+        c = found.coefficients(g, left, data)
+        if np.all((c >= family.low) & (c <= family.high)):
+            return float(found.rises[g]), family.point(g), c
+    g = int(np.argmax(found.rises))
+    return float(found.rises[g]), family.point(g), np.maximum(found.coefficients(g, left, data), 1e-6)
 
 
 Start = tuple[dict[tuple[str, int | None], float], frozenset[tuple[str, int]]]

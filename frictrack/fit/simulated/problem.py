@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,12 @@ class Response:
 
 
 class Problem:
-    """A model over some runs: evaluates every piece for given unknowns and starts."""
+    """A model over some runs: evaluates every piece for given unknowns and starts.
+
+    It `simulates` the motion, unless the measured one is taken as it is.
+    """
+
+    simulates = True
 
     def __init__(self, model: Model, layout: Layout, pieces: Sequence[Piece]) -> None:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
@@ -71,14 +76,21 @@ class Problem:
         return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
     def _respond(self, i: int, p: Array, start: Array) -> Response:
-        piece, layout = self.pieces[i], self.layout
         motion, linear = self._simulate(i, p, start)
-        active = layout.active(piece.run)
+        return self.seen(self.pieces[i], p, (motion, linear), motion.x_edge[self.pieces[i].at])
+
+    def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> Response:
+        """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
+
+        `about` is the motion at which the law is linearised, and its linear response.
+        """
+        motion, linear = about
+        active = self.layout.active(piece.run)
         x_sens = self.moved(piece, p, motion, linear)[:, 0, :]
         shift, slope, direct = self._picture(piece, p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
-        model_y = motion.x_edge[piece.at] + shift
+        model_y = x + shift + slope * (x - motion.x_edge[piece.at])
         weighted = x_sens / piece.sigma[:, None]
         residual = (piece.y - model_y) / piece.sigma
         q, upper = np.linalg.qr(weighted[:, -2:])
@@ -98,6 +110,18 @@ class Problem:
             r_full=residual,
         )
 
+    def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
+        """The law along one piece: x'' at places x, velocities v and times t."""
+        memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
+
+        def law(x: Array, v: Array, t: Array) -> Array:
+            if not memory:
+                return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+            force = self.model.force(piece.since_start(x, v, t, level), values)
+            return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
+
+        return law
+
     def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
         """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
         active = self.layout.active(piece.run)
@@ -106,17 +130,10 @@ class Problem:
         return edges[piece.at]
 
     def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
-        piece, memory = self.pieces[i], self.model.memory
-        values, level = self.layout.values(p, piece.run)
-
-        def acceleration(x: Array, v: Array, t: Array) -> Array:
-            if not memory:
-                return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
-            force = self.model.force(piece.since_start(x, v, t, level), values)
-            return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
-
+        piece = self.pieces[i]
         where = float(start[0]), float(start[1])
-        motion, linear = solve(acceleration, piece.panels, where, self._guess[i], memory=memory)
+        law = self.acceleration(piece, p)
+        motion, linear = solve(law, piece.panels, where, self._guess[i], memory=self.model.memory)
         self._guess[i] = motion.a
         return motion, linear
 

@@ -1,106 +1,167 @@
 """Scans of an effect that the model does not have: what each of its forms would gain on top of the fitted law.
 
-The columns of a candidate are the response of the simulated motion to its force (or its shift of the picture),
-with the fitted law's own feedback. Phases enter as two quadratures with free coefficients; a modifier as what it
-changes at depth one. Gains are the fall of chi-squared after the whole linearised model has been fitted again
-(Golub & Pereyra 1973), friction levels held by their scatter.
+The rows of a candidate are the response of the measured motion to its force (or its shift of the picture), with the
+fitted law's own feedback. Phases enter as two quadratures with free coefficients; a modifier as what it changes at
+depth one. Gains are the fall of chi-squared after the whole linearised model has been fitted again (Golub & Pereyra
+1973), friction levels held by their scatter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from frictrack.effects import Effect, Path, Span
+from frictrack.effects import Effect, Span
 from frictrack.effects.settings import Tie
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.unknowns.scatter import Basis
-from frictrack.models import Model, Values
+from frictrack.fit.simulated.beside import Beside, Strip, alone
 from frictrack.records import Array
 
 ABSORBED = 1e-10  # share of a column's square that must remain beside the model for it to count
+UNSEEN = 1e-20  # square of a whitened column per unit: a form that comes to where no run has been
 QUADRATURES = (0.0, np.pi / 2)
+SMALL = 200  # forms times coefficients up to which the spread of the levels is profiled inside each form
+CROWD = 60_000  # samples evaluated at once: what they need stays in the cache
+Short = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Family:
-    """All forms of one effect on a grid of its scanned parameters.
+    """All forms of one effect on a grid of its scanned parameters: G points of K coefficients.
 
-    `columns[i]` (n_i, G k) whitened, of piece i; `run[i]` its run. Per-run coefficients have K = R k, else K = k.
-    `gram` (G, K, K), `on_basis` (G, K, P').
+    `members` are the pieces (by place) that its rows stand on, `block[i]` which block of K each writes to: per-run
+    coefficients have K = R k, else K = k. `names` and `values` (G, d) are the scanned numbers, `rest` the others.
     """
 
     effect: Effect
-    grid: list[dict[str, float]]
-    columns: list[Array]
-    slices: list[slice]
-    block: list[int]  # which block of K each piece writes to
+    names: tuple[str, ...]
+    values: Array
+    rest: dict[str, float]
+    members: tuple[int, ...]
+    block: tuple[int, ...]
     k: int
-    gram: Array
-    on_basis: Array
+    low: Array  # (K,), bounds of the coefficients; of quadratures none
+    high: Array
 
-    def project(self, data: Array) -> Array:
-        """Inner products with data (N, D), shape (G, K, D)."""
-        size = self.gram.shape[1]
-        out = np.zeros((len(self.grid), size, data.shape[1]))
-        for c, rows, b in zip(self.columns, self.slices, self.block, strict=True):
-            part = (c.T @ data[rows]).reshape(len(self.grid), self.k, -1)
-            out[:, b * self.k : (b + 1) * self.k] += part
-        return out
+    @property
+    def size(self) -> int:
+        """Coefficients of a form, K."""
+        return self.k * (max(self.block) + 1)
 
-    def whitener(self, shrink: Array) -> Array:
-        """W (G, K, K) with W' W the inverse of the Gram matrix beside the model; rows of absorbed forms vanish."""
-        schur = self.gram - self.on_basis @ shrink @ self.on_basis.transpose(0, 2, 1)
-        scale = np.sqrt(np.einsum("gkk->gk", self.gram))
-        scale[scale == 0] = np.inf
-        unit = schur / scale[:, :, None] / scale[:, None, :]
-        w, v = np.linalg.eigh(unit)
-        inverse_root = np.where(w > ABSORBED, 1 / np.sqrt(np.maximum(w, ABSORBED)), 0.0)
-        return (v * inverse_root[:, None, :]).transpose(0, 2, 1) / scale[:, None, :]
+    @property
+    def grid(self) -> list[dict[str, float]]:
+        """The points, every non-linear number by name."""
+        return [self.point(g) for g in range(len(self.values))]
 
-    def gains(self, projected: Array, on_basis: Array, shrink: Array) -> Array:
-        """Fall of chi-squared of every form for data with `projected` (G, K, D) and u' data (P', D): (G, D)."""
-        beside = projected - self.on_basis @ (shrink @ on_basis)
-        white = self.whitener(shrink) @ beside
-        gained: Array = np.einsum("gkd,gkd->gd", white, white)
-        return gained
+    def point(self, g: int) -> dict[str, float]:
+        """One point, every non-linear number by name."""
+        return _followed(self.effect, self.rest | dict(zip(self.names, self.values[g].tolist(), strict=True)))
 
-    def coefficients(self, g: int, projected: Array, on_basis: Array, shrink: Array) -> Array:
-        """Best coefficients of form g for one series, (K,)."""
-        beside = projected[g, :, 0] - self.on_basis[g] @ (shrink @ on_basis[:, 0])
-        w = self.whitener(shrink)[g]
-        best: Array = w.T @ (w @ beside)
-        return best
+    def chunks(self, strips: list[Strip]) -> Iterator[slice]:
+        """Points to be taken at once."""
+        longest = max(len(strips[i].path.t) for i in self.members)
+        some = max(1, CROWD // longest)
+        for first in range(0, len(self.values), some):
+            yield slice(first, min(first + some, len(self.values)))
+
+    def raw(self, strip: Strip, points: Array) -> Array:
+        """Raw columns (P, k, m) of points (P, d) along one piece: quadrature after quadrature, column after column."""
+        values: dict[str, Any] = self.rest | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
+        values = _followed(self.effect, values)
+        parts = [_formed(strip, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
-def families(solution: Solution, effect: Effect, basis: Basis) -> list[Family]:
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What the forms of a family are beside a law, and their products with the data.
+
+    `rest` (G, K, K) is the Gram matrix of what the pieces' bases do not explain, `own` (G, K, L) the coordinates in
+    these, `right` (G, K) the products of that rest with the data, `rises` (G,) the data's gains, and `tops` (D,) the
+    largest gain of every series.
+    """
+
+    family: Family
+    rest: Array
+    own: Array
+    right: Array
+    rises: Array
+    tops: Array
+
+    def schur(self, left: Array, g: slice | int = slice(None)) -> Array:
+        """Gram matrices (G, K, K) beside the model; `left` (L, L) from `Beside.left`."""
+        own = self.own[g]
+        return np.asarray(self.rest[g] + own @ left @ np.swapaxes(own, -1, -2))
+
+    def coefficients(self, g: int, left: Array, data: Array) -> Array:
+        """Best coefficients (K,) of form g; `data` (L,) are the coordinates of the series that was scanned."""
+        right = self.right[g] + self.own[g] @ (left @ data)
+        root = whitener(self.schur(left, g)[None], self.full(g)[None])[0]
+        return np.asarray(root.T @ (root @ right))
+
+    def full(self, g: slice | int = slice(None)) -> Array:
+        """Squares of the columns, starts removed, (G, K)."""
+        return np.asarray(
+            np.einsum("...kk->...k", self.rest[g]) + np.einsum("...kl,...kl->...k", self.own[g], self.own[g])
+        )
+
+
+def whitener(schur: Array, full: Array) -> Array:
+    """W (G, K, K) with W' W the inverse of Gram matrices beside the model; absorbed forms gain nothing.
+
+    `full` (G, K) are the squares of the columns themselves.
+    """
+    size = np.sqrt(full)
+    size[full < UNSEEN] = np.inf
+    unit = schur / size[:, :, None] / size[:, None, :]
+    if unit.shape[1] == 1:
+        root = np.where(unit > ABSORBED, 1 / np.sqrt(np.maximum(unit, ABSORBED)), 0.0)
+        return np.asarray(root / size[:, None, :])
+    w, v = np.linalg.eigh(unit)
+    root = np.where(w > ABSORBED, 1 / np.sqrt(np.maximum(w, ABSORBED)), 0.0)
+    return np.asarray((v * root[:, None, :]).transpose(0, 2, 1) / size[:, None, :])
+
+
+def families(law: Beside, effect: Effect) -> list[Family]:
     """The forms of one effect over the fitted runs: one family, or one per run when its scan is the run's own.
 
     Empty when the runs lack what the effect needs, see `Effect.lacks`.
     """
-    pieces = solution.problem.pieces
-    if effect.lacks([p.path for p in pieces]):
+    if effect.lacks([s.response.piece.path for s in law.strips]):
         return []
-    if any(p.scan is not None and p.per_run for p in effect.nonlinear):
-        runs = sorted({p.run for p in pieces})
-        return [_family(solution, effect, basis, [i for i, p in enumerate(pieces) if p.run == r]) for r in runs]
-    return [_family(solution, effect, basis, list(range(len(pieces))))]
+    layout = law.solution.problem.layout
+    if has_own_scan(effect):
+        each = [[i for i, s in enumerate(law.strips) if s.run == r] for r in law.runs]
+        return [_family(law, effect, mine, layout.spans[law.strips[mine[0]].run]) for mine in each]
+    return [_family(law, effect, list(range(len(law.strips))), layout.span)]
+
+
+def has_own_scan(effect: Effect) -> bool:
+    """Whether every run is scanned by itself: for an event of its own."""
+    return any(p.scan is not None and p.per_run and p.free for p in effect.nonlinear)
 
 
 def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Every combination of the scanned parameters, the rest at their place for a scan."""
+    names, values, rest = _grid(effect, span)
+    return [_followed(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in values]
+
+
+def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], Array, dict[str, float]]:
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
     axes = [p.scan(span) for p in scanned if p.scan is not None]
-    names = [p.name for p in scanned]
-    return [_followed(effect, rest | dict(zip(names, map(float, point), strict=True))) for point in product(*axes)]
+    points = list(product(*axes))
+    values = np.array(points, dtype=float).reshape(len(points), len(axes))
+    return tuple(p.name for p in scanned), values, rest
 
 
-def _followed(effect: Effect, point: dict[str, float]) -> dict[str, float]:
+def _followed(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
     """A point of a grid where a parameter may be tied to another one of the same effect."""
     for p in effect.nonlinear:
         if p.tie:
@@ -114,76 +175,135 @@ def per_run_coefficients(effect: Effect) -> bool:
     return any(p.per_run and (p.linear or p.role == "phase") for p in effect.parameters)
 
 
-def _family(solution: Solution, effect: Effect, basis: Basis, members: list[int]) -> Family:
-    layout = solution.problem.layout
-    own_scan = any(p.scan is not None and p.per_run for p in effect.nonlinear)
-    run = solution.responses[members[0]].piece.run
-    grid = grid_of(effect, layout.spans[run] if own_scan else layout.span)
-    starts = np.cumsum([0, *[len(r.r) for r in solution.responses]])
-    columns = [_columns(solution, solution.responses[i], effect, grid) for i in members]
-    slices = [slice(int(starts[i]), int(starts[i + 1])) for i in members]
-    runs = sorted({solution.responses[i].piece.run for i in members})
-    own = per_run_coefficients(effect)
-    block = [runs.index(solution.responses[i].piece.run) if own else 0 for i in members]
-    k = columns[0].shape[1] // len(grid)
-    size = k * (len(runs) if own else 1)
-    gram = np.zeros((len(grid), size, size))
-    on_basis = np.zeros((len(grid), size, basis.u.shape[1]))
-    for c, rows, b in zip(columns, slices, block, strict=True):
-        cube = c.reshape(len(c), len(grid), k).transpose(1, 2, 0)
-        at = slice(b * k, (b + 1) * k)
-        gram[:, at, at] += cube @ cube.transpose(0, 2, 1)
-        on_basis[:, at] += (c.T @ basis.u[rows]).reshape(len(grid), k, -1)
-    return Family(effect, grid, columns, slices, block, k, gram, on_basis)
-
-
-def _columns(solution: Solution, response: Response, effect: Effect, grid: list[dict[str, float]]) -> Array:
-    """Whitened columns of every form on one piece, start removed, (n, G k)."""
-    problem, piece = solution.problem, response.piece
-    values, level = problem.layout.values(solution.p, piece.run)
-    motion = response.motion
-    forms = [point | phase for point in grid for phase in _phases(effect)]
-    if effect.acts_on == "measurement":
-        path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
-        moved = np.concatenate([_formed(effect, path, form) for form in forms], axis=1)
-    else:
-        path = piece.along(motion.x, motion.v, level)
-        if effect.modifies:
-            inner = _modified(problem.model, effect, path, values)
-            made = [effect.columns(path, form, inner) - (inner if effect.sized else 0.0) for form in forms]
-        else:
-            made = [_formed(effect, path, form) for form in forms]
-        g = -np.concatenate(made, axis=1) / piece.mass
-        _, edges = response.linear.respond(g, np.zeros((2, g.shape[1])))
-        moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0]
-    weighted = moved / piece.sigma[:, None]
-    clean: Array = weighted - response.q @ (response.q.T @ weighted)
-    return clean
-
-
-def _formed(effect: Effect, path: Path, form: dict[str, float]) -> Array:
-    """Columns of one form; nothing where a user's formula is no number, such as a width of zero."""
-    if effect.formula is None:
-        return effect.columns(path, form)
-    try:
-        return effect.columns(path, form)
-    except FrictrackError:
-        return np.zeros((len(path.t), len(effect.linear)))
-
-
 def _phases(effect: Effect) -> list[dict[str, float]]:
     names = [p.name for p in effect.nonlinear if p.role == "phase" and p.free]
-    return [{n: q for n in names} for q in QUADRATURES] if names else [{}]
+    return [dict.fromkeys(names, q) for q in QUADRATURES] if names else [{}]
 
 
-def _modified(model: Model, effect: Effect, path: Path, values: Values) -> Array:
-    """What a modifier reshapes: the force that is there (n, 1), or for one without a size its columns (n, k).
+def _family(law: Beside, effect: Effect, members: list[int], span: Span) -> Family:
+    names, values, rest = _grid(effect, span)
+    runs = sorted({law.strips[i].run for i in members})
+    own = per_run_coefficients(effect)
+    block = tuple(runs.index(law.strips[i].run) if own else 0 for i in members)
+    phases = len(_phases(effect))
+    low, high = np.array([p.bounds for p in effect.linear]).reshape(-1, 2).T
+    if phases > 1 or not effect.linear:
+        k = phases * (law.strips[members[0]].modified(effect).shape[1] if effect.modifies else len(effect.linear))
+        low, high = np.full(k, -np.inf), np.full(k, np.inf)
+    count = max(block) + 1
+    return Family(
+        effect, names, values, rest, tuple(members), block, len(low), np.tile(low, count), np.tile(high, count)
+    )
 
-    A delay has no size to grow with a coefficient: the columns that it makes of the others' have each their own.
+
+def _formed(strip: Strip, effect: Effect, values: dict[str, Any], count: int) -> Array:
+    """Raw columns of a population; of a user's formula one by one where some are no numbers, as at a width of zero."""
+    try:
+        return strip.columns(effect, values, count)
+    except FrictrackError:
+        if effect.formula is None:
+            raise
+        return alone(strip, effect, values, count)
+
+
+@dataclass(eq=False)
+class Series:
+    """Whitened data (N, D) to be scanned, the first column the measured one, and what is known of each.
+
+    `own` (L, D) are its coordinates in the pieces' bases. For every spread of the levels that is considered: `lefts`
+    what the law leaves of coordinates (L, L), `groups` the columns whose own spread it is, and `profile` (T, D) the
+    restricted likelihood of the bare law.
     """
-    columns = model.force_columns(path, values)
-    reshaped = [e.name for e in model.effects if e.kind in effect.modifies and e.name in columns]
-    if not effect.sized:
-        return np.concatenate([columns[name] for name in reshaped], axis=1)
-    force: Array = np.sum([columns[name] @ model.coefficients(name, values) for name in reshaped], axis=0)
-    return force[:, None]
+
+    data: Short
+    own: Array
+    lefts: list[Array]
+    groups: list[slice]
+    profile: Array
+    beside: list[Short] = field(init=False)
+
+    def __post_init__(self) -> None:
+        pairs = zip(self.lefts, self.groups, strict=True)
+        self.beside = [(left @ self.own[:, mine]).astype(np.float32) for left, mine in pairs]
+
+
+def one_series(law: Beside) -> Series:
+    """The data alone, at the fitted spread of the levels."""
+    data = law.solution.unlevelled()[:, None]
+    tau = law.solution.tau
+    return Series(data.astype(np.float32), law.coordinates(data), [law.left(tau)], [slice(0, 1)], np.zeros((1, 1)))
+
+
+def scan(law: Beside, family: Family, series: Series) -> Scan:
+    """Every form of a family beside a law, and what it gains for every series.
+
+    A small family is asked at every spread of the levels, since it may take over what looked like scatter.
+    """
+    g, size, d = len(family.values), family.size, series.data.shape[1]
+    rest, own = np.zeros((g, size, size)), np.zeros((g, size, len(law.turned)))
+    right, rises, tops = np.zeros((g, size)), np.zeros(g), np.zeros(d)
+    gain = _profiled if g * size <= SMALL and len(series.lefts) > 1 else _gains
+    for part in family.chunks(law.strips):
+        products = np.zeros((part.stop - part.start, size, d), dtype=np.float32)
+        for i, b in zip(family.members, family.block, strict=True):
+            at = slice(b * family.k, (b + 1) * family.k)
+            _add(law, family, i, part, (rest[part, at, at], own[part, at], products[:, at], series))
+        right[part] = products[:, :, 0]
+        gained = gain((rest[part], own[part], products), series, (family.low, family.high))
+        rises[part] = gained[:, 0]
+        np.maximum(tops, gained.max(axis=0), out=tops)
+    return Scan(family, rest, own, right, rises, tops)
+
+
+def _add(law: Beside, family: Family, i: int, part: slice, into: tuple[Array, Array, Array, Series]) -> None:
+    """Add what one piece tells of some forms: Gram matrices, coordinates, products with the data."""
+    strip, (rest, own, products, series) = law.strips[i], into
+    raw = family.raw(strip, family.values[part])
+    count, k = raw.shape[:2]
+    beyond, coordinates = strip.split(strip.weighed(raw.reshape(count * k, -1), family.effect.acts_on == "measurement"))
+    cube = beyond.reshape(count, k, -1)
+    rest += cube @ cube.transpose(0, 2, 1)
+    own[:, :, law.places[i]] += coordinates.reshape(count, k, -1)
+    products += (beyond.astype(np.float32) @ series.data[law.rows[i]]).reshape(products.shape)
+
+
+Products = tuple[Array, Array, Array]  # Gram matrices (G, K, K), coordinates (G, K, L), products with series (G, K, D)
+
+
+def _gains(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array | Short:
+    """Fall of chi-squared (G, D) of some forms for every series, each at its own spread."""
+    out = np.empty((len(told[0]), series.data.shape[1]), dtype=np.float32)
+    for left, columns, beside in zip(series.lefts, series.groups, series.beside, strict=True):
+        if columns.stop > columns.start:
+            out[:, columns] = _gained(told, (left, beside), columns, bounds)
+    return out
+
+
+def _profiled(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array:
+    """The same with the spread of every series estimated again."""
+    whole = slice(0, series.data.shape[1])
+    best = np.full((len(told[0]), whole.stop), np.inf)
+    for left, bare in zip(series.lefts, series.profile, strict=True):
+        at = left, (left @ series.own).astype(np.float32)
+        np.minimum(best, bare - _gained(told, at, whole, bounds), out=best)
+    return np.asarray(series.profile.min(axis=0) - best)
+
+
+def _gained(told: Products, at: tuple[Array, Short], columns: slice, bounds: tuple[Array, Array]) -> Short:
+    """Fall of chi-squared (G, D') of some forms at one spread; `at` says what the law leaves there of coordinates.
+
+    A single coefficient keeps its bounds: data that ask for the wrong sign gain nothing.
+    """
+    (rest, own, products), (left, beside) = told, at
+    g, size = products.shape[:2]
+    full = np.einsum("gkk->gk", rest) + np.einsum("gkl,gkl->gk", own, own)
+    root = whitener(rest + own @ left @ own.transpose(0, 2, 1), full).astype(np.float32)
+    aside = (own.reshape(g * size, -1).astype(np.float32) @ beside).reshape(g, size, -1)
+    aside += products[:, :, columns]
+    white = root @ aside
+    if size == 1 and bounds[0][0] >= 0:
+        np.maximum(white, 0.0, out=white)
+    if size == 1 and bounds[1][0] <= 0:
+        np.minimum(white, 0.0, out=white)
+    gained: Short = np.einsum("gkd,gkd->gd", white, white)
+    return gained
