@@ -12,9 +12,9 @@ from frictrack import effects
 from frictrack.diagnose.null import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.series import is_series
-from frictrack.fit.simulated.growth import PULSE_PRICE
 from frictrack.fit.simulated.scan import Scan, families, scan
 from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.simulated.trial import PULSE_PRICE
 from frictrack.fit.simulated.turns import follows, known
 from frictrack.models import Model
 from frictrack.records import Array

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -163,6 +164,11 @@ class Beside:
     def runs(self) -> list[int]:
         """The runs, in order."""
         return sorted({s.run for s in self.strips})
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """The pieces as data that forces along the measured motion explain."""
+        return [s.block() for s in self.strips]
 
     def coordinates(self, series: Array) -> Array:
         """Coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""

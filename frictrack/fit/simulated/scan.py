@@ -35,12 +35,14 @@ class Family:
     """All forms of one effect on a grid of its scanned parameters: G points of K coefficients.
 
     `members` are the pieces (by place) that its rows stand on, `block[i]` which block of K each writes to: per-run
-    coefficients have K = R k, else K = k. `names` and `values` (G, d) are the scanned numbers, `rest` the others.
+    coefficients have K = R k, else K = k. `names` and `values` (G, d) are the scanned numbers on a grid of that
+    `shape`, `rest` the others.
     """
 
     effect: Effect
     names: tuple[str, ...]
     values: Array
+    shape: tuple[int, ...]
     rest: dict[str, float]
     members: tuple[int, ...]
     block: tuple[int, ...]
@@ -148,17 +150,20 @@ def has_own_scan(effect: Effect) -> bool:
 
 def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Every combination of the scanned parameters, the rest at their place for a scan."""
-    names, values, rest = _grid(effect, span)
-    return [_followed(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in values]
+    names, axes, rest = _grid(effect, span)
+    return [_followed(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
 
 
-def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], Array, dict[str, float]]:
+def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], list[Array], dict[str, float]]:
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
     axes = [p.scan(span) for p in scanned if p.scan is not None]
+    return tuple(p.name for p in scanned), axes, rest
+
+
+def _points(axes: list[Array]) -> Array:
     points = list(product(*axes))
-    values = np.array(points, dtype=float).reshape(len(points), len(axes))
-    return tuple(p.name for p in scanned), values, rest
+    return np.array(points, dtype=float).reshape(len(points), len(axes))
 
 
 def _followed(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
@@ -181,7 +186,7 @@ def _phases(effect: Effect) -> list[dict[str, float]]:
 
 
 def _family(law: Beside, effect: Effect, members: list[int], span: Span) -> Family:
-    names, values, rest = _grid(effect, span)
+    names, axes, rest = _grid(effect, span)
     runs = sorted({law.strips[i].run for i in members})
     own = per_run_coefficients(effect)
     block = tuple(runs.index(law.strips[i].run) if own else 0 for i in members)
@@ -191,9 +196,9 @@ def _family(law: Beside, effect: Effect, members: list[int], span: Span) -> Fami
         k = phases * (law.strips[members[0]].modified(effect).shape[1] if effect.modifies else len(effect.linear))
         low, high = np.full(k, -np.inf), np.full(k, np.inf)
     count = max(block) + 1
-    return Family(
-        effect, names, values, rest, tuple(members), block, len(low), np.tile(low, count), np.tile(high, count)
-    )
+    shape = tuple(len(a) for a in axes) or (1,)
+    box = np.tile(low, count), np.tile(high, count)
+    return Family(effect, names, _points(axes), shape, rest, tuple(members), block, len(low), *box)
 
 
 def _formed(strip: Strip, effect: Effect, values: dict[str, Any], count: int) -> Array:

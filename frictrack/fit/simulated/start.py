@@ -12,11 +12,12 @@ from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.along import Along, Projected, displacement_block, search_of
 from frictrack.fit.along.table import is_scannable
-from frictrack.fit.simulated.growth import PULSE_PRICE, TIE_ALPHA, first_guess, grow, is_loose, reordered, settled
+from frictrack.fit.simulated.growth import first_guess, grow, reordered, settled
 from frictrack.fit.simulated.pieces import MIN_FRAMES, Piece, spans_of
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
+from frictrack.fit.simulated.trial import PULSE_PRICE, TIE_ALPHA, is_loose
 from frictrack.fit.simulated.turning import bent, first_law
 from frictrack.fit.simulated.turns import in_turn, led_the_other_way
 from frictrack.fit.unknowns.layout import LEVEL, Layout
