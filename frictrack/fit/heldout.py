@@ -3,22 +3,37 @@
 By run: the shared parameters come from the other runs, the run's own (start, level, phases, event times) from its
 even frames, and the odd frames are scored. Where the others cannot determine a shared parameter well enough to
 predict the run, even frames of all runs fit and odd frames score. What was chosen is returned with the figure.
+
+All of it is linear algebra about the fitted law: without some frames a law moves by little, and what it says of them
+moves by its sensitivities times that (one Gauss-Newton step; Cook & Weisberg 1982, Residuals and Influence, ch. 5).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.simulated.pieces import Piece
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.solve import Solution, refine
-from frictrack.fit.unknowns.scatter import restraint_rows
-from frictrack.records import Array
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.unknowns.scatter import restraint, restraint_rows
+from frictrack.records import Array, Mask
 
 UNSEEN = 1e9  # times sigma: a frame that does not count
 PREDICTABLE = 0.25  # variance of the prediction over the noise's, beyond which the others do not know the run
+LEAST = 1e-7  # singular value, over the largest, of a direction that is left as it stands
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """One run about the fitted law: whitened residual (n,), sensitivities (n, P) and starts (n, 2 s), sigma (n,)."""
+
+    residual: Array
+    jac: Array
+    starts: Array
+    sigma: Array
+    odd: Mask
 
 
 def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
@@ -26,62 +41,96 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
 
     `by` asks for one of the two; None takes "run" wherever the other runs can predict each run.
     """
-    runs = solution.problem.layout.run_names
+    runs = _by_run(solution)
     if by == "frames" or len(runs) < 2 or (by is None and not _predictable(solution)):
-        return _score(_fitted_on_even(solution)), "frames"
-    residuals = np.concatenate([_left_out(solution, r) for r in range(len(runs))])
-    return float(np.sqrt(np.mean(residuals**2))), "run"
+        return _rms(_evens(solution, runs)), "frames"
+    return _rms([_left_out(solution, runs, r) for r in runs]), "run"
 
 
-def _odd_unseen(piece: Piece) -> Piece:
-    odd = np.arange(len(piece.t)) % 2 == 1
-    return replace(piece, sigma=np.where(odd, UNSEEN, 1.0) * piece.sigma)
+def _by_run(solution: Solution) -> dict[int, _Linear]:
+    """Every run about the fitted law, its pieces one under the other."""
+    pieces: dict[int, list[Response]] = {}
+    for r in solution.responses:
+        pieces.setdefault(r.piece.run, []).append(r)
+    return {run: _joined(own, len(solution.p)) for run, own in pieces.items()}
 
 
-def _fitted_on_even(solution: Solution) -> Solution:
-    problem = solution.problem
-    even = Problem(problem.model, problem.layout, [_odd_unseen(p) for p in problem.pieces])
-    return refine(even, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=6)
+def _joined(pieces: Sequence[Response], unknowns: int) -> _Linear:
+    count = sum(len(r.r) for r in pieces)
+    jac, starts = np.zeros((count, unknowns)), np.zeros((count, sum(r.q.shape[1] for r in pieces)))
+    at = column = 0
+    for r in pieces:
+        rows = slice(at, at + len(r.r))
+        jac[rows, r.active] = r.jac
+        starts[rows, column : column + r.q.shape[1]] = r.q
+        at, column = rows.stop, column + r.q.shape[1]
+    return _Linear(
+        residual=np.concatenate([r.r for r in pieces]),
+        jac=jac,
+        starts=starts,
+        sigma=np.concatenate([r.piece.sigma for r in pieces]),
+        odd=np.concatenate([np.arange(len(r.r)) % 2 == 1 for r in pieces]),
+    )
 
 
-def _odd_residuals(solution: Solution) -> Array:
-    return np.concatenate([(r.piece.y - r.model_y)[1::2] for r in solution.responses])
+def _own(solution: Solution, run: int) -> Mask:
+    """Which unknowns are the run's own."""
+    return np.array([s.run == run for s in solution.problem.layout.slots])
 
 
-def _score(solution: Solution) -> float:
-    return float(np.sqrt(np.mean(_odd_residuals(solution) ** 2)))
-
-
-def _left_out(solution: Solution, run: int) -> Array:
+def _left_out(solution: Solution, runs: dict[int, _Linear], run: int) -> Array:
     """Residuals, m, at the odd frames of one run, predicted by the others."""
-    problem, layout = solution.problem, solution.problem.layout
-    own = np.array([s.run == run for s in layout.slots])
-    rest = [i for i, piece in enumerate(problem.pieces) if piece.run != run]
-    mine = [i for i, piece in enumerate(problem.pieces) if piece.run == run]
-    others = Problem(problem.model, layout, [problem.pieces[i] for i in rest])
-    known = refine(others, solution.p, _of(solution.starts, rest), tau=solution.tau or 0.03, free=~own, max_steps=6)
-    alone = Problem(problem.model, replace(layout, levels_free=True), [_odd_unseen(problem.pieces[i]) for i in mine])
-    return _odd_residuals(refine(alone, known.p, _of(solution.starts, mine), free=own, max_steps=6))
+    own, layout, tau = _own(solution, run), solution.problem.layout, solution.tau or 0.03
+    rows = [r.jac for k, r in runs.items() if k != run] + [restraint_rows(layout, tau, solution.p)]
+    right = [r.residual for k, r in runs.items() if k != run] + [-restraint(layout, solution.p, tau)]
+    step = np.zeros(len(solution.p))
+    step[~own] = _solved(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
+    here = runs[run]
+    left = here.residual - here.jac @ step
+    mine = np.concatenate([here.jac[:, own], here.starts], axis=1)
+    left = left - mine @ _solved(mine[~here.odd], left[~here.odd], mine)
+    return np.asarray((left * here.sigma)[here.odd])
 
 
-def _of(items: list[Array], which: list[int]) -> list[Array]:
-    return [items[i] for i in which]
+def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
+    """Residuals, m, at the odd frames of every run, the whole law fitted to the even ones."""
+    layout, tau = solution.problem.layout, solution.tau or 0.03
+    seen = []
+    for r in runs.values():  # a start is each piece's own: what it explains of the even frames goes first
+        q, _ = np.linalg.qr(r.starts[~r.odd])
+        even = np.column_stack([r.jac, r.residual])[~r.odd]
+        seen.append(even - q @ (q.T @ even))
+    rows = np.concatenate([*(s[:, :-1] for s in seen), restraint_rows(layout, tau, solution.p)])
+    right = np.concatenate([*(s[:, -1] for s in seen), -restraint(layout, solution.p, tau)])
+    step = _solved(rows, right, solution.jac)
+    out = []
+    for r in runs.values():
+        left = r.residual - r.jac @ step
+        left = left - r.starts @ _solved(r.starts[~r.odd], left[~r.odd], r.starts)
+        out.append(np.asarray((left * r.sigma)[r.odd]))
+    return out
+
+
+def _solved(rows: Array, right: Array, whole: Array) -> Array:
+    """Least squares of columns; what these rows hardly see, beside the `whole` (n, k) they are of, stays as it is."""
+    norm = np.linalg.norm(whole, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=LEAST)[0] / norm)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 def _predictable(solution: Solution) -> bool:
     """Whether the other runs know the shared parameters well enough to predict every run."""
     layout = solution.problem.layout
     rows = restraint_rows(layout, solution.tau or 0.03)
-    blocks: dict[int, list[Array]] = {}
-    for r in solution.responses:
-        full = np.zeros((len(r.r), len(solution.p)))
-        full[:, r.active] = r.jac
-        blocks.setdefault(r.piece.run, []).append(full)
-    jac = {run: np.concatenate(b) for run, b in blocks.items()}
+    jac = {run: r.jac for run, r in _by_run(solution).items()}
     norm = np.linalg.norm(np.vstack([*jac.values(), rows]), axis=0)
     norm[norm == 0] = 1.0
     for run in jac:
-        own = np.array([s.run == run for s in layout.slots])
+        own = _own(solution, run)
         known = np.vstack([*(j for k, j in jac.items() if k != run), rows])[:, ~own] / norm[~own]
         spread = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
         basis, _ = np.linalg.qr(jac[run][:, own])
