@@ -204,6 +204,18 @@ def history(study: Study, as_json: Json = False) -> None:
 
 
 @app.command()
+def plan(study: Study, as_json: Json = False) -> None:
+    """Which runs to film so that the effects can be told apart; needs mass, fps and scale, and no film."""
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.flow import open_study  # noqa: PLC0415
+    from frictrack.flow import plan as make  # noqa: PLC0415
+
+    with bars() as progress:
+        result = make(open_study(study, bare=True), progress)
+    tell(result, as_json, "plan", result["page"])
+
+
+@app.command()
 def report(study: Study, as_json: Json = False) -> None:
     """One page that shows it all."""
     with working(study) as session:

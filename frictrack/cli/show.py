@@ -12,6 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frictrack.cli.cells import number, plus_minus
+from frictrack.cli.cells import table as _table
+from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
+
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
     "rms_N": ("friction force, rms", "F / N", 1.0),
@@ -31,24 +35,6 @@ VERDICTS = {
 
 
 UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number short enough to read; a dash for none."""
-    return "-" if value is None else f"{value:.{digits}g}"
-
-
-def plus_minus(value: float | None, std: float | None) -> str:
-    """A value with its standard deviation, both to the second digit of the latter."""
-    if value is None:
-        return "not determined"
-    if not std:
-        return number(value, 6)
-    decimals = 1 - math.floor(math.log10(std))
-    if not -3 < decimals < 7:
-        return f"{value:.5g} ± {std:.2g}"
-    decimals = max(decimals, 0)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
 def fit(out: Console, result: dict[str, Any]) -> None:
@@ -175,8 +161,7 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
         out.print(candidates(result["candidates"]))
     for remark in result.get("remarks", []):
         out.print(escape(remark))
-    for step in result.get("next_experiment") or []:
-        out.print(f"to settle it: {escape(step['what'])} (separates {', '.join(step['separates'])})")
+    next_experiment(out, result.get("next_experiment") or [])
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:
@@ -352,10 +337,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, list):
         return escape(", ".join(str(v) for v in value))
     return "" if value is None else escape(str(value))
-
-
-def _table(*headers: str, **style: Any) -> Table:
-    table = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
-    for header in headers:
-        table.add_column(header, overflow="fold")
-    return table

@@ -26,12 +26,12 @@ from frictrack.store import Entry, Stamp
 from frictrack.study import Study, load, write_study
 
 
-def open_study(path: str | Path) -> Study:
+def open_study(path: str | Path, *, bare: bool = False) -> Study:
     """Read a study file and check all that can be checked before any work: scales, model, effects.
 
-    Raises `FrictrackError` (usage) with every fault.
+    A `bare` one may have no runs yet. Raises `FrictrackError` (usage) with every fault.
     """
-    study = load(path)
+    study = load(path, bare=bare)
     faults = []
     for run in study.runs:
         if run.scale is not None:

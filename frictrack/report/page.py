@@ -49,7 +49,14 @@ def write(results: Results, path: Path) -> Path:
 
     Raises `FrictrackError` when the folder cannot be written.
     """
-    text = render(results)
+    return save(render(results), path)
+
+
+def save(text: str, path: Path) -> Path:
+    """Write a page to `path`, whole or not at all, and return the path.
+
+    Raises `FrictrackError` when the folder cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=".report_", suffix=".part", dir=path.parent)
@@ -73,7 +80,7 @@ def render(results: Results) -> str:
     page = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("page.html.j2")
-    draw = _Draw()
+    draw = Draw()
     return page.render(
         results=results,
         verdict=words.verdict(results),
@@ -109,13 +116,14 @@ def render(results: Results) -> str:
     )
 
 
-class _Draw:
+class Draw:
     """Figures as inline SVG; each gets ids of its own, since all share one page."""
 
     def __init__(self) -> None:
         self._numbers: Iterator[int] = count(1)
 
     def __call__(self, figure: Figure) -> Markup:
+        """The figure as SVG."""
         mark = f"f{next(self._numbers)}-"
         return Markup(IDS.sub(rf"\g<1>{mark}", plots.svg(figure)))
 
@@ -131,7 +139,7 @@ def _picture(run: RunResults, *, wide: bool) -> Markup:
     return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
 
 
-def _cutoffs(results: Results, draw: _Draw) -> list[Markup]:
+def _cutoffs(results: Results, draw: Draw) -> list[Markup]:
     """Where a plain low-pass would cut off, run by run."""
     shown = [run for run in results.runs[:MOST_RUNS] if run.cutoff is not None]
     return [draw(plots.cutoff(run.name, run.cutoff, run.mass)) for run in shown if run.cutoff is not None]
@@ -152,7 +160,7 @@ def _drawn(results: Results) -> list[ModelResults]:
     return [results.current] if results.current is not None else []
 
 
-def _loops(results: Results, draw: _Draw) -> Markup:
+def _loops(results: Results, draw: Draw) -> Markup:
     """Loops of the friction force, where it was measured and is what the model in force was fitted to."""
     model = results.current
     if model is None or model.summary["errors"].get("rms_N") is None:
@@ -160,13 +168,13 @@ def _loops(results: Results, draw: _Draw) -> Markup:
     return draw(plots.loops(model, results.runs))
 
 
-def _own(results: Results, draw: _Draw) -> Markup:
+def _own(results: Results, draw: Draw) -> Markup:
     """The motion that the model in force tells, on the smoothed one."""
     model = results.current
     return draw(plots.modelled(model, results.runs)) if model is not None and model.motion else Markup("")
 
 
-def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:
+def _trial(model: ModelResults, results: Results, draw: Draw) -> Trial:
     diagnosis = model.diagnosis or {}
     better = results.current if results.current is not model else None
     best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
@@ -184,14 +192,14 @@ def _trial(model: ModelResults, results: Results, draw: _Draw) -> Trial:
     )
 
 
-def _limits(results: Results, draw: _Draw) -> Markup:
+def _limits(results: Results, draw: Draw) -> Markup:
     found = results.diagnosis
     if not found or not plots.limited(found, results.figures):
         return Markup("")
     return draw(plots.limits(found, results.figures))
 
 
-def _routes(results: Results, draw: _Draw) -> Markup:
+def _routes(results: Results, draw: Draw) -> Markup:
     """The papers' route beside the default, on the first run that both have fitted."""
     if results.papers is None or results.current is None:
         return Markup("")
@@ -209,6 +217,6 @@ def _remarks(model: ModelResults | None) -> list[Markup]:
     return [words.correlation(a, b, r) for a, b, r in model.summary["correlations"] if abs(r) > 0.95]
 
 
-def _profiles(model: ModelResults | None, draw: _Draw) -> Markup:
+def _profiles(model: ModelResults | None, draw: Draw) -> Markup:
     """The profiles of the model in force, where they were asked for."""
     return draw(plots.profiles(model.summary)) if model is not None and model.summary.get("profiles") else Markup("")

@@ -34,6 +34,8 @@ class Study:
     runs: tuple[RunTable, ...]
     effects: tuple[EffectTable, ...] = ()
     mass: Value | None = None  # of [study]: the load at which newtons are quoted
+    fps: float | None = None  # of [camera], which a study without runs is planned with
+    scale: Any = None
 
     @property
     def folder(self) -> Path:
@@ -41,8 +43,8 @@ class Study:
         return self.path.parent
 
 
-def load(path: str | Path) -> Study:
-    """Read a study file, or the ``study.toml`` of a folder.
+def load(path: str | Path, *, bare: bool = False) -> Study:
+    """Read a study file, or the ``study.toml`` of a folder; a `bare` one may have no runs yet.
 
     Raises `FrictrackError` (usage) with all faults in one sentence each: what was expected, what came, where.
     """
@@ -53,7 +55,7 @@ def load(path: str | Path) -> Study:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:
         raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
-    reader = _Reader(text, {"folder": path.parent})
+    reader = _Reader(text, {"folder": path.parent}, bare=bare)
     study = reader.study(path, raw)
     if reader.faults or study is None:
         raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
@@ -79,9 +81,10 @@ def _read(path: Path) -> str:
 class _Reader:
     """Gathers faults while the tables are read one after the other."""
 
-    def __init__(self, text: str, context: dict[str, Any]) -> None:
+    def __init__(self, text: str, context: dict[str, Any], *, bare: bool = False) -> None:
         self.lines = text.splitlines()
         self.context = context
+        self.bare = bare  # nothing was filmed yet
         self.faults: list[str] = []
 
     def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
@@ -91,8 +94,11 @@ class _Reader:
         camera = self._table("camera", 0, raw.get("camera", {}))
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
-        if not raw.get("run"):
-            self.faults.append("expected at least one [[run]] but got none; `frictrack init FOLDER` shows how")
+        if not raw.get("run") and not self.bare:
+            self.faults.append(
+                "expected at least one [[run]] but got none; `frictrack init FOLDER` shows how, and `frictrack plan "
+                "STUDY` tells which runs to film"
+            )
         if self.faults:
             return None
         merged = tuple(self._merged(i, run, head, camera) for i, run in enumerate(runs))
@@ -105,6 +111,8 @@ class _Reader:
             runs=merged,
             effects=tuple(effects),
             mass=None if head.mass == "fit" else head.mass,
+            fps=camera.fps,
+            scale=camera.scale,
         )
 
     def _check_table(self, name: str, value: Any) -> None:

@@ -11,11 +11,11 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.diagnose.experiments.planned import Film, extended, filmed, spread
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import TIE_ALPHA, is_loose
 from frictrack.fit.simulated.pieces import Piece, spans_of
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.simulated.trial import TIE_ALPHA, is_loose
 from frictrack.fit.unknowns.layout import LEVEL, Layout
 from frictrack.fit.unknowns.scatter import restraint
 from frictrack.records import Array

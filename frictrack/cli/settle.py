@@ -1,0 +1,72 @@
+"""What a person at the bench reads of what to do next: the next experiment, and a plan of runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from frictrack.cli.cells import number, table
+
+MOST_PAIRS = 2  # of a run, told as examples
+
+
+def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
+    """The next experiment, best first, with the evidence to be expected."""
+    if not steps:
+        return
+    out.print("[bold]What would settle it[/bold]")
+    for k, step in enumerate(steps, 1):
+        out.print(f"  {k}. {escape(step['what'])}", soft_wrap=True)
+        told = _evidence(step)
+        if told:
+            out.print(f"     {told}", soft_wrap=True, style="dim")
+
+
+def _evidence(step: dict[str, Any]) -> str:
+    """What an experiment parts, and how well."""
+    if not step["separates"]:
+        return ""
+    left = "; ".join(f"leaves {' and '.join(pair)}" for pair in step.get("leaves", []))
+    said = f"tells {', '.join(step['separates'])} apart, expected delta BIC {number(step['expected_delta_bic'], 2)}"
+    return f"{said}; {left}" if left else said
+
+
+def plan(out: Console, result: dict[str, Any]) -> None:
+    """The runs in order with what each adds, the pairs that stay, and what cannot be seen."""
+    for line in result["assumed"]:
+        out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
+    if result["done"]:
+        out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
+    rows = table("", "film", "parts", "pairs left", "for example")
+    for k, run in enumerate(result["runs"], 1):
+        some = run["separates"][:: max(1, len(run["separates"]) // MOST_PAIRS)][:MOST_PAIRS]
+        example = "\n".join(" from ".join(pair) for pair in some)
+        rows.add_row(str(k), escape(run["what"]), str(run["adds"]), str(run["pairs_left"]), example)
+    if result["runs"]:
+        out.print(rows)
+    else:
+        out.print(f"no run of the menu parts any of the {result['pairs_before']} pairs that are open")
+    _open(out, result)
+    _limits(out, result["detection_limits"])
+
+
+def _open(out: Console, result: dict[str, Any]) -> None:
+    for one in result["left"]:
+        pair = " and ".join(one["effects"])
+        out.print(f"[bold]{pair}[/bold] stay together: {escape(one['why'])}; {escape(one['settle'])}", soft_wrap=True)
+    for one in result["unseen"]:
+        what = f"[bold]{one['effect']}[/bold] is not seen: {escape(one['why'])}; {escape(one['settle'])}"
+        out.print(what, soft_wrap=True)
+    for name, why in result["not_planned"].items():
+        out.print(f"{name} was not looked at: it {escape(why)}", style="dim", soft_wrap=True)
+
+
+def _limits(out: Console, limits: dict[str, Any]) -> None:
+    rows = table("effect", "smallest size seen", "at")
+    for name, limit in limits.items():
+        unit = "" if limit["unit"] == "1" else limit["unit"]
+        size = limit["reason"] if limit["value"] is None else f"{number(limit['value'], 2)} {unit}".rstrip()
+        rows.add_row(name, size, limit["at_words"])
+    out.print(rows)

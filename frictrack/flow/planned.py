@@ -1,0 +1,60 @@
+"""`frictrack plan`: what is known of a study before, or after its first films, and the page of its plan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from frictrack import plan as planning
+from frictrack.calibration import parse_scale
+from frictrack.errors import FrictrackError, gather
+from frictrack.fit import Fit
+from frictrack.flow.session import Session
+from frictrack.flow.stages import Progress, silent
+from frictrack.results import plain
+from frictrack.study import Study
+
+
+def plan(study: Study, progress: Progress = silent) -> dict[str, Any]:
+    """Which runs to film so that the effects can be told apart: JSON of `frictrack plan`; the page is written.
+
+    Raises FrictrackError where mass, frame rate or scale are not known, or the folder cannot be written.
+    """
+    from frictrack.report import planned  # noqa: PLC0415 - loads matplotlib
+
+    stand = _fitted(study, progress) if study.runs else _bare(study)
+    chosen = planning.choose(stand, progress)
+    told = plain({**planning.summary(chosen), "name": study.name})
+    page = planned.write(told, study.output / "plan.html")
+    return {**told, "page": str(page), "output": str(study.output)}
+
+
+def _bare(study: Study) -> planning.Stand:
+    """The set-up of a study of which nothing was filmed: mass and camera, the rest assumed."""
+    faults = []
+    if study.mass is None:
+        faults.append('expected a mass in [study] but got none; give mass = "0.35 kg", about is enough')
+    if study.fps is None:
+        faults.append("expected the frame rate in [camera] but got none; give fps = 4000")
+    if study.scale is None:
+        faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px", about is enough')
+    gather(faults, f"{study.path.name}, plan")
+    assert study.mass is not None
+    assert study.fps is not None
+    pitch = parse_scale(study.scale)[0]
+    if not np.isfinite(pitch):
+        raise FrictrackError(
+            "expected a scale that can be told before filming but got one that needs a picture; give about what it "
+            'will be, scale = "0.5 mm/px"'
+        )
+    return planning.usual(study.mass[0], study.fps, pitch)
+
+
+def _fitted(study: Study, progress: Progress) -> planning.Stand:
+    session = Session(study, progress)
+    session.bring_up_to("friction")
+    fitted = session.tried.fit(session.tried.current()[0])
+    if not isinstance(fitted, Fit):
+        raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")
+    return planning.of_fit(fitted)

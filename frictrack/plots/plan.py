@@ -1,0 +1,79 @@
+"""A plan of runs: how the pairs that cannot be told apart become fewer, and how far any two effects are apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+
+from frictrack.plots import style
+from frictrack.plots.style import blank, styled
+
+UNSEEN = -1.0  # of a pair of which one is not seen at all
+STEPS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
+SHADES = ("#e3e5e7", "#8c2d04", "#fe9929", "#d9f0d3", "#7fbf7b", "#1b7837")  # not parted: browns; parted: greens
+WORDS = ("not seen", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
+
+
+@styled
+def falling(plan: Mapping[str, Any]) -> Figure:
+    """Pairs left after every run, in the order in which the runs are to be filmed."""
+    runs, total = plan["runs"], plan["pairs_before"]
+    figure = blank(0.42 * len(runs) + 1.5, _title(plan))
+    ax = figure.subplots()
+    left = [total, *(run["pairs_left"] for run in runs)]
+    names = ["nothing more filmed", *(f"{k}. {run['what']}" for k, run in enumerate(runs, 1))]
+    ax.barh(range(len(left)), left, height=0.62, color=style.SKY, edgecolor=style.MEASURED, lw=0.6)
+    for i, n in enumerate(left):
+        gone = "" if i == 0 else f"   ({left[i - 1] - n} fewer)"
+        ax.annotate(f"{n}{gone}", (n, i), xytext=(5, 0), textcoords="offset points", va="center", fontsize=9)
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1.15 * max(total, 1))
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("pairs of effects that cannot be told apart")
+    return figure
+
+
+def _title(plan: Mapping[str, Any]) -> str:
+    runs = plan["runs"]
+    if not runs:
+        return f"{plan['pairs_before']} of {plan['pairs']} pairs are open, and no run of the menu parts any"
+    after = runs[-1]["pairs_left"]
+    return f"{len(runs)} runs part {plan['pairs_before'] - after} of {plan['pairs_before']} pairs"
+
+
+@styled
+def apart(plan: Mapping[str, Any]) -> Figure:
+    """Expected chi-squared between any two effects with all planned runs."""
+    names = plan["evidence"]["effects"]
+    table = np.array([[np.nan if e is None else e for e in row] for row in plan["evidence"]["table"]])
+    hidden = np.isin(names, [one["effect"] for one in plan["unseen"]])
+    table[hidden | hidden[:, None]] = UNSEEN
+    table[np.triu_indices(len(names))] = np.nan
+    figure = blank(0.29 * len(names) + 2.2, "How far any two effects are apart with these runs", width=9.0)
+    ax = figure.subplots()
+    picture = ax.imshow(table[1:, :-1], cmap=ListedColormap(list(SHADES)), norm=BoundaryNorm(STEPS, len(SHADES)))
+    ax.set_xticks(range(len(names) - 1), names[:-1], rotation=55, ha="right", rotation_mode="anchor")
+    ax.set_yticks(range(len(names) - 1), names[1:])
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    _grid(ax, len(names) - 1)
+    bar = figure.colorbar(picture, ax=ax, shrink=0.5, ticks=[], pad=0.02)
+    bar.outline.set_visible(False)
+    for k, words in enumerate(WORDS):
+        bar.ax.text(1.4, (k + 0.5) / len(WORDS), words, transform=bar.ax.transAxes, va="center", fontsize=9)
+    bar.ax.set_title("expected chi²", fontsize=9, fontweight="normal", loc="left")
+    return figure
+
+
+def _grid(ax: Axes, n: int) -> None:
+    """White lines between the cells."""
+    ax.set_xticks(np.arange(n + 1) - 0.5, minor=True)
+    ax.set_yticks(np.arange(n + 1) - 0.5, minor=True)
+    ax.grid(which="minor", color="white", lw=1.5)
+    ax.tick_params(which="minor", length=0)
