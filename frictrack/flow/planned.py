@@ -8,7 +8,7 @@ import numpy as np
 
 from frictrack import plan as planning
 from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.flow.session import Session
 from frictrack.flow.stages import Progress, silent
@@ -39,7 +39,8 @@ def _bare(study: Study) -> planning.Stand:
         faults.append("expected the frame rate in [camera] but got none; give fps = 4000")
     if study.scale is None:
         faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px", about is enough')
-    gather(faults, f"{study.path.name}, plan")
+    if faults:
+        raise FrictrackError(f"{study.path.name}, plan: " + "; ".join(faults), usage=True)
     assert study.mass is not None
     assert study.fps is not None
     pitch = parse_scale(study.scale)[0]
