@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from frictrack.tracking.learn import learn
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
+from frictrack.tracking.sharp import SmoothPath, smoothed, surer
 from frictrack.tracking.template import Template
 from frictrack.tracking.trust import inflation
 from frictrack.tracking.view import Sums, View, view_of
@@ -26,6 +27,29 @@ STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
 
+@dataclass(frozen=True, eq=False)
+class _Cuts:
+    """What the rounds look at: cut-outs (n, h, w), their corners (n, 2), and the still scene behind each."""
+
+    cuts: Patch
+    corner: NDArray[np.int64]
+    scene: Patch | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A template, where it was found in the cut-outs, and the share (n, h, w) of its pixels that fit."""
+
+    template: Template
+    fine: Fine
+    share: Patch | None
+
+    @property
+    def good(self) -> Mask:
+        """Frames that teach."""
+        return _teaches(self.fine, self.template)
+
+
 def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     """Template, view and noise from frames spread over the path of a first, rougher track."""
     rows = spread(followed, template.weight.size)
@@ -33,28 +57,57 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
         return Lesson(template)
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
-    cuts = film.cut(rows, corner, size)
+    seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    scene = _scene(film, corner, size)
-    view = None
-    fine, share = measure(cuts, corner, fine, Lesson(template))
+    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(template)))
+    view, path = None, _path(followed).of(rows)
     for k in range(MOST_ROUNDS):
-        good = _teaches(fine, template)
-        if np.count_nonzero(good) < 3:
+        if np.count_nonzero(found.good) < 3:
             break
-        part = (None if v is None else v[good] for v in (scene, share))
-        template = learn(_seen(cuts[good], corner[good], fine[good], view), fine[good], template, *part)
-        fine, share = measure(cuts, corner, fine, Lesson(template, view))
+        found = _round(seen, found, path, view)
+        if k == 1:
+            found, path = _sharpened(seen, found, path)
         if view is None and k >= ROUNDS - 1:
             break
         if 0 < k < MOST_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
-            good = _teaches(fine, template)
-            view = _view(film, cuts[good], corner[good], fine[good], template)
+            view = _view(film, seen, found)
+    return _concluded(seen, found, view)
+
+
+def _round(seen: _Cuts, found: _Found, path: SmoothPath, view: View | None) -> _Found:
+    """Learn the template where the last round found it, and find it again."""
+    good = found.good
+    places = path.placed(found.fine, seen.corner, found.template)[good]
+    part = (None if v is None else v[good] for v in (seen.scene, found.share))
+    shown = _seen(seen.cuts[good], seen.corner[good], found.fine[good], view)
+    template = learn(shown, places, found.template, *part)
+    return _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template, view)))
+
+
+def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, SmoothPath]:
+    """The same with waves shorter than two pixels, where these make the places surer."""
+    if not path.axes.any():
+        return found, path
+    sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
+    better = path.again(seen.corner + sharper.fine.at)
+    sharper = _round(seen, sharper, better, None)
+    return (sharper, better) if surer(sharper.fine, found.fine) else (found, path)
+
+
+def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
+    """What the rounds have come to, and by how much the noise's deviations are too small."""
+    fine, template, share = found.fine, found.template, found.share
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
-    few = np.flatnonzero(_teaches(fine, template))
+    few = np.flatnonzero(found.good)
     few = few[:: max(1, len(few) // TRUST_FRAMES)]
-    seen = _seen(cuts[few], corner[few], fine[few], view)
-    return replace(lesson, inflation=inflation(seen, fine[few], template, None if share is None else share[few]))
+    shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
+    return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
+
+
+def _path(followed: Followed) -> SmoothPath:
+    """The first track, smooth."""
+    frames = np.flatnonzero(followed.found)
+    return smoothed(frames, followed.at[frames])
 
 
 def _teaches(fine: Fine, template: Template) -> Mask:
@@ -83,9 +136,10 @@ def _seen(cuts: Patch, corner: NDArray[np.int64], fine: Fine, view: View | None)
     return cuts if view is None else view.cleaned(cuts, corner, fine.gain, fine.offset)[0]
 
 
-def _view(film: Recording, cuts: Patch, corner: NDArray[np.int64], fine: Fine, template: Template) -> View | None:
+def _view(film: Recording, seen: _Cuts, found: _Found) -> View | None:
     """What stands still in the picture, from the frames' residuals."""
-    sums = Sums(film.shape)
+    sums, good, template = Sums(film.shape), found.good, found.template
+    cuts, corner, fine = seen.cuts[good], seen.corner[good], found.fine[good]
     gain = fine.gain.astype(np.float32)[:, None]
     offset = (fine.offset - template.level).astype(np.float32)[:, None]
     model = (modelled(fine, template) - offset) / gain

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from frictrack.records import Array
 from frictrack.tracking.match import Patch
-from frictrack.tracking.waves import Shifts, shifts
+from frictrack.tracking.waves import BAND, Shifts, shifts
 
 NOISELESS = 5e-4  # of the picture's variance
 
@@ -25,11 +25,19 @@ class Template:
     waves: Array
     weight: Array
     level: float  # DN that is taken off every picture before it is multiplied, for the sake of single precision
+    bands: tuple[float, float] = (BAND, BAND)  # cycles/px along y and x, up to which it has waves
 
     @property
     def shifts(self) -> Shifts:
         """The expansion of the sub-pixel shifts of this shape."""
-        return shifts((self.weight.shape[0], self.weight.shape[1]))
+        return shifts((self.weight.shape[0], self.weight.shape[1]), self.bands)
+
+    def widened(self, bands: tuple[float, float]) -> Template:
+        """The same picture with room for shorter waves."""
+        h, w = shifts((self.weight.shape[0], self.weight.shape[1]), bands).n_waves
+        waves = np.zeros((h, w))
+        waves[: self.waves.shape[0], : self.waves.shape[1]] = self.waves
+        return replace(self, waves=waves, bands=bands)
 
     @cached_property
     def pictures(self) -> Array:

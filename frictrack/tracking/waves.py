@@ -1,6 +1,7 @@
-"""A picture without waves shorter than two pixels, and all its sub-pixel shifts as a few fixed pictures.
+"""A picture without waves too short to be seen, and all its sub-pixel shifts as a few fixed pictures.
 
-The target is a sum of cosines up to almost the Nyquist frequency of the sensor,
+The target is a sum of cosines up to almost the Nyquist frequency of the sensor, or beyond: a sharp edge that no lens
+blurs has shorter waves, which one frame cannot tell from longer ones, but many frames at many shifts can,
 
     T(u) = sum_kl C_kl cos(pi k (u_y + EDGE) / L_y) cos(pi l (u_x + EDGE) / L_x),
 
@@ -24,22 +25,35 @@ from frictrack.records import Array
 
 EDGE = 4.0  # px beyond the picture's border at which the cosines turn round
 BAND = 0.48  # cycles/px; a wave of 0.5 may pass through zero at every pixel, unseen, and would have any slope
+FINER = 2.95  # the same along an axis on which frames show the target at every shift: a third of a pixel
 RANGE = 0.6  # px, reach of the expansion: half a pixel and room for the last step
-DEGREE = 5  # of the expansion; 6 changes a checker's positions by less than 1 % of the noise
+DEGREES = {BAND: 5, FINER: 21}  # of the expansion; one more changes positions by less than 1 % of the noise
 TURN_DEGREE = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Shifts:
-    """The expansion of all shifts for pictures of `shape` (h, w); the same for every template."""
+    """The expansion of all shifts for pictures of `shape` (h, w) with waves up to `bands` (y, x), cycles/px."""
 
     shape: tuple[int, int]
+    bands: tuple[float, float] = (BAND, BAND)
     _cast: dict[Any, list[Array]] = field(default_factory=dict)
+
+    @property
+    def degrees(self) -> tuple[int, int]:
+        """Degrees of the expansion along y and x."""
+        return DEGREES[self.bands[0]], DEGREES[self.bands[1]]
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """Degrees (i, j) along x and y of the pictures B_ij, (k, 2)."""
-        return _degrees(DEGREE)
+        return np.array([(i, j) for j, count in enumerate(self._partners) for i in range(count)])
+
+    @property
+    def _partners(self) -> list[int]:
+        """For each degree j along y, how many degrees along x go with it: i / d_x + j / d_y <= 1."""
+        d_y, d_x = self.degrees
+        return [d_x * (d_y - j) // d_y + 1 for j in range(d_y + 1)]
 
     @cached_property
     def turn_order(self) -> NDArray[np.int64]:
@@ -48,11 +62,11 @@ class Shifts:
 
     @cached_property
     def _x(self) -> tuple[Array, Array]:
-        return _expanded(self.shape[1])
+        return _expanded(self.shape[1], self.bands[1])
 
     @cached_property
     def _y(self) -> tuple[Array, Array]:
-        return _expanded(self.shape[0])
+        return _expanded(self.shape[0], self.bands[0])
 
     @property
     def n_waves(self) -> tuple[int, int]:
@@ -83,7 +97,7 @@ class Shifts:
         """For each degree j along y, the rows of x of all its partners i, one below the other."""
         if np.dtype(kind) not in self._cast:
             x = self._x[0].astype(kind)
-            self._cast[np.dtype(kind)] = [x[: DEGREE + 1 - j].reshape(-1, x.shape[2]) for j in range(DEGREE + 1)]
+            self._cast[np.dtype(kind)] = [x[:count].reshape(-1, x.shape[2]) for count in self._partners]
         return self._cast[np.dtype(kind)]
 
     def turned(self, waves: Array) -> Array:
@@ -98,18 +112,20 @@ class Shifts:
     def design(self, shift: Array) -> tuple[Array, Array, Array, Array]:
         """Weights of the pictures for shifts (n, 2): T, dT/dp_x, dT/dp_y (n, k) and the rotation (n, k')."""
         (i, j), (ti, tj) = self.order.T, self.turn_order.T
-        x, y = (chebyshev.chebvander(shift[:, axis] / RANGE, DEGREE) for axis in (0, 1))
-        dx, dy = np.asarray(x[:, :-1] @ _DERIVATIVE), np.asarray(y[:, :-1] @ _DERIVATIVE)
+        y, x = (chebyshev.chebvander(shift[:, 1 - k] / RANGE, d) for k, d in enumerate(self.degrees))
+        dx, dy = (np.asarray(z[:, :-1] @ _derivative(z.shape[1] - 1)) for z in (x, y))
         return x[:, i] * y[:, j], dx[:, i] * y[:, j], x[:, i] * dy[:, j], x[:, ti] * y[:, tj]
 
 
 @lru_cache(maxsize=8)
-def shifts(shape: tuple[int, int]) -> Shifts:
+def shifts(shape: tuple[int, int], bands: tuple[float, float] = (BAND, BAND)) -> Shifts:
     """The expansion for pictures of this shape, made once."""
-    return Shifts(shape)
+    return Shifts(shape, bands)
 
 
-_DERIVATIVE: Array = np.asarray(chebyshev.chebder(np.eye(DEGREE + 1), axis=0) / RANGE, dtype=np.float64)
+@lru_cache
+def _derivative(degree: int) -> Array:
+    return np.asarray(chebyshev.chebder(np.eye(degree + 1), axis=0) / RANGE, dtype=np.float64)
 
 
 def _degrees(most: int) -> NDArray[np.int64]:
@@ -117,13 +133,13 @@ def _degrees(most: int) -> NDArray[np.int64]:
     return np.array([(i, j) for j in range(most + 1) for i in range(most + 1 - j)])
 
 
-def _expanded(n: int) -> tuple[Array, Array]:
+def _expanded(n: int, band: float) -> tuple[Array, Array]:
     """Chebyshev coefficients (degree, n, waves) of cosines read at n pixels moved by p, and of their d/dp."""
-    count = DEGREE + 3
+    count = DEGREES[band] + 3
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     solve = np.linalg.inv(chebyshev.chebvander(nodes, count - 1))
     length = n - 1 + 2 * EDGE
-    q = np.pi * np.arange(int(2 * BAND * length) + 1) / length
+    q = np.pi * np.arange(int(2 * band * length) + 1) / length
     phase = q * (np.arange(n)[:, None] + EDGE - RANGE * nodes[:, None, None])
     both = np.cos(phase), q * np.sin(phase)
     cosines, slopes = (np.einsum("ij,jnk->ink", solve, values) for values in both)

@@ -1,0 +1,80 @@
+"""Targets sharper than the sensor resolves: a picture with waves shorter than two pixels, learnt along a smooth path.
+
+One frame cannot tell such waves from longer ones; many frames at many shifts can (Stark & Oskoui 1989, J. Opt. Soc.
+Am. A 6:1715). But pictures alone would let the places within a pixel be renamed, the template along with them: so it
+is learnt where a smooth path has the target (Anderson & King 2000, PASP 112:1360, average over shifts likewise).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array, Mask
+from frictrack.tracking.refine import Fine
+from frictrack.tracking.template import Template
+from frictrack.tracking.waves import BAND, FINER
+
+STRETCH = 8.0  # px, over which errors that repeat from pixel to pixel average out
+LEAST, LONGEST = 12, 160  # frames to either side, and from first to last, of a stretch that a parabola follows
+MANY = 100  # frames, from which short waves can be learnt
+SHARE = 0.5  # of the frames in which the path must be smooth
+SURER = 0.95  # times the standard deviation that must come out with them
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothPath:
+    """Where the target was in some frames (n, 2), px: not a number where no parabola follows it over `STRETCH`."""
+
+    frames: NDArray[np.int64]
+    at: Array
+
+    def of(self, frames: NDArray[np.int64]) -> SmoothPath:
+        """Those of some of its frames."""
+        rows = np.searchsorted(self.frames, frames)
+        return SmoothPath(frames, self.at[rows])
+
+    @property
+    def axes(self) -> Mask:
+        """Axes (x, y) along which the path is smooth and shows every shift."""
+        known = np.isfinite(self.at)
+        return np.asarray((known.mean(axis=0) > SHARE) & (known.sum(axis=0) >= MANY))
+
+    def again(self, at: Array) -> SmoothPath:
+        """The same from better places (n, 2), px, where these stand close enough to each other."""
+        better = smoothed(self.frames, at).at
+        return replace(self, at=np.where(np.isfinite(better), better, self.at))
+
+    def placed(self, fine: Fine, corner: NDArray[np.int64], template: Template) -> Fine:
+        """The places at which a template is learnt: the smooth path's along the axes of its short waves."""
+        short = np.array(template.bands[::-1]) > BAND
+        return replace(fine, at=np.where(short & np.isfinite(self.at), self.at - corner, fine.at))
+
+    def widened(self, template: Template) -> Template:
+        """The template with room for short waves along the path's axes."""
+        x, y = (FINER if axis else BAND for axis in self.axes)
+        return template.widened((y, x))
+
+
+def surer(fine: Fine, before: Fine) -> bool:
+    """Whether places have become surer."""
+    one, other = (float(np.median(np.hypot(*f.sigma.T))) for f in (fine, before))
+    return one < SURER * other
+
+
+def smoothed(frames: NDArray[np.int64], at: Array) -> SmoothPath:
+    """Parabolas through stretches of places (n, 2), px, in these frames."""
+    out = np.full(at.shape, np.nan)
+    for axis in range(2):
+        way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at[:, axis])))])
+        row = np.arange(len(at))
+        first = np.minimum(np.searchsorted(way, way - STRETCH / 2, side="right") - 1, row - LEAST)
+        last = np.maximum(np.searchsorted(way, way + STRETCH / 2), row + LEAST)
+        inside = np.flatnonzero((first >= 0) & (last < len(at)))
+        for i in inside[frames[last[inside]] - frames[first[inside]] < LONGEST]:
+            part = slice(first[i], last[i] + 1)
+            u = (frames[part] - frames[i]) / LONGEST
+            out[i, axis] = np.linalg.lstsq(np.vander(u, 3), at[part, axis], rcond=None)[0][2]
+    return SmoothPath(frames, out)

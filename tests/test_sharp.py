@@ -1,0 +1,81 @@
+"""A target sharper than the sensor resolves, drawn exactly: every pixel is the mean of what lies between its edges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import frictrack as ft
+from frictrack.recording import open_recording
+from frictrack.records import Array
+from frictrack.tracking.sharp import smoothed
+
+FINE = 16  # cells of the drawing per pixel
+SIZE = 40, 48  # px
+NOISE = 2.0  # grey values
+FRAMES = 240
+
+
+def _drawing() -> Array:
+    """Integral of a plate with a quartered disc over everything left of and above a cell's corner."""
+    h, w = SIZE
+    y, x = ((np.arange(n * FINE) + 0.5) / FINE - n / 2 for n in (h, w))
+    quartered = (x > 0) ^ (y > 0)[:, None]
+    plate = np.where(np.hypot(x, y[:, None]) < 13, np.where(quartered, 220.0, 20.0), 110.0)
+    whole = np.zeros((h * FINE + 1, w * FINE + 1))
+    whole[1:, 1:] = np.cumsum(np.cumsum(plate, axis=0), axis=1) / FINE**2
+    return whole
+
+
+def _row(whole: Array, edges: Array) -> Array:
+    """The integral up to these places along x, linear between cells."""
+    u = np.clip((edges + SIZE[1] / 2) * FINE, 0, whole.shape[1] - 1 - 1e-9)
+    i = u.astype(int)
+    return whole[:, i] * (1 - (u - i)) + whole[:, i + 1] * (u - i)
+
+
+def _film(folder: Path, x: Array) -> Path:
+    whole, rng = _drawing(), np.random.default_rng(1)
+    height, width = 56, 280
+    frames = np.empty((len(x), height, width), np.uint8)
+    for k, place in enumerate(x):
+        frame = np.full((height, width), 60.0) + 15 * np.sin(np.arange(width) / 37)
+        first = int(place) - SIZE[1] // 2 - 1
+        edges = np.arange(first, first + SIZE[1] + 3) - 0.5 - place
+        top = (height - SIZE[0]) // 2
+        seen = np.diff(_row(whole, edges)[::FINE], axis=0)
+        shown = slice(first, first + len(edges) - 1)
+        cover = np.diff(np.clip(edges, -SIZE[1] / 2, SIZE[1] / 2))
+        part = frame[top : top + SIZE[0], shown]
+        frame[top : top + SIZE[0], shown] = part * (1 - cover) + np.diff(seen, axis=1)
+        frames[k] = np.clip(np.rint(frame + NOISE * rng.standard_normal(frame.shape)), 0, 255)
+    path = folder / "sharp.tif"
+    tifffile.imwrite(path, frames)
+    return path
+
+
+@pytest.mark.parametrize("speed", [0.6, -0.57])
+def test_places_of_a_sharp_target_are_not_drawn_to_the_pixels(tmp_path: Path, speed: float) -> None:
+    t = np.arange(FRAMES)
+    x = (50.3 if speed > 0 else 220.3) + speed * t + 2e-4 * t**2
+    track = ft.track(open_recording(_film(tmp_path, x), fps=4000), [int(x[0]) - 24, 8, 48, 40])
+    off = track.x_px - x
+    off -= np.nanmedian(off)
+    by_place = [np.nanmedian(off[np.floor(10 * (x % 1)) == k]) for k in range(10)]
+    assert np.ptp(by_place) < 0.008  # 0.04 px with a picture that has no waves shorter than two pixels
+    assert np.sqrt(np.nanmean(off**2)) < 0.004
+
+
+def test_a_smooth_path_is_kept_and_what_repeats_from_pixel_to_pixel_is_not() -> None:
+    frames = np.arange(200)
+    true = np.stack([10 + 1.3 * frames + 2e-4 * frames**2, np.full(200, 5.0)], axis=1)
+    drawn = true + 0.05 * np.sin(2 * np.pi * true)
+    path = smoothed(frames, drawn)
+    known = np.isfinite(path.at[:, 0])
+    assert known.mean() > 0.8
+    assert not np.isfinite(path.at[:, 1]).any()
+    assert np.max(np.abs(path.at[known, 0] - true[known, 0])) < 0.01
+    assert list(path.axes) == [True, False]
