@@ -1,0 +1,149 @@
+"""Axes along which a force may repeat, and the smooth force over each that is most likely.
+
+The force is a Gaussian process over place, time since release, speed, or the phase of a motion to and fro, seen where
+the noise is white: through the motion that it makes, beside the law and the scatter of its levels. Size and length of
+the process are those of the highest restricted likelihood (Rasmussen & Williams 2006, ch. 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg import eigh
+
+from frictrack.diagnose.reduced import CUBIC, Reduced
+from frictrack.effects import Path
+from frictrack.records import Array
+
+SPLINES = 60  # over an axis
+LENGTHS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # of the axis, over which a force is alike
+SIZES = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-squared asks for
+JITTER = 1e-8
+ABSORBED = 0.02  # share of a curve that must remain beside the law for it to be told
+PLACES = 81  # of the curve
+CYCLES = 2  # times that a motion must turn back to have a phase
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Along what a force may repeat: `of` a path (n,), and what multiplies it there, as a study file writes it."""
+
+    name: str
+    of: Callable[[Path], Array]
+    factor: str  # "L * s", "s" or ""
+
+    def times(self, path: Path) -> Array:
+        """The factor along a path, (n,)."""
+        return np.ones_like(path.t) if not self.factor else path.s * (path.load if "L" in self.factor else 1.0)
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """The most likely smooth force over one axis: places (k,), force and its deviation (k,), N; its evidence."""
+
+    axis: Axis
+    gain: float  # twice the rise of the log restricted likelihood
+    at: Array
+    force: Array
+    sigma: Array
+    share: float  # of the chi-squared above the noise
+    length: float  # over which the force is alike, in the unit of the axis
+
+
+def smooth_forces(left: Reduced) -> list[Smooth]:
+    """The most likely force over every axis, the most likely axis first."""
+    return sorted((_smooth(left, axis) for axis in axes(left)), key=lambda s: -s.gain)
+
+
+def axes(left: Reduced) -> list[Axis]:
+    """Axes that these runs can tell apart; the phase is that of a motion that turns back again and again."""
+    named: dict[str, Callable[[Path], Array]] = {"x": lambda p: p.x, "t": lambda p: p.t, "v": lambda p: p.speed}
+    if min(_turns(left, run) for run in set(left.runs)) >= CYCLES:
+        named["phase"] = _phase_of(left)
+    loads = {round(p.load, 1) for p in left.paths}
+    one_way = np.ptp(left.gathered(lambda p: p.s)) == 0
+    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if len(loads) > 1 else [])
+    return [Axis(name, of, factor) for name, of in named.items() for factor in factors]
+
+
+def _turns(left: Reduced, run: int) -> int:
+    """How often a run turns back."""
+    s = np.concatenate([p.s for p, r in zip(left.paths, left.runs, strict=True) if r == run])
+    return int(np.sum(np.diff(s[s != 0]) != 0))
+
+
+def _phase_of(left: Reduced) -> Callable[[Path], Array]:
+    """Phase of a motion to and fro, rad: 0 at its middle on the way up, pi/2 at its upper end."""
+    x, v = left.gathered(lambda p: p.x), left.gathered(lambda p: p.v)
+    middle, reach, fast = (x.max() + x.min()) / 2, np.ptp(x) / 2, np.abs(v).max()
+    return lambda p: np.arctan2((p.x - middle) / reach, p.v / fast)
+
+
+def _smooth(left: Reduced, axis: Axis) -> Smooth:
+    """The most likely process over one axis."""
+    u = left.gathered(axis.of)
+    low, high = float(u.min()), float(u.max())
+    span = max(high - low, 1e-12)
+    knots = _knots(low, high)
+    design = BSpline.design_matrix(np.clip(u, low, high), knots, CUBIC).toarray()
+    factor = left.gathered(axis.times)
+    seen = left.trace(left.cut(design * factor[:, None]))
+    whole = np.concatenate([m @ c for m, c in zip(left.maps, left.cut(design * factor[:, None]), strict=True)])
+    gram, pull = seen.T @ seen, seen.T @ left.left
+    grid = np.linspace(low, high, PLACES)
+    tried = [_likeliest(gram, pull, _root(knots, span * length)) for length in LENGTHS]
+    best = int(np.argmax([t[0] for t in tried]))
+    gain, mean, root = tried[best]
+    spread = root @ root.T
+    told = _told(gram, whole.T @ whole)
+    show = BSpline.design_matrix(grid, knots, CUBIC).toarray() @ told
+    return Smooth(
+        axis=axis,
+        gain=gain,
+        at=grid,
+        force=show @ mean,
+        sigma=np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", show, spread, show), 0.0)),
+        share=_share(left, seen @ mean),
+        length=span * float(LENGTHS[best]),
+    )
+
+
+def _knots(low: float, high: float) -> Array:
+    return np.concatenate([[low] * CUBIC, np.linspace(low, high, SPLINES - CUBIC + 1), [high] * CUBIC])
+
+
+def _root(knots: Array, length: float) -> Array:
+    """Square root (m, m) of the covariance of spline coefficients, alike over `length` (Matern 5/2)."""
+    centres = np.array([knots[i + 1 : i + CUBIC + 1].mean() for i in range(SPLINES)])
+    z = np.sqrt(5.0) * np.abs(centres[:, None] - centres) / length
+    return np.linalg.cholesky((1 + z + z**2 / 3) * np.exp(-z) + JITTER * np.eye(SPLINES))
+
+
+def _likeliest(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Array]:
+    """Gain, mean (m,) and a root of the covariance (m, m) of the coefficients at the most likely size."""
+    values, vectors = np.linalg.eigh(root.T @ gram @ root)
+    values = np.maximum(values, 0.0)
+    g = vectors.T @ (root.T @ pull)
+    sizes = SIZES[:, None] * max(float(g @ g) / max(float(values @ values), 1e-300), 1e-300)
+    gains = np.sum(sizes * g**2 / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
+    best = int(np.argmax(gains))
+    shrunk = sizes[best] / (1 + sizes[best] * values)
+    basis = root @ vectors
+    return float(gains[best]), basis @ (shrunk * g), basis * np.sqrt(shrunk)
+
+
+def _told(gram: Array, whole: Array) -> Array:
+    """Projection (m, m) of spline coefficients beside those curves that the law takes up anyway."""
+    ridge = 1e-9 * float(np.trace(whole)) / len(whole) * np.eye(len(whole))
+    shares, vectors = eigh(gram, whole + ridge)
+    gone = vectors[:, (shares < ABSORBED) & (np.einsum("ik,ij,jk->k", vectors, whole, vectors) > 0.5)]
+    return np.asarray(np.eye(len(whole)) - gone @ (gone.T @ (whole + ridge)))
+
+
+def _share(left: Reduced, fitted: Array) -> float:
+    """Part of the chi-squared above the noise that a trace (M,) takes away."""
+    gone = float(left.left @ left.left - np.sum((left.left - fitted) ** 2))
+    return float(np.clip(gone / max(left.excess, gone, 1e-300), 0.0, 1.0))

@@ -1,0 +1,110 @@
+"""Formulas told: with their values and units for a person, and as a table to be pasted into a study file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.diagnose.terms import AXES, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
+from frictrack.fit.simulated.solve import Solution
+
+FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
+INVERSE = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}
+POWERS = {"u": 1, "u^2": 2, "u^3": 3, "sqrt(u)": 0.5}
+
+
+def _unit(kind: str, axis: str) -> str:
+    unit = AXES[axis][2]
+    return {"rate": INVERSE[unit][0], "sweep": INVERSE[unit][1], "share": "1"}.get(kind, unit)
+
+
+def _coefficient_unit(column: str, axis: str) -> str:
+    """Unit of what multiplies a column: newtons per power of the axis."""
+    power = POWERS.get(column, 1 if column.startswith("u*") else 0)
+    unit = AXES[axis][2]
+    if axis == "v":
+        return {0: "N", 1: "N s/m", 2: "N s^2/m^2", 3: "N s^3/m^3", 0.5: "N s^0.5/m^0.5"}[power]
+    return "N" if power == 0 else f"N/{unit}" if power == 1 else f"N/{unit}^{power:g}"
+
+
+def told(found: Formula, solution: Solution) -> dict[str, Any]:
+    """Entry of the JSON."""
+    values = found.solution.problem.layout.values(found.solution.p, 0)[0]
+    terms = []
+    for i, term in enumerate(found.terms):
+        own = values[NAME if i == 0 else f"{NAME}_{i + 1}"]
+        terms.append(
+            (replace(term, numbers=tuple(own[q] for q in letters_of(term))), [own[c] for c in coefficients_of(term)])
+        )
+    loads = {round(p.path.load, 1) for p in solution.problem.pieces}
+    added = [
+        n for n in found.solution.problem.model.names if n not in solution.problem.model and not n.startswith(NAME)
+    ]
+    return {
+        "formula": _words(terms, with_load=len(loads) > 1),
+        "axis": found.terms[0].axis,
+        "share": found.share,
+        "delta_bic": found.delta_bic,
+        "reduced_chi2": found.solution.chi2 / max(found.solution.problem.n_frames - len(found.solution.p), 1),
+        "beside": added,
+        "toml": _toml([t for t, _ in terms]),
+    }
+
+
+def _words(terms: Sequence[tuple[Term, list[float]]], *, with_load: bool) -> str:
+    """The formula with its values, for a person."""
+    out = ""
+    for term, coefficients in terms:
+        factor = FACTORS[term.factor] if with_load else FACTORS[term.factor].replace("L ", "")
+        for column, value in _sines(term.shape.columns, coefficients):
+            size = f"{abs(value):.3g} {_coefficient_unit(column, term.axis)}"
+            sign = ("-" if value < 0 else "") if not out else (" - " if value < 0 else " + ")
+            out += sign + f"{size} {factor}{_spelled(column, term)}".strip()
+    return out
+
+
+def _sines(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tuple[str, float]]:
+    """Columns with their coefficients; a sine and its cosine as one with a phase."""
+    pairs = list(zip(columns, coefficients, strict=True))
+    while pairs:
+        column, value = pairs.pop(0)
+        if "sin(" in column and pairs and pairs[0][0] == column.replace("sin(", "cos("):
+            other = pairs.pop(0)[1]
+            yield f"{column[:-1]} + {np.arctan2(other, value):.3g} rad)", float(np.hypot(value, other))
+        else:
+            yield column, value
+
+
+def _spelled(column: str, term: Term) -> str:
+    """A column with its numbers and their units."""
+    text = "" if column == "1" else re.sub(r"\bu\b", AXES[term.axis][1], column)
+    for q, kind, number in zip(term.shape.numbers, term.shape.kinds, term.numbers, strict=True):
+        digits = 3 if kind in ("width", "scale", "share") else 4
+        text = re.sub(rf"\b{q}\b", f"{number:.{digits}g} {_unit(kind, term.axis)}".removesuffix(" 1"), text)
+    return text.replace("2*pi*", "2 pi ").replace("*", " ").replace("- -", "+ ").replace("+ -", "- ")
+
+
+def _toml(terms: Sequence[Term]) -> str:
+    """The formula as an effect of one's own, to be pasted into a study file."""
+    suffixes = [""] if len(terms) == 1 else [f"_{i}" for i in "ab"]
+    pairs = list(zip(terms, suffixes, strict=True))
+    units: dict[str, str] = {}
+    bounds: dict[str, tuple[float, float]] = {}
+    for term, suffix in pairs:
+        columns = zip(coefficients_of(term, suffix), term.shape.columns, strict=True)
+        units |= {c: _coefficient_unit(column, term.axis) for c, column in columns}
+        units |= {q: _unit(kind, term.axis) for q, kind in zip(letters_of(term, suffix), term.shape.kinds, strict=True)}
+        bounds |= bounds_of(term, 3.0, 1.0, suffix)
+    lines = [
+        "[[effect]]",
+        f'effect = "{NAME}"',
+        f'formula = "{" + ".join(text_of(*pair) for pair in pairs)}"',
+        "units = {" + ", ".join(f'{k} = "{u}"' for k, u in units.items()) + "}",
+    ]
+    if bounds:
+        lines.append("bounds = {" + ", ".join(f"{k} = [{a:.4g}, {b:.4g}]" for k, (a, b) in bounds.items()) + "}")
+    return "\n".join(lines) + "\n"
