@@ -310,3 +310,41 @@ def reproduce(
     with bars() as progress:
         result = make(out, quick=quick, seed=seed, progress=progress)
     tell(result, as_json, "reproduce", result["page"])
+
+
+blind = typer.Typer(help="Studies with a sealed truth: how surely is what they hide named?", no_args_is_help=True)
+app.add_typer(blind, name="blind", rich_help_panel=None)
+Workers = Annotated[int | None, typer.Option(min=1, help="processes (all processors)")]
+Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their seal")]
+
+
+@blind.command()
+def make(
+    out: Blind,
+    n: Annotated[int | None, typer.Option("--n", help="how many studies (420; 40 of films)")] = None,
+    film: Annotated[bool, typer.Option("--film", help="as rendered films, through tracking")] = False,
+    workers: Workers = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Write studies, and seal what they hide: one effect, none, two, or one that the library does not know.
+
+    Of 420: 200, 100, 60 and 60. Of 40 films: 20 with one effect, 10 with none, 10 with a fault of the measurement.
+    """
+    from frictrack.blind import make as written  # noqa: PLC0415
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+
+    with bars() as progress:
+        result = written(out, n, seed=seed, film=film, workers=workers, progress=progress)
+    tell(result, as_json, "", out)
+
+
+@blind.command()
+def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = False) -> None:
+    """Diagnose every study, add what is named, open the seal and count. Goes on where it was interrupted."""
+    from frictrack.blind import score as scored  # noqa: PLC0415
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+
+    with bars() as progress:
+        result = scored(out, seed=seed, workers=workers, progress=progress)
+    tell(result, as_json, "blind", out / "score.json")

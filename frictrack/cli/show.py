@@ -14,6 +14,7 @@ from rich.table import Table
 
 from frictrack.cli.cells import number, plus_minus
 from frictrack.cli.cells import table as _table
+from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
 from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
 
 ERRORS = {

@@ -1,0 +1,119 @@
+"""Which library effects nobody could tell from what is hidden: their best fits to data without noise are as good."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack import effects
+from frictrack.blind.truth import Numbers, RunTruth, Truth, made
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.beside import Beside, beside
+from frictrack.fit.simulated.growth import rebuilt, simulated, without
+from frictrack.fit.simulated.scan import families, one_series, scan
+from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.simulated.trial import tried
+from frictrack.fit.simulated.turns import known
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.scatter import restraint
+from frictrack.records import Array
+
+SAME = 10.0  # expected chi-squared below which two causes are one for these runs
+NEAR = 0.3, 60.0  # share of the rise, and chi-squared, along the motion below which a rival is followed to its end
+LEAST_SCATTER = 1e-3
+
+
+def alike(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
+    """For every hidden cause the library effects that stand in for it beside all the rest, itself first.
+
+    `base` is the fitted base law, whose pieces and layout are taken; its data are replaced by the true motion.
+    """
+    whole = _whole(truth, base)
+    return {name: (name, *_standing_in(whole, name)) for name in truth.hidden}
+
+
+def _standing_in(whole: Solution, name: str) -> list[str]:
+    """Effects that explain the data without noise as well as the hidden one does."""
+    bare = without(whole, name)
+    law = beside(bare)
+    rise = bare.objective - whole.objective
+    out = []
+    for effect in effects.LIBRARY.values():
+        if effect.name in bare.problem.model or effect.replaces or effect.name == name:
+            continue
+        kinds = {e.kind for e in bare.problem.model.effects}
+        if effect.modifies and not kinds & effect.modifies:
+            continue
+        try:
+            worse = _worse(law, effect, whole, rise)
+        except FrictrackError:
+            continue
+        if worse < SAME:
+            out.append(effect.name)
+    return out
+
+
+def _worse(law: Beside, effect: Effect, whole: Solution, rise: float) -> float:
+    """By how much chi-squared is larger with another effect in the place of the true one."""
+    made_of = families(law, known(law.solution, effect))
+    if not made_of:
+        return np.inf
+    series = one_series(law)
+    trial = tried(law, effect, [scan(law, family, series) for family in made_of], series.own[:, 0])
+    if trial.misfit > NEAR[0] * rise + NEAR[1] + _restraint(whole):
+        return np.inf
+    grown = simulated(law, trial)
+    fitted = refine(grown.problem, grown.p, grown.starts, tau=whole.tau)
+    return fitted.objective - whole.objective
+
+
+def _restraint(whole: Solution) -> float:
+    """What the true levels' departure from one costs."""
+    held = restraint(whole.problem.layout, whole.p, whole.tau)
+    return float(held @ held)
+
+
+def _whole(truth: Truth, base: Solution) -> Solution:
+    """The true law at the true motion, refined by what rounding leaves."""
+    slides = [truth.slide(run) for run in truth.runs]
+    pieces = [replace(p, y=(slides[p.run].x + slides[p.run].shift)[p.frames]) for p in base.problem.pieces]
+    old = base.problem.layout
+    model = old.model
+    for name in truth.hidden:
+        model = model + made(name)
+    absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
+    layout = replace(old, model=model, absent=absent)
+    problem = rebuilt(base.problem.over(old, pieces), layout)
+    starts = [
+        np.array([np.interp(p.t[0], s.t - _release(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
+        for p, s in ((p, slides[p.run]) for p in pieces)
+    ]
+    return refine(problem, _unknowns(truth, layout), starts, tau=max(truth.scatter, LEAST_SCATTER))
+
+
+def _release(since: Array, recorded: Array) -> float:
+    """When a run was released, on the clock of its table, s."""
+    return float(recorded[0] - since[0])
+
+
+def _unknowns(truth: Truth, layout: Layout) -> Array:
+    """The true numbers as a fit counts them, (P,)."""
+    out = []
+    for slot in layout.slots:
+        run = truth.runs[slot.run or 0]
+        if slot.effect == "level":
+            out.append(run.level)
+        elif slot.effect in truth.law:
+            out.append(truth.law[slot.effect][slot.parameter])
+        else:
+            out.append(_own(truth, slot.effect, slot.run)[slot.parameter])
+    return np.array(out)
+
+
+def _own(truth: Truth, name: str, run: int | None) -> dict[str, float]:
+    """Numbers of a hidden cause in one run, or in any that has it."""
+    chosen: tuple[RunTruth, ...] = truth.runs if run is None else (truth.runs[run],)
+    found: list[Numbers] = [r.values for r in chosen if name in r.values]
+    return found[0][name]

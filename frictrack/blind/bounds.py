@@ -1,0 +1,51 @@
+"""Detection limits of a diagnosis beside those of the ideal detector, at the same settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from frictrack.blind.detector import Detector, freedom, is_event, limit
+from frictrack.blind.truth import Numbers, Truth, made
+from frictrack.effects import Effect
+
+PHASES = 8  # tried for the least favourable one
+
+
+def against_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Stated limit over the ideal detector's, for every effect whose limit is a size at a setting."""
+    detector = Detector(truth)
+    out = {}
+    for name, told in limits.items():
+        if told["value"] is None or ":" in name or not _comparable(made(name)):
+            continue
+        least = ideal_size(detector, made(name), dict(told["at"]))
+        if least is not None:
+            out[name] = float(told["value"]) / least
+    return out
+
+
+def _comparable(effect: Effect) -> bool:
+    """Whether an effect has one size, and no memory that only a whole simulation shows."""
+    return effect.sized and not effect.memory and not is_event(effect)
+
+
+def ideal_size(detector: Detector, effect: Effect, at: dict[str, float]) -> float | None:
+    """Smallest size that the ideal detector sees in 95 of 100 repeats, phases at their worst; None if it never can."""
+    runs = len(detector.bare.runs)
+    phases = [p.name for p in effect.parameters if p.role == "phase"]
+    tried = np.arange(PHASES) * np.pi / PHASES if phases else [0.0]
+    rises = [
+        float(np.sum(detector.unit(effect, _unit(effect, at, dict.fromkeys(phases, q), runs)) ** 2)) for q in tried
+    ]
+    least = min(rises)
+    return float(np.sqrt(limit(freedom(effect, runs)) / least)) if least > 1e-12 else None
+
+
+def _unit(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[Numbers]:
+    """Numbers of an effect of size one, the first coefficient carrying it."""
+    size = next(p.name for p in effect.parameters if p.role in ("amplitude", "depth") or p.linear)
+    own = {p.name: p.fixed or 0.0 for p in effect.parameters} | at | dict(phases) | {size: 1.0}
+    return [{effect.name: own} for _ in range(runs)]

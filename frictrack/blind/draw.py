@@ -1,0 +1,195 @@
+"""Studies are drawn: laws, masses, speeds, cameras and what is hidden, over ranges that know nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictrack import effects
+from frictrack.blind.detector import Detector
+from frictrack.blind.foreign import FOREIGN
+from frictrack.blind.hide import hide
+from frictrack.blind.truth import Numbers, RunTruth, Truth, made
+from frictrack.errors import FrictrackError
+
+KINDS = ("one", "none", "two", "foreign", "fault")
+LAWS = (  # base laws, and how often each is drawn
+    (("coulomb", "stribeck", "viscous"), 0.6),
+    (("coulomb", "viscous"), 0.25),
+    (("coulomb", "drag"), 0.15),
+)
+BESIDE = 0.15  # share of the studies that measure a drive, a vertical motion or a clamp without need
+PUSH = 0.012  # s
+LONGEST, MOST = 0.25, 900  # s and frames of a run
+RESTS = 8  # frames after a stop
+LEAST = 80  # frames of a run
+APART = 0.5  # correlation of two traces beyond which one stands for the other
+TRIES, PATIENCE = 60, 6  # per name; of one with memory, whose motion takes long
+NAMES = 8  # names tried until one can be seen
+FILM = {"pitch": 5e-4, "noise_px": 0.006}  # m, and px as measured on such films
+FAULTS = ("camera_shake", "dropped_frame", "lens", "timebase", "target_rotation")  # that a film can show
+
+
+def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
+    """Names that a study of a kind can hide beside a base law, in a fixed order."""
+    if kind == "foreign":
+        return list(FOREIGN)
+    if kind == "fault":
+        return list(FAULTS)
+    kinds = set(law)
+    return [
+        e.name
+        for e in effects.LIBRARY.values()
+        if e.name not in law
+        and not e.replaces
+        and not (e.modifies and not kinds & e.modifies)
+        and not (e.name == "friction_lag" and "stribeck" not in law)  # a level that does not change cannot lag
+        and "angle" not in e.needs
+        and not (film and (e.acts_on == "measurement" or e.needs or e.memory))
+    ]
+
+
+def draw(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
+    """One truth of a kind: "none", "one", "two", "foreign" or "fault".
+
+    `turn` counts the studies of a kind: the causes take turns, so that all of them come up equally often. Raises
+    FrictrackError when nothing visible was found in many draws.
+    """
+    rng = np.random.default_rng([seed, 2026])
+    for again in range(NAMES):
+        law = _law_names(rng)
+        names = _names(kind, law, turn + again, rng, film=film)
+        for _ in range(PATIENCE if any(made(n).memory for n in names) else TRIES):
+            bare = _bare(seed, kind, law, names, rng, film=film)
+            found = _tried(bare, names, rng)
+            if found is not None:
+                return found
+    raise FrictrackError(f"no visible study of kind {kind} was found for seed {seed}; give another seed")
+
+
+def _tried(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+    try:
+        bare = replace(bare, runs=tuple(_runs(bare, rng)))
+        if any(run.frames < LEAST for run in bare.runs):
+            return None
+        return _hidden(bare, names, rng)
+    except FrictrackError:  # a motion that cannot be followed
+        return None
+
+
+def _law_names(rng: np.random.Generator) -> tuple[str, ...]:
+    return LAWS[int(rng.choice(len(LAWS), p=[share for _, share in LAWS]))][0]
+
+
+def _names(kind: str, law: tuple[str, ...], turn: int, rng: np.random.Generator, *, film: bool) -> tuple[str, ...]:
+    if kind == "none":
+        return ()
+    known = candidates(kind, law, film=film)
+    first = _in_turn(kind, turn, film=film)
+    if first not in known:
+        first = str(rng.choice(known))
+    if kind != "two":
+        return (first,)
+    lasting = made(first).memory  # what reshapes the same friction would have to be followed along with it
+    others = [n for n in known if n != first and not made(n).memory and not (lasting and made(n).modifies)]
+    return first, str(rng.choice(others))
+
+
+def _in_turn(kind: str, turn: int, *, film: bool) -> str:
+    """The cause whose turn it is, whatever the base law."""
+    everything = [n for law, _ in LAWS for n in candidates(kind, law, film=film)]
+    order = list(dict.fromkeys(everything))
+    return order[turn % len(order)]
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _bare(
+    seed: int, kind: str, law: tuple[str, ...], names: tuple[str, ...], rng: np.random.Generator, *, film: bool
+) -> Truth:
+    """Law and camera, before the runs and before anything is hidden."""
+    mass = _log(rng, 0.05, 2.0)
+    needs = {need for name in names for need in made(name).needs}
+    beside = (rng.random(3) < BESIDE) & (not film)
+    pushed = "drive" in needs or any(made(n).memory for n in names) or beside[0]  # memory shows from rest
+    lift = float(10 ** rng.uniform(-0.7, 0.3)), float(rng.uniform(12.0, 40.0))  # m/s^2 and Hz
+    pitch = FILM["pitch"] if film else _log(rng, 2e-4, 1e-3)
+    return Truth(
+        seed=seed,
+        kind=kind,
+        model=law,
+        law=_law(law, mass * _log(rng, 4.0, 25.0), rng),
+        mass=mass,
+        fps=4000.0 if film else float(rng.choice([2000.0, 4000.0, 4000.0, 6000.0])),
+        pitch=pitch,
+        noise=pitch * FILM["noise_px"] if film else _log(rng, 2e-6, 3e-5),
+        scatter=float(rng.choice([0.0, 0.01, 0.03, 0.05])),
+        course=0.16 if film else float(rng.uniform(0.4, 1.2)),
+        push=PUSH if pushed else 0.0,
+        lift=(lift[0] / (2 * np.pi * lift[1]) ** 2, lift[1]) if "lift" in needs or beside[1] else None,
+        clamp=float(-rng.uniform(0.0, 0.1)) if "clamp_x" in needs or beside[2] else None,
+        turn=(_log(rng, 2e-3, 2e-2), float(rng.uniform(20.0, 60.0))) if "angle" in needs else None,
+        stated=bool(rng.random() < 0.7),
+        film=film,
+    )
+
+
+def _law(names: tuple[str, ...], level: float, rng: np.random.Generator) -> Numbers:
+    """Numbers of a base law whose Coulomb friction is `level` N."""
+    known: Numbers = {
+        "coulomb": {"F_c": level},
+        "stribeck": {"F_s": level * float(rng.uniform(0.2, 1.0)), "v_s": _log(rng, 0.1, 0.8), "delta": 1.0},
+        "viscous": {"F_v": level * float(rng.uniform(0.02, 0.15))},
+        "drag": {"c": level * float(rng.uniform(0.004, 0.03))},
+    }
+    return {name: known[name] for name in names}
+
+
+def _runs(bare: Truth, rng: np.random.Generator) -> Iterator[RunTruth]:
+    """Five to eight runs: slow to fast, one to a stop where the course is long enough, one heavy or light, reversed."""
+    stopping = np.sqrt(1.6 * bare.law["coulomb"]["F_c"] / bare.mass * bare.course)  # stops on the course
+    low = float(np.clip(rng.uniform(0.6, 0.95) * stopping, 1.5, 4.0))
+    high = float(rng.uniform(max(low + 1.0, 4.5), 6.0 if bare.film else 8.0))
+    speeds = np.linspace(low, high, int(rng.integers(3, 5)))
+    plan = [(float(v), 1.0) for v in speeds] + [(float(np.mean(speeds)), float(rng.choice([0.5, 2.0])))]
+    back = rng.choice(speeds, int(rng.integers(1, min(4, 8 - len(plan)))), replace=False)
+    plan += [(-float(v), 1.0) for v in back]
+    for i, (v, ratio) in enumerate(plan):
+        level = float(1 + bare.scatter * rng.standard_normal())
+        phase = float(rng.uniform(-np.pi, np.pi))
+        run = RunTruth(f"r{i + 1}", v, ratio, level, min(int(LONGEST * bare.fps), MOST), phase)
+        yield replace(run, frames=_frames(bare, run))
+
+
+def _frames(bare: Truth, run: RunTruth) -> int:
+    """Frames until the run leaves the course or has come to its stop."""
+    slide = bare.slide(run, hidden=False)
+    gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > bare.course)
+    stops = np.flatnonzero(np.abs(slide.v) < 1e-9)
+    stops = stops[stops > bare.push * bare.fps]
+    ends = [len(slide.t), *(int(q[0]) + n for q, n in ((gone, 0), (stops, RESTS)) if len(q))]
+    return min(ends)
+
+
+def _hidden(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+    """The study with its causes in; None where one cannot be seen, or two cannot be told apart."""
+    truth, detector = bare, Detector(bare)
+    asked, traces = [], []
+    for name in names:
+        found = hide(detector, name, rng)
+        if found is None:
+            return None
+        (alone, trace), size = found
+        asked.append(size)
+        traces.append(trace)
+        runs = zip(truth.runs, alone.runs, strict=True)
+        truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
+    if len(traces) == 2 and abs(float(traces[0] @ traces[1])) > APART * np.prod([np.linalg.norm(t) for t in traces]):
+        return None
+    rises: Any = tuple(float(t @ t) for t in traces)
+    return replace(truth, hidden=names, size=tuple(asked), rise=rises)

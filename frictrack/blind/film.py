@@ -1,0 +1,50 @@
+"""Films of a blind study: a small block before a still wall, with the faults that a film can have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from frictrack.blind.truth import RunTruth, Truth
+from frictrack.records import Array
+from frictrack.simulate.camera import Camera, Oscillation
+from frictrack.simulate.film import write_film
+from frictrack.simulate.render import Target, render
+from frictrack.simulate.slide import Slide
+
+WIDTH, HEIGHT = 480, 72  # px
+BLOCK = (76.0, 48.0)  # px
+
+
+def film(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
+    """Render one run: the block moves as it does, the camera shakes, the target rocks, frames are lost."""
+    slide, camera = truth.slide(run), _camera(truth, run)
+    x = (slide.x + _drawn_shift(truth, run, slide)) / truth.pitch
+    spline = CubicSpline(slide.t, x)
+    y = HEIGHT / 2 - 3
+
+    def position(t: Array) -> tuple[Array, Array]:
+        return spline(t), np.full(np.shape(t), y)
+
+    target = Target(width=BLOCK[0], height=BLOCK[1], rotation=_rocking(truth, run))
+    write_film(render(position, camera, target, rng, n_frames=len(x)), path, camera.fps)
+
+
+def _drawn_shift(truth: Truth, run: RunTruth, slide: Slide) -> Array:
+    """The picture's shift that is drawn into the block's place; a shake moves the whole picture instead."""
+    return np.zeros_like(slide.shift) if "camera_shake" in run.values else slide.shift
+
+
+def _camera(truth: Truth, run: RunTruth) -> Camera:
+    shake = run.values.get("camera_shake")
+    moved = None
+    if shake is not None:
+        moved = Oscillation(shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
+    return Camera(fps=truth.fps, width=WIDTH, height=HEIGHT, scale=truth.pitch, shake_x=moved)
+
+
+def _rocking(truth: Truth, run: RunTruth) -> Oscillation | None:
+    """Angle of the target in the picture, whose y points down."""
+    return None if truth.turn is None else Oscillation(-truth.turn[0], truth.turn[1], run.phase)

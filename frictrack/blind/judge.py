@@ -1,0 +1,134 @@
+"""One blind study through the whole loop, and how it went."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictrack.blind.alike import alike
+from frictrack.blind.bounds import against_ideal
+from frictrack.blind.truth import Truth, made
+from frictrack.blind.where import overlap
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.flow import Session, open_study
+
+NOTED = {  # how the measuring chain itself puts a fault into words
+    "camera_shake": "camera shake of",
+    "dropped_frame": "told by the motion",
+    "peak_locking": "peak locking",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said of one study, beside the truth."""
+
+    name: str
+    kind: str
+    hidden: tuple[str, ...]
+    size: tuple[float, ...]
+    film: bool = False
+    verdict: str = ""
+    named: tuple[str, ...] = ()  # effects found, in order
+    group: tuple[str, ...] = ()  # the first one and what the diagnosis cannot tell from it
+    alike: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden cause: what nobody can tell from it
+    noted: tuple[str, ...] = ()  # faults that the measuring chain told and took away by itself
+    reduced_chi2: float | None = None  # after adding what was named
+    heldout: float | None = None  # held-out error over the noise, after adding
+    z: dict[str, float] = field(default_factory=dict)  # (found - true)/stated deviation of the law that was named
+    overlap: float | None = None  # F1 of the frames where it fails
+    limits: dict[str, float] = field(default_factory=dict)  # detection limits over the ideal detector's, nothing hidden
+    seconds: float = 0.0  # of the diagnosis, CPU
+    fault: str = ""  # what went wrong, where nothing could be judged
+
+
+def read_outcome(raw: dict[str, Any]) -> Outcome:
+    """An outcome from its JSON."""
+    lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
+    return Outcome(**raw | lists | {"alike": {k: tuple(v) for k, v in raw["alike"].items()}})
+
+
+def judge(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
+    """Diagnose a study, add what it names, and compare with the truth; work that fails is an outcome too."""
+    blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
+    try:
+        return _judged(truth, folder, seed, blank)
+    except FrictrackError as e:
+        return replace(blank, verdict="failed", fault=str(e))
+
+
+def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
+    session = Session(open_study(folder / "study.toml"))
+    session.fit()
+    begin = time.process_time()
+    said = session.diagnose(seed)
+    seconds = time.process_time() - begin
+    named = tuple(said["missing"])
+    first = said["candidates"][0] if named else None
+    fit: Fit = session.tried.fit(session.tried.current()[0])
+    smear = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
+    out = replace(
+        blank,
+        verdict=said["verdict"],
+        named=named,
+        group=(first["effect"], *first["indistinguishable_from"]) if first else (),
+        alike=alike(truth, fit.solution) if truth.hidden and truth.kind != "foreign" and not truth.film else {},
+        noted=_noted(session),
+        overlap=overlap(truth, said["fails_at"], smear),
+        limits=against_ideal(truth, said["detection_limits"]) if truth.kind == "none" and not named else {},
+        seconds=seconds,
+    )
+    return _added(session, truth, said, out) if named else _as_it_is(session, said, out)
+
+
+def _as_it_is(session: Session, said: dict[str, Any], out: Outcome) -> Outcome:
+    """Nothing to add: the errors of the law as it stands."""
+    errors = session.fit()["errors"]
+    return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / said["noise_um"])
+
+
+def _added(session: Session, truth: Truth, said: dict[str, Any], out: Outcome) -> Outcome:
+    """What was named is added, one after the other."""
+    for name in out.named:
+        after = session.add(name)
+    errors = after["error_after"]
+    return replace(
+        out,
+        reduced_chi2=errors["reduced_chi2"],
+        heldout=errors["heldout_rms_um"] / said["noise_um"],
+        z=deviations(truth, out.named, after["parameters"]),
+    )
+
+
+def _noted(session: Session) -> tuple[str, ...]:
+    """Faults that are in the notes of the films."""
+    parts = [work.get(name) for work in session.runs if work.run.video for name in ("track", "displacement")]
+    words = " ".join(note for part in parts for note in getattr(part, "notes", ()))
+    return tuple(name for name, phrase in NOTED.items() if phrase in words)
+
+
+def deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
+    """(Found - true)/stated deviation of all shared numbers, where exactly what was hidden was named."""
+    if set(named) != set(truth.hidden):
+        return {}
+    own = {name: next(r.values[name] for r in truth.runs if name in r.values) for name in truth.hidden}
+    law = truth.law | own
+    quoted = {f"{name}.{key}": value for name, values in law.items() for key, value in values.items()}
+    out = {}
+    for name, values in law.items():
+        effect = made(name)
+        true = values | (effect.quote(values, quoted) if effect.quote else {})
+        for p in effect.parameters:
+            told = parameters.get(f"{name}.{p.name}")
+            if told is None or p.per_run or not told["std"] or told["value"] is None:
+                continue
+            away = told["value"] - true[p.name]
+            if p.role == "phase":
+                away = float(np.angle(np.exp(1j * away)))
+            out[f"{name}.{p.name}"] = away / told["std"]
+    return out

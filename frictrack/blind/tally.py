@@ -1,0 +1,160 @@
+"""Outcomes of many studies as the figures that a user asks for, each with its interval (Wilson 1927)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from frictrack.blind.judge import Outcome
+from frictrack.blind.truth import made
+
+LEVEL = 0.99  # of the parameters' intervals
+CHI2, HELD_OUT = (0.9, 1.1), 0.05
+Right = Callable[[Outcome], bool]
+
+
+def wilson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of a share (Wilson 1927)."""
+    if not of:
+        return 0.0, 1.0
+    z = float(norm.isf((1 - level) / 2))
+    share, spread = hits / of, z**2 / of
+    middle = (share + spread / 2) / (1 + spread)
+    half = z * np.sqrt(share * (1 - share) / of + spread / (4 * of)) / (1 + spread)
+    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+
+
+def counted(hits: int, of: int) -> dict[str, Any]:
+    """A share with its interval."""
+    return {"hits": hits, "of": of, "share": hits / of if of else None, "interval": list(wilson(hits, of))}
+
+
+def _share(rows: Sequence[Outcome], right: Right) -> dict[str, Any]:
+    return counted(sum(map(right, rows)), len(rows))
+
+
+# --- what is right of one study
+
+
+def first(row: Outcome) -> bool:
+    """The hidden cause is named first."""
+    return bool(row.group) and row.group[0] == row.hidden[0]
+
+
+def in_group(row: Outcome) -> bool:
+    """The hidden cause is named first, or in a group no larger than what nobody could tell apart."""
+    return first(row) or (row.hidden[0] in row.group and len(row.group) <= len(_set(row)))
+
+
+def _set(row: Outcome) -> tuple[str, ...]:
+    """What nobody could tell from the first hidden cause, itself among them."""
+    return row.alike.get(row.hidden[0], row.hidden[:1])
+
+
+def both(row: Outcome) -> bool:
+    """Two named effects stand for the two hidden causes, each the cause itself or what nobody could tell from it."""
+    sets = [set(row.alike.get(h, (h,))) | {h} for h in row.hidden]
+    return any(all(n in s for n, s in zip(pair, sets, strict=True)) for pair in permutations(row.named, len(sets)))
+
+
+def reproduced(row: Outcome) -> bool:
+    """A foreign cause is called unexplained, or its stand-ins leave nothing but noise."""
+    good = row.reduced_chi2 is not None and row.reduced_chi2 <= CHI2[1]
+    return row.verdict == "unexplained" or (good and row.verdict in ("missing", "ambiguous"))
+
+
+def is_fault(name: str) -> bool:
+    """Whether a cause lies in the measurement."""
+    return made(name).acts_on == "measurement"
+
+
+def can_show(row: Outcome) -> bool:
+    """Whether the data can show a fault of the measurement: no force would do the same."""
+    return len(row.hidden) == 1 and is_fault(row.hidden[0]) and all(is_fault(n) for n in _set(row))
+
+
+def called(row: Outcome) -> bool:
+    """A fault of the measurement is called one, by the diagnosis or by the measuring chain before it."""
+    return row.hidden[0] in row.noted or (bool(row.group) and is_fault(row.group[0].split(":")[0]))
+
+
+def _within_noise(row: Outcome) -> bool:
+    return row.heldout is not None and abs(row.heldout - 1) <= HELD_OUT
+
+
+def _within_chi2(row: Outcome) -> bool:
+    return row.reduced_chi2 is not None and CHI2[0] <= row.reduced_chi2 <= CHI2[1]
+
+
+# --- all of them
+
+
+def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
+    """All figures of the benchmark as JSON, `studies` first; what no study speaks of has share null."""
+    kind = {k: [r for r in rows if r.kind == k] for k in ("one", "none", "two", "foreign", "fault")}
+    one = kind["one"]
+    right = [r for r in one + kind["fault"] if first(r)]
+    local = [r.overlap for r in one if r.overlap is not None]
+    edge = float(norm.isf((1 - LEVEL) / 2))
+    z = [abs(v) <= edge for r in right for v in r.z.values()]
+    return {
+        "studies": len(rows),
+        "one": {
+            "named_first": _share(one, first),
+            "in_group": _share(one, in_group),
+            "first_where_alone": _share([r for r in one if len(_set(r)) == 1], first),
+            "missed": _share(one, lambda r: r.verdict == "complete"),
+            "median_group": _median([len(r.group) for r in one if r.group]),
+            "median_set": _median([len(_set(r)) for r in one]),
+        },
+        "none": {"false_alarms": _share(kind["none"], lambda r: r.verdict != "complete")},
+        "two": {
+            "both": _share(kind["two"], both),
+            "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),
+        },
+        "foreign": {
+            "unexplained_or_reproduced": _share(kind["foreign"], reproduced),
+            "unexplained": _share(kind["foreign"], lambda r: r.verdict == "unexplained"),
+        },
+        "fault": {"called": _share([r for r in one if can_show(r)] + kind["fault"], called)},
+        "after": {
+            "reduced_chi2": _share(right, _within_chi2),
+            "heldout": _share(right, _within_noise),
+            "parameters": counted(sum(z), len(z)),
+        },
+        "where": {"mean_f1": float(np.mean(local)) if local else None, "of": len(local)},
+        "limits": limits(kind["none"]),
+        "confusion": confusion(one + kind["fault"]),
+        "seconds": seconds(rows),
+        "failed": [{"study": r.name, "reason": r.fault} for r in rows if r.verdict == "failed"],
+    }  # fmt: skip
+
+
+def limits(rows: Sequence[Outcome]) -> dict[str, dict[str, float]]:
+    """Stated detection limits over the ideal detector's, per effect: median and largest."""
+    out = {}
+    for name in sorted({n for r in rows for n in r.limits}):
+        ratios = [r.limits[name] for r in rows if name in r.limits]
+        out[name] = {"median": float(np.median(ratios)), "largest": float(np.max(ratios)), "of": len(ratios)}
+    return out
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def seconds(rows: Sequence[Outcome]) -> dict[str, float | None]:
+    """CPU time of a diagnosis."""
+    times = [r.seconds for r in rows if r.verdict != "failed"]
+    return {"median": _median(times), "largest": max(times, default=None)}
+
+
+def confusion(rows: Sequence[Outcome]) -> dict[str, dict[str, int]]:
+    """What was named first (or the verdict), by what was hidden."""
+    names = sorted({r.hidden[0] for r in rows})
+    return {n: dict(Counter(r.group[0] if r.group else r.verdict for r in rows if r.hidden[0] == n)) for n in names}
