@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
-import frictrack as ft
 from frictrack.recording import open_recording
 from frictrack.records import Array
+from frictrack.tracking import track
 from frictrack.tracking.sharp import smoothed
 
 FINE = 16  # cells of the drawing per pixel
@@ -61,8 +61,8 @@ def _film(folder: Path, x: Array) -> Path:
 def test_places_of_a_sharp_target_are_not_drawn_to_the_pixels(tmp_path: Path, speed: float) -> None:
     t = np.arange(FRAMES)
     x = (50.3 if speed > 0 else 220.3) + speed * t + 2e-4 * t**2
-    track = ft.track(open_recording(_film(tmp_path, x), fps=4000), [int(x[0]) - 24, 8, 48, 40])
-    off = track.x_px - x
+    found = track(open_recording(_film(tmp_path, x), fps=4000), [int(x[0]) - 24, 8, 48, 40])
+    off = found.x_px - x
     off -= np.nanmedian(off)
     by_place = [np.nanmedian(off[np.floor(10 * (x % 1)) == k]) for k in range(10)]
     assert np.ptp(by_place) < 0.008  # 0.04 px with a picture that has no waves shorter than two pixels
