@@ -1,0 +1,232 @@
+"""Where a fitted law fails: spans in time, place, velocity and run, each with its share of the misfit and its p."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.compare.beside import Beside, beside, place, traces
+from frictrack.compare.local import Local, bump_columns, local_forces, opened, solved
+from frictrack.compare.looks import Bump, limits
+from frictrack.compare.residual import effect_force, nodes_force
+from frictrack.effects import Effect
+from frictrack.fit.series import SeriesPiece
+from frictrack.fit.simulated.pieces import Rows
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.records import Array, Mask, Run, stretches
+
+REACH = 2.0  # widths on either side that a Gaussian force spans
+TAIL = float(np.exp(-(REACH**2) / 2))  # of a force's largest value, the same for any shape
+RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the shortest to count as resolved
+GAP = 12  # frames between two stretches that are one
+WIDTHS, CENTRES = 25, 9  # tried for the span of a local force
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of one piece, rows of its frames, and what it carries."""
+
+    piece: int
+    rows: Rows
+    share: float
+    p: float
+
+
+def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None = None) -> list[dict[str, Any]]:
+    """Stretches of the runs that carry the misfit, worst first; none where noise alone does as much (1 %).
+
+    With `missing`, the failure is that of the model without this force effect of the solution, whose force then says
+    where. `t` is recording time (s), `x` (m), `v` (m/s); `share_of_error` is the part of the misfit, chi-squared beyond
+    its noise, that goes with what the span lacks; `p` is for the whole search over spans. A blow too short to be
+    resolved reaches as far as the run's own low-pass smears it.
+    """
+    found = _found(solution, runs) if missing is None else _named(solution, runs, missing)
+    told = [_told(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
+    return sorted(told, key=lambda s: -s["share_of_error"])
+
+
+def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
+    """Spans of the local forces that the bare law's residual shows."""
+    found = local_forces(solution)
+    if not found.bumps:
+        return []
+    made = bump_columns(found, found.bumps)[:, :, 0]
+    sizes, _ = solved(found.law, made)
+    total = misfit(found.law)
+    spans = []
+    for k, (bump, brief) in enumerate(zip(_overlapping(found, made), _brief(found, made), strict=True)):
+        for i, rows in enumerate(found.law.rows):
+            if bump.piece in (None, i):
+                share = float(sizes[k] * (made[rows, k] @ found.law.r[rows])) / total
+                inside = _inside(found, bump, i, _smear(runs, found.law.responses[i]) if brief else 0.0)
+                spans.append(Span(i, np.flatnonzero(inside), share, found.p(found.bumps[k])))
+    return spans
+
+
+def misfit(law: Beside) -> float:
+    """What the law leaves beyond the noise, of chi-squared; at least what noise makes uncertain of it."""
+    freedom = max(len(law.r) - law.u.shape[1], 1)
+    return max(float(law.r @ law.r) - freedom, float(np.sqrt(2 * freedom)))
+
+
+def _inside(found: Local, bump: Bump, i: int, smear: float) -> Mask:
+    piece = found.law.responses[i].piece
+    if not bump.at_place:
+        reach = REACH * (limits(found.law.responses, bump)[0] if smear else bump.width)
+        return np.asarray(np.abs(piece.t - bump.centre) <= reach + smear)
+    x, _ = place(found.law.responses[i])
+    return np.asarray(np.abs(x - bump.centre) <= REACH * bump.width)
+
+
+def _smear(runs: Sequence[Run], response: Response) -> float:
+    """Half width of the run's own low-pass, s; nothing where none is known or friction itself was measured."""
+    cutoff = runs[response.piece.run].motion.cutoff
+    known = np.isfinite(cutoff) and cutoff > 0 and not isinstance(response.piece, SeriesPiece)
+    return 0.5 / float(cutoff) if known else 0.0
+
+
+def _brief(found: Local, made: Array) -> list[bool]:
+    """Which bumps are moments that cannot be told from the shortest."""
+    _, best = solved(found.law, made)
+    out = []
+    for k, bump in enumerate(found.bumps):
+        shortest = made.copy()
+        shortest[:, k] = bump_columns(found, [replace(bump, width=limits(found.law.responses, bump)[0])])[:, 0, 0]
+        out.append(not bump.at_place and solved(found.law, shortest)[1] - best < RESOLVED)
+    return out
+
+
+def _overlapping(found: Local, made: Array) -> list[Bump]:
+    """The bumps, each where its span overlaps best with those of all that fit, weighed by how well they do.
+
+    A narrow bump leaves nearly the trace of an impulse, whatever its width: the best fit alone would name any.
+    """
+    return [_span_of_all(found, bump, np.delete(made, k, axis=1)) for k, bump in enumerate(found.bumps)]
+
+
+def _span_of_all(found: Local, bump: Bump, others: Array) -> Bump:
+    law = found.law.with_columns(others)
+    bent = bump_columns(found, [bump])[:, 0, 1]
+    bent = bent - law.u @ (law.u.T @ bent)
+    uncertain = min(1 / max(abs(bump.size) * float(np.linalg.norm(bent)), 1e-300), bump.width)
+    widths = np.geomspace(*limits(found.law.responses, bump), WIDTHS)
+    centres = bump.centre + uncertain * np.linspace(-3, 3, CENTRES)
+    tried = [replace(bump, centre=float(c), width=float(w)) for c in centres for w in widths]
+    columns = bump_columns(found, tried, moved=False)[:, :, 0]
+    clean = columns - law.u @ (law.u.T @ columns)
+    gain = (clean.T @ law.r) ** 2 / np.maximum(np.sum(clean**2, axis=0), 1e-300)
+    weight = np.exp((gain - gain.max()) / 2)
+    low = np.array([b.centre - REACH * b.width for b in tried])
+    high = np.array([b.centre + REACH * b.width for b in tried])
+    both = np.maximum(np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0)
+    overlap = 2 * both / ((high - low)[:, None] + (high - low))
+    return tried[int(np.argmax(overlap @ weight))]
+
+
+def _named(solution: Solution, runs: Sequence[Run], missing: str) -> list[Span]:
+    """Spans in which the force of an effect acts: where it exceeds what a Gaussian has at two widths."""
+    effect = next(e for e in solution.problem.model.effects if e.name == missing)
+    forces = [effect_force(solution, r, missing) for r in solution.responses]
+    sizes = _sizes(solution, effect, forces)
+    law = _without(solution, effect)
+    places = []
+    for i, (response, force, size) in enumerate(zip(solution.responses, forces, sizes, strict=True)):
+        acts = np.abs(force) > TAIL * size
+        if effect.kind == "collision":
+            acts = _widened(response.piece.t, acts, _smear(runs, response))
+        places += [(i, np.arange(s.start, s.stop)) for s in stretches(_bridged(acts))]
+    if not places:
+        return []
+    made = np.stack([_part(law, i, rows, solution, missing) for i, rows in places], axis=1)
+    whole = made.sum(axis=1)
+    total = max(misfit(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
+    chance = opened(law).chance
+    p = [chance(b) for b in _stands_out(law, made)]
+    return [Span(i, rows, float(c @ law.r) / total, q) for (i, rows), c, q in zip(places, made.T, p, strict=True)]
+
+
+def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
+    """Largest force of an effect to be expected in every piece, whatever part of it the piece passes, N."""
+    own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
+    if any(p.per_run and (p.linear or p.role) for p in effect.parameters):
+        return own
+    scales = []
+    for r in solution.responses:
+        _, level = solution.problem.layout.values(solution.p, r.piece.run)
+        carried = {"load": r.piece.path.load * level, "mass": r.piece.path.mass_ratio}
+        scales.append(float(carried.get(effect.scales_with, 1.0)))
+    largest = max(f / s for f, s in zip(own, scales, strict=True))
+    return [largest * s for s in scales]
+
+
+def _without(solution: Solution, effect: Effect) -> Beside:
+    """The law without one of its effects, and the residual that it would leave."""
+    slots = solution.problem.layout.slots
+    kept = [i for i, s in enumerate(slots) if s.effect != effect.name]
+    whole = beside(solution, kept)
+    trace = np.zeros_like(whole.r)
+    for rows, response in zip(whole.rows, solution.responses, strict=True):
+        at = nodes_force(solution, response, effect.name)
+        trace[rows] = traces(response, at[:, None])[:, 0]
+    return replace(whole, r=whole.r + trace - whole.u @ (whole.u.T @ trace))
+
+
+def _part(law: Beside, i: int, rows: Rows, solution: Solution, name: str) -> Array:
+    """Trace of an effect's force over some frames of one piece, over all frames (N + m,)."""
+    response = solution.responses[i]
+    t, nodes = response.piece.t, response.piece.panels.t
+    inside = (nodes >= t[rows[0]]) & (nodes <= t[rows[-1]])
+    out = np.zeros_like(law.r)
+    force = np.where(inside, nodes_force(solution, response, name), 0.0)
+    out[law.rows[i]] = traces(response, force[:, None])[:, 0]
+    return out
+
+
+def _stands_out(law: Beside, made: Array) -> Array:
+    """By how many standard deviations each of the columns (N + m, k) stands out by itself beside the law."""
+    clean = made - law.u @ (law.u.T @ made)
+    norm = np.linalg.norm(clean, axis=0)
+    return np.divide(clean.T @ law.r, norm, out=np.zeros(len(norm)), where=norm > 0)
+
+
+def _widened(t: Array, acts: Mask, by: float) -> Mask:
+    """Frames within so many seconds of one that acts."""
+    when = t[acts]
+    if not len(when) or by <= 0:
+        return acts
+    after = np.clip(np.searchsorted(when, t), 1, len(when)) - 1
+    nearest = np.minimum(np.abs(t - when[after]), np.abs(t - when[np.minimum(after + 1, len(when) - 1)]))
+    return np.asarray(nearest <= by)
+
+
+def _bridged(acts: Mask) -> Mask:
+    """The same with gaps of a few frames closed."""
+    rows = np.flatnonzero(acts)
+    out = np.array(acts)
+    for a, b in itertools.pairwise(rows):
+        if b - a <= GAP:
+            out[a:b] = True
+    return out
+
+
+def _told(response: Response, runs: Sequence[Run], span: Span) -> dict[str, Any]:
+    """JSON of one span."""
+    run, at = runs[response.piece.run], span.rows
+    x, v = place(response)
+
+    def reach(a: Array) -> list[float]:
+        return [float(a[at].min()), float(a[at].max())]
+
+    return {
+        "run": run.name,
+        "t": reach(run.displacement.t[response.piece.frames]),
+        "x": reach(x),
+        "v": reach(v),
+        "share_of_error": round(float(np.clip(span.share, 0.0, 1.0)), 4),
+        "p": span.p,
+    }
