@@ -12,14 +12,14 @@ from itertools import combinations, permutations
 from typing import Any
 
 from frictrack.diagnose.experiments.beside import checks
-from frictrack.diagnose.experiments.expected import Duel, Explanation
+from frictrack.diagnose.experiments.expected import Duel, Explanation, explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
 from frictrack.diagnose.experiments.words import because, unparted
 from frictrack.errors import FrictrackError
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.solve import Solution
 
-__all__ = ["Duel", "Experiment", "Explanation", "menu", "next_experiment", "settling"]
+__all__ = ["Duel", "Experiment", "Explanation", "explanation", "menu", "next_experiment", "settling"]
 
 NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
 PARTED = 10.0  # expected difference of BIC from which two explanations are told apart
@@ -106,7 +106,8 @@ def settling(
     best, _, most = passing[0]
     near = [c for c in passing if c[0] == best or c[0] in rivals or most - c[2] < NEAR]
     near.sort(key=lambda c: (c[0] != best, c[0] not in rivals, -c[2]))
-    return next_experiment([Explanation(n, s, max(bare.objective - s.objective, 0.0)) for n, s, _ in near], tell)
+    near = near[:MOST]
+    return next_experiment([explanation(n, s, bare) for n, s, _ in near], tell)
 
 
 def _ordered(offers: Sequence[Offer]) -> list[Offer]:

@@ -10,7 +10,9 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.diagnose.experiments.planned import Film, extended, filmed, spread
+from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.growth import grow
 from frictrack.fit.simulated.pieces import Piece, spans_of
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.scan import per_run_coefficients
@@ -23,16 +25,64 @@ from frictrack.records import Array
 PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
 MOMENTS = np.linspace(0.06, 0.94, 12)  # of the planned run, at which a rival's event is sought
 SIZES = ("amplitude", "depth")
-OWN_STEPS, STEPS = 4, 8  # of Gauss-Newton: on the planned run alone, and on all runs
+BELIEVED = 0.05  # of friction: size of a cause that the runs do not tell
+UNTOLD = 10.0  # rise of chi-squared below which the runs do not tell a size
+OWN_STEPS, STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause that was added to the law, and the fall of chi-squared that it brought on the runs at hand."""
+    """A cause that was added to the law, and the fall of chi-squared that it brought on the runs at hand.
+
+    `believed` is the same law with the cause small where the runs leave its size open: what a new run is foretold by.
+    """
 
     effect: str
     solution: Solution
     gain: float
+    believed: Solution
+
+
+def explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
+    """An explanation beside the `bare` law, its cause small beside friction where the runs leave its size open.
+
+    What runs do not tell (a cable's constant pull beside Coulomb friction) may have come out of the fit absurdly large,
+    and would promise absurd evidence in a run of another kind.
+    """
+    gain = max(bare.objective - solution.objective, 0.0)
+    return Explanation(effect, solution, gain, _believed(effect, solution, bare))
+
+
+def _believed(effect: str, solution: Solution, bare: Solution) -> Solution:
+    """The explanation, or where its cause came out larger than friction itself, and need not, the same held small."""
+    old = next(e for e in solution.problem.layout.model.effects if e.name == effect)
+    linear = [p for p in old.linear if p.free and p.prior is None and not p.per_run]
+    if old.acts_on != "force" or old.modifies or not linear:
+        return solution
+    sizes = _friction_sized(solution, old)
+    values = solution.problem.layout.values(solution.p, 0)[0][effect]
+    absurd = {p.name: float(np.sign(values[p.name])) for p in linear if abs(values[p.name]) > sizes[p.name]}
+    if not absurd:
+        return solution
+    try:
+        held = grow(bare, old.adjusted(**{n: {"fixed": s * BELIEVED * sizes[n]} for n, s in absurd.items()}))
+    except FrictrackError:
+        return solution
+    return held if held.objective - solution.objective < UNTOLD else solution
+
+
+def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
+    """Of every coefficient of an effect the size at which its force is as large as friction, rms over the runs."""
+    columns, whole = [], []
+    for r in solution.responses:
+        problem, piece = solution.problem, r.piece
+        values, level = problem.layout.values(solution.p, piece.run)
+        path = piece.along(r.motion.x, r.motion.v, level)
+        columns.append(effect.columns(path, values[effect.name]))
+        whole.append(piece.mass * (piece.known - r.motion.a))
+    of_one = np.sqrt(np.mean(np.concatenate(columns) ** 2, axis=0))
+    friction = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
+    return {p.name: friction / one if one > 0 else np.inf for p, one in zip(effect.linear, of_one, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -45,7 +95,7 @@ class Duel:
     @cached_property
     def ideal(self) -> list[Piece]:
         """The runs at hand as the true explanation has them, without noise."""
-        seen = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in self.truth.solution.responses}
+        seen = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in self.truth.believed.responses}
         return [replace(p, y=seen[p.run, float(p.t[0])]) for p in self.rival.solution.problem.pieces]
 
     @cached_property
@@ -53,36 +103,36 @@ class Duel:
         """The rival fitted to what the truth predicts of the runs at hand."""
         rival = self.rival.solution
         problem = rival.problem.over(rival.problem.layout, self.ideal)
-        return refine(problem, rival.p, rival.starts, tau=max(self.truth.solution.tau, 1e-3), max_steps=STEPS)
+        return refine(problem, rival.p, rival.starts, tau=max(self.truth.believed.tau, 1e-3), max_steps=STEPS)
 
     @property
     def now(self) -> float:
         """Expected difference of BIC on the runs at hand, positive for the truth."""
-        held = restraint(self.truth.solution.problem.layout, self.truth.solution.p, max(self.truth.solution.tau, 1e-3))
-        frames = self.rival.solution.problem.n_frames
-        price = unknowns(self.rival.solution.problem.layout) - unknowns(self.truth.solution.problem.layout)
-        return self.fitted.objective - float(held @ held) + price * float(np.log(frames))
+        truth = self.truth.believed
+        held = restraint(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
+        return self._bic(self.fitted, held, unknowns(truth.problem.layout))
 
     def after(self, film: Film) -> float:
         """Expected difference of BIC once the planned run is filmed too, positive for the truth.
 
         Raises FrictrackError where the run cannot be made, or its motion cannot be followed under the rival.
         """
-        truth = self.truth.solution
-        piece = filmed(truth, film, max(e.fine for e in self.rival.solution.problem.model.effects))
+        truth, rival = self.truth.believed, self.rival.solution
+        piece = filmed(truth, film, max(e.fine for e in rival.problem.model.effects))
         span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * film.rate)[0]
         tau = spread(truth, piece.run + 1)
         layout, p = extended(self.fitted, span, film.phase, free=True)
-        start = np.array([film.start[0], film.start[1]])
-        p, start = _placed(self.rival.solution, layout, piece, (p, start, tau))
-        pieces, starts = [*self.ideal, piece], [*self.fitted.starts, start]
-        problem = self.rival.solution.problem.over(layout, pieces)
-        found = refine(problem, p, starts, tau=tau, max_steps=STEPS)
+        p, start = _placed(rival, layout, piece, (p, np.array(film.start), tau))
+        problem = rival.problem.over(layout, [*self.ideal, piece])
+        found = refine(problem, p, [*self.fitted.starts, start], tau=tau, max_steps=STEPS)
         told, q = extended(truth, span, film.phase)
-        held = restraint(told, q, tau)
-        best = _loosened(found, self.rival.effect, tau)
-        price = unknowns(best.problem.layout) - unknowns(told)
-        return best.objective - float(held @ held) + price * float(np.log(problem.n_frames))
+        return self._bic(_loosened(found, self.rival.effect, tau), restraint(told, q, tau), unknowns(told))
+
+    def _bic(self, rival: Solution, held: Array, count: int) -> float:
+        """Difference of BIC between a rival and a truth that explains all: its levels' restraint, its unknowns."""
+        fixed = unknowns(self.truth.solution.problem.layout) - unknowns(self.truth.believed.problem.layout)
+        price = unknowns(rival.problem.layout) - count - fixed
+        return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
 
 
 def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
