@@ -10,10 +10,10 @@ import numpy as np
 
 from frictrack.compare import failing_spans
 from frictrack.diagnose.experiments import settling
+from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
-from frictrack.diagnose.null import Ensemble, ensemble
-from frictrack.diagnose.rivals import NEAR, SAME, information, separation
-from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
+from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
+from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -21,14 +21,13 @@ from frictrack.fit import Fit, series
 from frictrack.fit.force import linear_estimates
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.simulated.growth import grow, settled
+from frictrack.fit.simulated.growth import settled
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.sure.estimate import Estimates, estimates
 from frictrack.records import Array
 
 MOST_ROUNDS = 4  # effects looked for one after the other
-BEHIND, FAR_BEHIND = 0.7, 0.2  # of the best candidate's rise that another must reach to be refined
-HELD_OUT = 3  # candidates whose held-out error is computed
+LISTED = 3  # candidates whose held-out error and rivals are computed
 
 Progress = Callable[[int, int, str], None]
 
@@ -115,31 +114,6 @@ class Diagnosis:
         }
 
 
-@dataclass(frozen=True)
-class _Tried:
-    """A candidate refined on top of the current solution."""
-
-    scanned: Scanned
-    solution: Solution
-    delta_bic: float
-    p: float
-
-
-@dataclass(frozen=True)
-class _Round:
-    """One test of one model: the draws, the tests, and the candidates refined, best first."""
-
-    solution: Solution
-    draws: Ensemble
-    tests: Tests
-    tried: list[_Tried]
-    barred: dict[str, str]  # effects that could not be tried, and why
-
-    @property
-    def passing(self) -> list[_Tried]:
-        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0]
-
-
 def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: Progress | None = None) -> Diagnosis:
     """Search the library, and effects of your `own`, for what the fitted model lacks.
 
@@ -153,79 +127,26 @@ def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: P
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain or fit.measured else settled(fit.solution)
-    first = _round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
-    found: list[_Tried] = []
-    last = first
-    while last.passing and len(found) < MOST_ROUNDS:
-        found.append(replace(last.passing[0], solution=settled(last.passing[0].solution)))
-        tell(len(found), MOST_ROUNDS, f"added {found[-1].scanned.effect.name}, testing again")
-        last = _round(found[-1].solution, own, rng, lambda what: tell(len(found), MOST_ROUNDS, what))
+    first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
+    found: list[Tried] = []
+    for done in range(1, MOST_ROUNDS + 1):
+        if not last.passing:
+            break
+        best = finished(last.passing[0])
+        found.append(replace(best, indistinguishable_from=rivals(best, last.tried)))
+
+        def told(what: str, done: int = done) -> None:
+            tell(done, MOST_ROUNDS, what)
+
+        found = reviewed(found, own, told)
+        told(f"added {best.effect.name}, testing again")
+        last = one_round(found[-1].law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     return _conclude(fit, first, last, found)
 
 
-def _round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, tell: Callable[[str], None]) -> _Round:
-    tell("drawing what nothing missing looks like")
-    draws = ensemble(solution, rng)
-    tell("trying every effect of the library")
-    library, barred = candidates(solution, own)
-    tests = run_tests(solution, draws, library)
-    bare = information(solution)
-    tried = []
-    for s in _worth_refining(tests):
-        tell(f"refining {s.effect.name}")
-        try:
-            grown = grow(solution, s.effect)
-        except FrictrackError:
-            continue
-        tried.append(_Tried(s, grown, bare - information(grown), tests.p[s.effect.name]))
-    tried.sort(key=lambda t: (-(t.p < ALPHA / 2), -t.delta_bic))
-    return _Round(solution, draws, tests, tried, barred)
-
-
-def _worth_refining(tests: Tests) -> list[Scanned]:
-    """Candidates that stand out by themselves and are not far behind the best; the best two in any case."""
-    order = sorted(tests.scanned, key=lambda s: -s.excess[0])
-    top = order[0].statistic[0] if order else 0.0
-    near = [s for s in order if tests.p[s.effect.name] < 0.05 and s.statistic[0] > _behind(s.effect) * top - NEAR]
-    return near if len(near) >= 2 else order[:2]
-
-
-def _behind(effect: Effect) -> float:
-    """Share of the best rise that a candidate must reach: more where every run brings its own unknowns.
-
-    The scan bends the law only to first order, so that it says too little of a strong effect.
-    """
-    return BEHIND if any(p.per_run for p in effect.parameters) else FAR_BEHIND
-
-
-def _unrefined(first: _Round) -> list[Candidate]:
-    """Candidates that pass by themselves but are far behind the best: as the scan saw them."""
-    done = {t.scanned.effect.name for t in first.tried}
-    price = float(np.log(first.solution.problem.n_frames))
-    out = []
-    for s in first.tests.scanned:
-        if s.effect.name in done or first.tests.p[s.effect.name] >= 0.05:
-            continue
-        count = s.scans[0].family.size + sum(p.scan is not None for p in s.effect.nonlinear)
-        out.append(
-            Candidate(
-                effect=s.effect.name,
-                acts_on=s.effect.acts_on,
-                parameters={},
-                p=first.tests.p[s.effect.name],
-                delta_bic=float(s.statistic[0] - price * count),
-                words={"what": s.effect.what, "looks_like": s.effect.looks_like, "confirm": s.effect.confirm},
-            )
-        )
-    return sorted(out, key=lambda c: -c.delta_bic)
-
-
-def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Diagnosis:
-    rivals = {t.scanned.effect.name: _rivals(first, t) for t in first.passing[:3]}
-    listed = [_candidate(first, t, rivals.get(t.scanned.effect.name, ()), k) for k, t in enumerate(first.tried)]
-    chosen = [t.scanned.effect.name for t in found[:1]]
-    listed = sorted(listed + _unrefined(first), key=lambda c: (c.effect not in chosen, c.p >= ALPHA / 2, -c.delta_bic))
+def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
+    listed = _listed(first, found)
     leftover = last.tests.p_lack_of_fit < ALPHA / 2
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
@@ -233,13 +154,13 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
     elif leftover or not found or not listed[0].helps:
         verdict = "unexplained"
     else:
-        verdict = "ambiguous" if rivals[found[0].scanned.effect.name] else "missing"
+        verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
     noise = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)))
     return Diagnosis(
         model=fit.model.names,
         verdict=verdict,
-        missing=[t.scanned.effect.name for t in found],
+        missing=[t.effect.name for t in found],
         noise_um=None if fit.measured else 1e6 * noise,
         noise_N=noise if fit.measured else None,
         reduced_chi2=fit.reduced_chi2,
@@ -250,53 +171,69 @@ def _conclude(fit: Fit, first: _Round, last: _Round, found: list[_Tried]) -> Dia
         detection_limits=limits,
         remarks=_remarks(fit, first.barred),
         figures=curves,
-        next_experiment=_next(first, found, rivals),
+        next_experiment=_next(first, found),
     )
 
 
-def _next(first: _Round, found: list[_Tried], rivals: dict[str, tuple[str, ...]]) -> list[dict[str, Any]]:
+def _listed(first: Round, found: list[Tried]) -> list[Candidate]:
+    """Every candidate with its evidence: those found first, then the others of the first round, best first."""
+    chosen = {t.effect.name: t for t in found}
+    alike = {t.effect.name: rivals(t, first.tried) for t in first.passing[:LISTED] if t.effect.name not in chosen}
+    there = {t.effect.name: t for t in first.tried if t.solution is not None}
+    hold = _Held(first.solution)
+    out = []
+    for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
+        name = t.effect.name
+        shown = there.get(name, t)
+        shown = replace(shown, indistinguishable_from=chosen.get(name, t).indistinguishable_from or alike.get(name, ()))
+        out.append(_candidate(shown, hold if t.p < ALPHA / 2 and k < LISTED else None))
+    return out
+
+
+def _next(first: Round, found: list[Tried]) -> list[dict[str, Any]]:
     """What to film or measure next, where candidates are not told apart well enough."""
-    best = [t.scanned.effect.name for t in found[:1]]
-    order = sorted(first.passing, key=lambda t: t.scanned.effect.name not in best)
-    passing = [(t.scanned.effect.name, t.solution, t.delta_bic) for t in order]
-    return settling(first.solution, passing, rivals.get(best[0], ()) if best else ())
+    best = [t.effect.name for t in found[:1]]
+    order = sorted(first.passing, key=lambda t: t.effect.name not in best)
+    passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
+    return settling(first.solution, passing, found[0].indistinguishable_from if best else ())
 
 
-def _fails_at(fit: Fit, found: list[_Tried]) -> list[dict[str, Any]]:
+def _fails_at(fit: Fit, found: list[Tried]) -> list[dict[str, Any]]:
     """Where the model fails: where the missing force acts, or, if none is known, where the residual stands out."""
-    if found and found[0].scanned.effect.acts_on == "force":
-        return failing_spans(found[0].solution, fit.runs, found[0].scanned.effect.name)
+    if found and found[0].effect.acts_on == "force":
+        return failing_spans(found[0].law, fit.runs, found[0].effect.name)
     return failing_spans(fit.solution, fit.runs)
 
 
-def _rivals(first: _Round, best: _Tried) -> tuple[str, ...]:
-    """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`.
+class _Held:
+    """Held-out errors beside those of the bare law, which are computed once for each way to hold out."""
 
-    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation.
-    """
-    out = []
-    for other in first.tried:
-        behind = other.solution.objective - best.solution.objective
-        if other is best or behind > NEAR or best.delta_bic - other.delta_bic > 2 * SAME:
-            continue
-        if separation(best.solution, other.solution) < SAME:
-            out.append(other.scanned.effect.name)
-    return tuple(out)
+    def __init__(self, bare: Solution) -> None:
+        self._bare = bare
+        self._known: dict[str, float] = {}
+        self._how = heldout_rms if bare.problem.simulates else series.heldout_rms
+
+    def __call__(self, solution: Solution) -> tuple[float, float, str]:
+        """Error of the bare law, of this one, and how they were held out."""
+        after, how = self._how(solution)
+        if how not in self._known:
+            self._known[how] = self._how(self._bare, how)[0]
+        return self._known[how], after, how
 
 
-def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int) -> Candidate:
-    effect = tried.scanned.effect
+def _candidate(tried: Tried, hold: _Held | None) -> Candidate:
+    effect, solution = tried.effect, tried.solution
     before = after = how = None
-    if tried.p < ALPHA / 2 and place < HELD_OUT:
-        hold = series.heldout_rms if series.is_series(tried.solution.problem) else heldout_rms
-        after, how = hold(tried.solution)
-        before, _ = hold(first.solution, how)
-    parameters = {
-        name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-        for name, e in _known(tried.solution).parameters.items()
-        if name.rsplit(".", 1)[0] == effect.name
-    }
-    words = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
+    parameters: dict[str, Any] = {}
+    if solution is not None:
+        if hold is not None:
+            before, after, how = hold(solution)
+        parameters = {
+            name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
+            for name, e in _known(solution).parameters.items()
+            if name.rsplit(".", 1)[0] == effect.name
+        }
+    measured = solution is not None and not solution.problem.simulates
     return Candidate(
         effect=effect.name,
         acts_on=effect.acts_on,
@@ -306,9 +243,9 @@ def _candidate(first: _Round, tried: _Tried, rivals: tuple[str, ...], place: int
         heldout_before=before,
         heldout_after=after,
         heldout=how,
-        indistinguishable_from=rivals,
-        words=words,
-        unit="N" if series.is_series(tried.solution.problem) else "um",
+        indistinguishable_from=tried.indistinguishable_from,
+        words=words(effect, None if measured else solution),
+        unit="N" if measured else "um",
     )
 
 
@@ -319,7 +256,7 @@ def _known(solution: Solution) -> Estimates:
     return estimates(solution, profile=False)
 
 
-def _limits(first: _Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
     limits, curves = {}, {}
     for s in first.tests.scanned:
         limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)

@@ -195,7 +195,7 @@ def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
             passes=passes(c),
             acts_on={"force": "a force on the mass", "measurement": "a fault of the picture"}.get(c["acts_on"], ""),
             rank=_rank(c, diagnosis["candidates"][0]),
-            words={key: typed(c["words"].get(key, "")) for key in ("what", "looks_like", "confirm")},
+            words={key: typed(c["words"].get(key, "")) for key in ("what", "looks_like", "here", "confirm")},
             numbers=tuple(_numbers(c)),
             rivals=tuple(c["indistinguishable_from"]),
         )
