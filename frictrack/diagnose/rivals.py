@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.unknowns.layout import Layout
 from frictrack.fit.unknowns.scatter import restraint
 
 SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
@@ -26,7 +28,10 @@ def separation(best: Solution, rival: Solution) -> float:
 
 def information(solution: Solution) -> float:
     """Bayesian information criterion with the spread of the levels integrated out (Schwarz 1978); smaller is better."""
-    layout = solution.problem.layout
-    count = len(solution.p) - len(layout.levels)
-    basis = solution.basis
-    return solution.objective + basis.logdet(max(solution.tau, 1e-4)) + count * float(np.log(solution.problem.n_frames))
+    spread = solution.basis.logdet(max(solution.tau, 1e-4))
+    return solution.objective + spread + price(solution.problem.layout, solution.problem)
+
+
+def price(layout: Layout, problem: Problem) -> float:
+    """What the unknowns of a law cost, its levels apart."""
+    return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))

@@ -1,0 +1,180 @@
+"""One test of one law: draws, every candidate scanned, those that stand out refined, the best of them simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.diagnose.null import Ensemble, ensemble
+from frictrack.diagnose.rivals import NEAR, SAME, information, price, separation
+from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.beside import Beside, beside
+from frictrack.fit.simulated.growth import settled, simulated, without
+from frictrack.fit.simulated.scan import families, one_series, scan
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.simulated.trial import Trial, bare, tried
+from frictrack.fit.simulated.turns import known
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.records import Array
+
+STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
+AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate refined on top of a law: in simulation, or, where it is far behind, along the motion alone."""
+
+    effect: Effect
+    solution: Solution | None
+    delta_bic: float
+    p: float
+    indistinguishable_from: tuple[str, ...] = ()
+
+    @property
+    def law(self) -> Solution:
+        """The law with it, simulated."""
+        assert self.solution is not None
+        return self.solution
+
+
+@dataclass(frozen=True)
+class Round:
+    """One test of one model: the draws, the tests, and the candidates refined, best first."""
+
+    solution: Solution
+    draws: Ensemble
+    tests: Tests
+    tried: list[Tried]
+    barred: dict[str, str]  # effects that could not be tried, and why
+
+    @property
+    def passing(self) -> list[Tried]:
+        """Candidates that pass by themselves, simulated, best first."""
+        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution is not None]
+
+
+def one_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, tell: Tell) -> Round:
+    """Test a law for everything that it could lack."""
+    tell("drawing what nothing missing looks like")
+    draws = ensemble(solution, rng)
+    tell("trying every effect of the library")
+    library, barred = candidates(solution, own)
+    tests = run_tests(solution, draws, library)
+    data = draws.series.own[:, 0]
+    tell("refining what stands out")
+    trials = [tried(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
+    found = _simulated(draws.law, solution, trials, tests.p)
+    return Round(solution, draws, tests, found, barred)
+
+
+def _standing(tests: Tests) -> list[Scanned]:
+    """Candidates that stand out by themselves, or rise nearly as high as the best; the best two in any case."""
+    order = sorted(tests.scanned, key=lambda s: -s.excess[0])
+    top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < ALPHA / 2 else np.inf
+    near = [s for s in order if tests.p[s.effect.name] < STANDS_OUT or s.statistic[0] > top - NEAR]
+    return near if len(near) >= 2 else order[:2]
+
+
+def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str, float]) -> list[Tried]:
+    """Trials in order of their evidence, simulated as far as they are near the best."""
+    own, misfit = information(solution), bare(law)
+    promised = {t.effect.name: misfit - t.misfit - _paid(law, t.layout) for t in trials}
+    out: list[Tried] = []
+    for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
+        name = t.effect.name
+        told = Tried(t.effect, None, promised[name], p[name])
+        if _is_worth(out, told):
+            try:
+                grown = simulated(law, t)
+                told = replace(told, solution=grown, delta_bic=own - information(grown))
+            except FrictrackError:  # along the motion it is a law, but not one that can be followed
+                pass
+        out.append(told)
+    return sorted(out, key=lambda t: (t.p >= ALPHA / 2, -t.delta_bic))
+
+
+def _is_worth(done: list[Tried], new: Tried) -> bool:
+    """Whether a trial is worth a simulation: the first that passes, and what may be as good as the best."""
+    known = [t.delta_bic for t in done if t.solution is not None]
+    return new.p < ALPHA / 2 and (not known or new.delta_bic > AS_GOOD * max(known) - NEAR - 2 * SAME)
+
+
+def _paid(law: Beside, layout: Layout) -> float:
+    """What the unknowns beyond those of the bare law cost."""
+    return price(layout, law.solution.problem) - price(law.solution.problem.layout, law.solution.problem)
+
+
+def rivals(best: Tried, others: Sequence[Tried]) -> tuple[str, ...]:
+    """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`.
+
+    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation.
+    """
+    out = []
+    for other in others:
+        if other.effect.name == best.effect.name or other.solution is None:
+            continue
+        behind = other.law.objective - best.law.objective
+        if behind > NEAR or best.delta_bic - other.delta_bic > 2 * SAME:
+            continue
+        if separation(best.law, other.law) < SAME:
+            out.append(other.effect.name)
+    return tuple(out)
+
+
+def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:
+    """Effects found one after the other, each looked at again beside all the others.
+
+    One that they made needless goes, one that was only a mixture of several makes way for what explains more, and what
+    could stand in its place is told. The law of the last one has them all.
+    """
+    kept = list(found)
+    for old in found:
+        if len(kept) < 2:
+            break
+        whole, name = kept[-1].law, old.effect.name
+        tell(f"looking at {name} again")
+        try:
+            rest = without(whole, name)
+        except FrictrackError:  # without it there is no law that could be followed
+            continue
+        worth = information(rest) - information(whole)
+        if worth <= 0:
+            kept = _with_law([k for k in kept if k.effect.name != name], rest)
+            continue
+        tried_again = _alternatives(rest, own, old)
+        best = tried_again[0]
+        if best.effect.name == name or best.delta_bic < worth + SAME:
+            best = replace(old, solution=whole, delta_bic=worth)
+        best = replace(best, indistinguishable_from=rivals(best, tried_again))
+        kept = _with_law([best if k.effect.name == name else k for k in kept], best.law)
+    return kept
+
+
+def _with_law(found: list[Tried], law: Solution) -> list[Tried]:
+    """The last of the effects found stands for the whole law."""
+    return [*found[:-1], replace(found[-1], solution=law)]
+
+
+def _alternatives(rest: Solution, own: Sequence[Effect], old: Tried) -> list[Tried]:
+    """Everything that could stand where an effect was taken out, best first; nothing is drawn again."""
+    law = beside(rest)
+    series = one_series(law)
+    data: Array = series.own[:, 0]
+    trials = []
+    for effect in candidates(rest, own)[0]:
+        e = old.effect if effect.kind == old.effect.kind else effect
+        scans = [scan(law, f, series) for f in families(law, known(rest, e))]
+        trials.append(tried(law, e, scans, data))
+    return _simulated(law, rest, trials, dict.fromkeys((t.effect.name for t in trials), old.p))
+
+
+def finished(best: Tried) -> Tried:
+    """The same effect, its law refined to its end."""
+    return replace(best, solution=settled(best.law))
