@@ -11,6 +11,7 @@ from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.profiles import profiles
+from frictrack.plots.settle import settle
 from frictrack.plots.style import number, plain_name, png, svg, unit
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "routes",
     "scan",
     "scanned",
+    "settle",
     "svg",
     "unexplained",
     "unit",

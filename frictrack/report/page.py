@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.report import budgets, measured, record, tables, words
+from frictrack.report import budgets, measured, record, settle, tables, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -81,6 +81,7 @@ def render(results: Results) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("page.html.j2")
     draw = Draw()
+    steps = settle.shown(results.diagnosis)
     return page.render(
         results=results,
         verdict=words.verdict(results),
@@ -100,6 +101,10 @@ def render(results: Results) -> str:
         own=_own(results, draw),
         told=words.own_motion(results.current) if results.current else [],
         trials=[_trial(m, results, draw) for m in _failed(results)],
+        settle=settle,
+        steps=steps,
+        hopeless=settle.hopeless(results.diagnosis),
+        settling=draw(plots.settle(steps)) if steps else Markup(""),
         history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
         routes=_routes(results, draw),

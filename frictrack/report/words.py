@@ -291,8 +291,10 @@ _STATES = {"complete": _complete, "missing": _missing, "ambiguous": _ambiguous, 
 
 def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     """What to film next."""
-    for step in diagnosis.get("next_experiment") or []:
-        yield Markup("To settle it: {}").format(typed(step["what"]))
+    for step in (diagnosis.get("next_experiment") or [])[:1]:
+        yield Markup('To settle it: {}. More stands under <a href="#settle">what would settle it</a>.').format(
+            typed(step["what"])
+        )
     if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
         for effect in group(diagnosis):
             found = candidate(diagnosis, effect)

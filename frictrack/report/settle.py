@@ -1,0 +1,34 @@
+"""What would settle it: the experiments that a diagnosis proposes, as a table and a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from frictrack.report.numbers import number, typed
+from frictrack.report.tables import Table, table
+
+
+def shown(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
+    """Experiments that would part something, best first; none before a diagnosis."""
+    return [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
+
+
+def hopeless(diagnosis: Mapping[str, Any] | None) -> list[str]:
+    """What no run can part, and what else does, in words."""
+    return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
+
+
+def experiments(steps: Sequence[Mapping[str, Any]]) -> Table:
+    """One row per experiment, best first."""
+    rows = [
+        (
+            f"{k}.",
+            typed(step["what"]),
+            ", ".join(step["separates"]),
+            "; ".join(" and ".join(pair) for pair in step["leaves"]),
+            f"{number(step['expected_delta_bic'], 2)}",
+        )
+        for k, step in enumerate(steps, 1)
+    ]
+    return table(("", "what to do", "tells apart", "leaves together", "expected delta BIC, at least"), rows, (4,))
