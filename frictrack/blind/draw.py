@@ -29,7 +29,7 @@ LEAST = 80  # frames of a run
 APART = 0.5  # correlation of two traces beyond which one stands for the other
 TRIES, PATIENCE = 60, 6  # per name; of one with memory, whose motion takes long
 NAMES = 8  # names tried until one can be seen
-FILM = {"pitch": 5e-4, "noise_px": 0.006}  # m, and px as measured on such films
+FILM = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
 FAULTS = ("camera_shake", "dropped_frame", "lens", "timebase", "target_rotation")  # that a film can show
 
 
@@ -60,8 +60,9 @@ def draw(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
     """
     rng = np.random.default_rng([seed, 2026])
     for again in range(NAMES):
-        law = _law_names(rng)
-        names = _names(kind, law, turn + again, rng, film=film)
+        first = _in_turn(kind, turn + again, film=film)
+        law = _law_names(rng, [law for law, _ in LAWS if first is None or first in candidates(kind, law, film=film)])
+        names = _names(kind, law, first, rng, film=film)
         for _ in range(PATIENCE if any(made(n).memory for n in names) else TRIES):
             bare = _bare(seed, kind, law, names, rng, film=film)
             found = _tried(bare, names, rng)
@@ -80,29 +81,29 @@ def _tried(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Tru
         return None
 
 
-def _law_names(rng: np.random.Generator) -> tuple[str, ...]:
-    return LAWS[int(rng.choice(len(LAWS), p=[share for _, share in LAWS]))][0]
-
-
-def _names(kind: str, law: tuple[str, ...], turn: int, rng: np.random.Generator, *, film: bool) -> tuple[str, ...]:
+def _in_turn(kind: str, turn: int, *, film: bool) -> str | None:
+    """The cause whose turn it is, whatever the base law; None where nothing is hidden."""
     if kind == "none":
-        return ()
+        return None
+    order = list(dict.fromkeys(n for law, _ in LAWS for n in candidates(kind, law, film=film)))
+    return order[turn % len(order)]
+
+
+def _law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) -> tuple[str, ...]:
+    """A base law that can lack the cause."""
+    share = np.array([often for law, often in LAWS if law in fitting])
+    return fitting[int(rng.choice(len(fitting), p=share / share.sum()))]
+
+
+def _names(
+    kind: str, law: tuple[str, ...], first: str | None, rng: np.random.Generator, *, film: bool
+) -> tuple[str, ...]:
+    if first is None or kind != "two":
+        return () if first is None else (first,)
     known = candidates(kind, law, film=film)
-    first = _in_turn(kind, turn, film=film)
-    if first not in known:
-        first = str(rng.choice(known))
-    if kind != "two":
-        return (first,)
     lasting = made(first).memory  # what reshapes the same friction would have to be followed along with it
     others = [n for n in known if n != first and not made(n).memory and not (lasting and made(n).modifies)]
     return first, str(rng.choice(others))
-
-
-def _in_turn(kind: str, turn: int, *, film: bool) -> str:
-    """The cause whose turn it is, whatever the base law."""
-    everything = [n for law, _ in LAWS for n in candidates(kind, law, film=film)]
-    order = list(dict.fromkeys(everything))
-    return order[turn % len(order)]
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

@@ -13,9 +13,12 @@ from frictrack.simulate.camera import Camera, Oscillation
 from frictrack.simulate.film import write_film
 from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Slide
+from frictrack.simulate.texture import Surface
 
 WIDTH, HEIGHT = 480, 72  # px
 BLOCK = (76.0, 48.0)  # px
+FULL_WELL, READ_NOISE = 3500.0, 50.0  # e-: a short exposure in a dim room
+WALL = Surface(size=5.0, level=0.3, contrast=0.2, seed=2)  # told from its noise, so that it shows a shake
 
 
 def film(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
@@ -28,7 +31,7 @@ def film(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> N
     def position(t: Array) -> tuple[Array, Array]:
         return spline(t), np.full(np.shape(t), y)
 
-    target = Target(width=BLOCK[0], height=BLOCK[1], rotation=_rocking(truth, run))
+    target = Target(width=BLOCK[0], height=BLOCK[1], background=WALL, rotation=_rocking(truth, run))
     write_film(render(position, camera, target, rng, n_frames=len(x)), path, camera.fps)
 
 
@@ -42,7 +45,15 @@ def _camera(truth: Truth, run: RunTruth) -> Camera:
     moved = None
     if shake is not None:
         moved = Oscillation(shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
-    return Camera(fps=truth.fps, width=WIDTH, height=HEIGHT, scale=truth.pitch, shake_x=moved)
+    return Camera(
+        fps=truth.fps,
+        width=WIDTH,
+        height=HEIGHT,
+        scale=truth.pitch,
+        full_well=FULL_WELL,
+        read_noise=READ_NOISE,
+        shake_x=moved,
+    )
 
 
 def _rocking(truth: Truth, run: RunTruth) -> Oscillation | None:

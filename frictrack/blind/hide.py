@@ -17,6 +17,7 @@ LARGEST = 0.4  # rms of a hidden force over the friction: a larger cause is no r
 CLOSE = 0.05  # relative, to which a size is brought
 ROUNDS = 6
 OFTEN = 0.6  # share of the runs in which events happen
+SHAKEN = (0.05, 0.5)  # px, of a film: what its background shows
 BLOW = 0.3  # of the momentum at the start that a blow may take
 POSITIVE = ("drag", "spring", "measured_load")  # causes with one sign
 
@@ -28,7 +29,7 @@ def hide(detector: Detector, name: str, rng: np.random.Generator) -> tuple[Hidde
     effect = made(name)
     size = float(np.exp(rng.uniform(*np.log(SIZES))))
     shape = _shape(detector, effect, rng)
-    if effect.name == "dropped_frame":  # comes whole
+    if effect.name == "dropped_frame" or (effect.name == "camera_shake" and detector.bare.film):  # as large as it is
         found = _checked(detector, effect, shape)
         return None if found is None else (found, _times(found[1], detector, effect))
     if is_event(effect):
@@ -57,10 +58,13 @@ def _shape(detector: Detector, effect: Effect, rng: np.random.Generator) -> list
     if is_event(effect):
         there = rng.random(len(slides)) < OFTEN
         there[rng.integers(len(slides))] = True
+    shaken = bare.pitch * float(np.exp(rng.uniform(*np.log(SHAKEN))))
     out: list[Numbers] = []
     for run, slide, happens in zip(bare.runs, slides, there, strict=True):
         each = {p.name: _value(effect, p, bare.span([slide]), rng) for p in effect.parameters if p.per_run}
         own = {p.name: (shared | each)[p.name] for p in effect.parameters}
+        if effect.name == "camera_shake" and bare.film:
+            own["amplitude"] = shaken
         if effect.name == "dropped_frame":  # between two frames
             own["time"] = (np.floor(own["time"] * bare.fps) + 0.5) / bare.fps
         for p in sizes_of(effect):

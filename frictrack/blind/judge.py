@@ -77,13 +77,19 @@ def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         verdict=said["verdict"],
         named=named,
         group=(first["effect"], *first["indistinguishable_from"]) if first else (),
-        alike=alike(truth, fit.solution) if truth.hidden and truth.kind != "foreign" and not truth.film else {},
+        alike=alike(truth, fit.solution) if _compared(truth) else {},
         noted=_noted(session),
         overlap=overlap(truth, said["fails_at"], smear),
         limits=against_ideal(truth, said["detection_limits"]) if truth.kind == "none" and not named else {},
         seconds=seconds,
     )
     return _added(session, truth, said, out) if named else _as_it_is(session, said, out)
+
+
+def _compared(truth: Truth) -> bool:
+    """Whether what nobody can tell from the truth is known: of films whose frames are the drawn ones, too."""
+    retimed = truth.film and "dropped_frame" in truth.hidden
+    return bool(truth.hidden) and truth.kind != "foreign" and not retimed
 
 
 def _as_it_is(session: Session, said: dict[str, Any], out: Outcome) -> Outcome:

@@ -74,7 +74,9 @@ def is_fault(name: str) -> bool:
 
 
 def can_show(row: Outcome) -> bool:
-    """Whether the data can show a fault of the measurement: no force would do the same."""
+    """Whether the data can show a fault of the measurement: no force does the same, or a film's background tells."""
+    if row.film and row.hidden[0] in ("camera_shake", "dropped_frame"):
+        return True
     return len(row.hidden) == 1 and is_fault(row.hidden[0]) and all(is_fault(n) for n in _set(row))
 
 
@@ -121,7 +123,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "unexplained_or_reproduced": _share(kind["foreign"], reproduced),
             "unexplained": _share(kind["foreign"], lambda r: r.verdict == "unexplained"),
         },
-        "fault": {"called": _share([r for r in one if can_show(r)] + kind["fault"], called)},
+        "fault": {"called": _share([r for r in one + kind["fault"] if can_show(r)], called)},
         "after": {
             "reduced_chi2": _share(right, _within_chi2),
             "heldout": _share(right, _within_noise),
