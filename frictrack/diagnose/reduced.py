@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from frictrack.effects import Path
+from frictrack.fit.simulated.pieces import Rows
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.unknowns.scatter import basis_of, prior_rows
@@ -32,11 +33,14 @@ Force = Callable[[Path], Array]  # along one piece (n,): columns (n, k), N
 class Reduced:
     """The residual (M,) beside the law, and for every piece how a force at its points becomes such numbers.
 
-    `paths` and `maps` (m_i, n_i) by piece; `runs` its run; `taken` (M, P) and `share` (P,) take the law out.
+    `paths` and `maps` (m_i, n_i) by piece; `rows` its points among its frames, `shifts` (m_i, frames) the same for a
+    shift of the picture, m; `runs` its run; `taken` (M, P) and `share` (P,) take the law out.
     """
 
     paths: list[Path]
     maps: list[Array]
+    rows: list[Rows]
+    shifts: list[Array]
     runs: list[int]
     taken: Array
     share: Array
@@ -75,7 +79,7 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
     starts = np.cumsum([0, *(len(r.r) for r in responses)])
     on_law = []
     left = []
-    for (q, _, _), a, b in zip(parts, starts[:-1], starts[1:], strict=True):
+    for (q, *_), a, b in zip(parts, starts[:-1], starts[1:], strict=True):
         left.append(q.T @ data[a:b])
         on_law.append(q.T @ basis.u[a:b])
     taken, share = _root(np.concatenate(on_law), basis.shrink(solution.tau))
@@ -84,8 +88,10 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
     free = len(data) - 2 * len(responses) - basis.u.shape[1]
     whole = np.concatenate(left)
     return Reduced(
-        paths=[path for _, path, _ in parts],
-        maps=[m for _, _, m in parts],
+        paths=[path for _, path, *_ in parts],
+        maps=[m for _, _, m, _ in parts],
+        rows=[rows for *_, rows in parts],
+        shifts=[q.T / r.piece.sigma for (q, *_), r in zip(parts, responses, strict=True)],
         runs=[r.piece.run for r in responses],
         taken=taken,
         share=share,
@@ -102,7 +108,7 @@ def _root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
     return q @ vectors, 1 - np.sqrt(1 - np.clip(values, 0.0, 1.0))
 
 
-def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, Path, Array]:
+def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, Path, Array, Rows]:
     """Orthonormal traces (n, m) of one piece, its path at the points where a force is read, and the map to them."""
     piece = response.piece
     count = max(min(len(piece.t) // 3, each), FEWEST)
@@ -117,7 +123,7 @@ def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, 
     rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS * count).round().astype(int))
     read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, CUBIC).toarray())
     back = (s[keep, None] * vt[keep]) * scale
-    return u[:, keep], _read(solution, response, rows), back @ read
+    return u[:, keep], _read(solution, response, rows), back @ read, rows
 
 
 def _knots(first: float, last: float, count: int) -> Array:
@@ -125,7 +131,7 @@ def _knots(first: float, last: float, count: int) -> Array:
     return np.concatenate([[first] * CUBIC, inner, [last] * CUBIC])
 
 
-def _read(solution: Solution, response: Response, rows: Array) -> Path:
+def _read(solution: Solution, response: Response, rows: Rows) -> Path:
     """The path of one piece at some of its frames."""
     piece, motion = response.piece, response.motion
     _, level = solution.problem.layout.values(solution.p, piece.run)

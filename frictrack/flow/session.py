@@ -20,7 +20,8 @@ from frictrack.flow.films import overlaid
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.summary import summary
-from frictrack.flow.tried import Spec, Tried, own_effects
+from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
+from frictrack.flow.witnesses import seen_beside
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import Study, load, write_study
@@ -173,15 +174,21 @@ class Session:
         group, spec = self.tried.current()
 
         def make() -> dict[str, Any]:
-            diagnosis = diagnose(self.tried.fit(group), seed=seed, progress=self.progress)
+            own, beside = told_effects(self.study.effects), seen_beside(self.runs)
+            diagnosis = diagnose(self.tried.fit(group), own=own, beside=beside, seed=seed, progress=self.progress)
             return {"summary": json.dumps(plain(diagnosis.summary())), "figures": diagnosis.figures}
 
         self.tried.fit(group)  # a refit drops the old diagnosis
         inside = f"models/{group}/diagnosis"
-        found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec)]), seed)
+        found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec), self._told()]), seed)
         if store.stamp(self.path, "diagnosis") != store.stamp(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         return found
+
+    def _told(self) -> list[Any]:
+        """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen of the runs."""
+        beside = [work.key(name) for work in self.runs for name in ("sensors", "tracks") if name in work.stages]
+        return [beside, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
         """Fit again with one effect more: JSON of `add`."""

@@ -84,6 +84,13 @@ def own_effects(tables: Iterable[EffectTable]) -> list[Effect]:
     return definitions(_settings(tables))
 
 
+def told_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """Every effect that the study file defines or says something of, as it would enter a model."""
+    told = _settings(tables)
+    own = definitions(told)
+    return [one.applied(effects.get(one.effect, own)) for one in told]
+
+
 def _settings(tables: Iterable[EffectTable]) -> list[Settings]:
     return [Settings(**table.model_dump()) for table in tables]
 
