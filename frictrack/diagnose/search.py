@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
+from frictrack.diagnose.evidence import Beside, Evidence, evidence, sensed
 from frictrack.diagnose.experiments import settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
+from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
@@ -89,6 +91,7 @@ class Diagnosis:
     figures: dict[str, dict[str, Array]]
     noise_N: float | None = None  # where friction was measured
     next_experiment: list[dict[str, Any]] = field(default_factory=list)
+    evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
 
     @property
     def best(self) -> Candidate | None:
@@ -100,6 +103,7 @@ class Diagnosis:
         return {
             "model": self.model,
             "verdict": self.verdict,
+            "evidence": [e.summary() for e in self.evidence],
             "missing": self.missing,
             "noise_um": self.noise_um,
             **({} if self.noise_N is None else {"noise_N": self.noise_N}),
@@ -114,12 +118,20 @@ class Diagnosis:
         }
 
 
-def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: Progress | None = None) -> Diagnosis:
+def diagnose(
+    fit: Fit,
+    *,
+    own: Sequence[Effect] = (),
+    beside: Beside | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
     """Search the library, and effects of your `own`, for what the fitted model lacks.
 
     `own` may also hold effects of the library with bounds, priors or fixed values. p-values hold for the whole search
     (999 draws, `seed`). Effects are added one after the other while the best passes; what an added effect makes
-    needless is not added. Validation runs are not looked at.
+    needless is not added. Validation runs are not looked at. `beside` holds what else was seen of the runs: by run and
+    name, further targets (m) and the "accelerometer" (m/s^2) at the frames; what goes with the residual is evidence.
     """
     tell = progress or (lambda done, total, what: None)
     rng = np.random.default_rng(seed)
@@ -127,13 +139,14 @@ def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: P
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain or fit.measured else settled(fit.solution)
+    felt = None if fit.measured else sensed(start, fit.runs, beside or {})
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[Tried] = []
     for done in range(1, MOST_ROUNDS + 1):
         if not last.passing:
             break
-        best = finished(last.passing[0])
-        found.append(replace(best, indistinguishable_from=rivals(best, last.tried)))
+        best = finished(_preferred(last.passing, felt))
+        found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
 
         def told(what: str, done: int = done) -> None:
             tell(done, MOST_ROUNDS, what)
@@ -142,7 +155,23 @@ def diagnose(fit: Fit, *, own: Sequence[Effect] = (), seed: int = 0, progress: P
         told(f"added {best.effect.name}, testing again")
         last = one_round(found[-1].law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
-    return _conclude(fit, first, last, found)
+    seen = (
+        evidence(start, fit.runs, np.random.default_rng(seed), beside)
+        if (first.passing or first.tests.p_lack_of_fit < ALPHA / 2) and not fit.measured
+        else []
+    )
+    return replace(_conclude(fit, first, last, found), evidence=seen)
+
+
+def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
+    """What an accelerometer leaves possible: it tells a mass that moves from a picture that does."""
+    return [t for t in tried if felt is None or t.effect.acts_on == felt.acts_on]
+
+
+def _preferred(passing: Sequence[Tried], felt: Evidence | None) -> Tried:
+    """The best of what passes, or what explains nearly as well and is what an accelerometer feels."""
+    near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < NEAR]
+    return near[0] if near else passing[0]
 
 
 def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
@@ -167,7 +196,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         p_lack_of_fit=first.tests.p_lack_of_fit,
         fails_at=[] if clean else _fails_at(fit, found),
         candidates=listed,
-        unexplained=unexplained_force(last.solution) if verdict == "unexplained" else None,
+        unexplained=unexplained_force(first.solution, last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
         remarks=_remarks(fit, first.barred),
         figures=curves,
