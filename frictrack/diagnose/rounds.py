@@ -22,6 +22,7 @@ from frictrack.fit.unknowns.layout import Layout
 from frictrack.records import Array
 
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
+LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
 AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
 
 Tell = Callable[[str], None]
@@ -150,7 +151,8 @@ def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Trie
             continue
         tried_again = _alternatives(rest, own, old)
         best = tried_again[0]
-        if best.effect.name == name or best.delta_bic < worth + SAME:
+        stays = best.effect.name == name or best.solution is None or best.delta_bic < worth + SAME
+        if stays or best.law.objective > LEAVES_NOISE * best.law.problem.n_frames:
             best = replace(old, solution=whole, delta_bic=worth)
         best = replace(best, indistinguishable_from=rivals(best, tried_again))
         kept = _with_law([best if k.effect.name == name else k for k in kept], best.law)

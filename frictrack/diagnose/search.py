@@ -28,7 +28,8 @@ from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.sure.estimate import Estimates, estimates
 from frictrack.records import Array
 
-MOST_ROUNDS = 4  # effects looked for one after the other
+MOST_EFFECTS = 4  # effects looked for one after the other
+MOST_ROUNDS = 6  # of adding and looking again
 LISTED = 3  # candidates whose held-out error and rivals are computed
 
 Progress = Callable[[int, int, str], None]
@@ -143,17 +144,20 @@ def diagnose(
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[Tried] = []
     for done in range(1, MOST_ROUNDS + 1):
-        if not last.passing:
-            break
-        best = finished(_preferred(last.passing, felt))
-        found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
 
         def told(what: str, done: int = done) -> None:
             tell(done, MOST_ROUNDS, what)
 
-        found = reviewed(found, own, told)
-        told(f"added {best.effect.name}, testing again")
-        last = one_round(found[-1].law, own, rng, told)
+        if last.passing and len(found) < MOST_EFFECTS:
+            best = finished(_preferred(last.passing, felt))
+            found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
+        else:
+            before = [t.effect.name for t in found]
+            found = reviewed(found, own, told)
+            if [t.effect.name for t in found] == before:
+                break
+        told(f"{', '.join(t.effect.name for t in found)} added, testing again")
+        last = one_round(found[-1].law if found else start, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     seen = (
         evidence(start, fit.runs, np.random.default_rng(seed), beside)
