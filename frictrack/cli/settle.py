@@ -28,9 +28,8 @@ def _evidence(step: dict[str, Any]) -> str:
     """What an experiment parts, and how well."""
     if not step["separates"]:
         return ""
-    left = "; ".join(f"leaves {' and '.join(pair)}" for pair in step.get("leaves", []))
-    said = f"tells {', '.join(step['separates'])} apart, expected delta BIC {number(step['expected_delta_bic'], 2)}"
-    return f"{said}; {left}" if left else said
+    first, *others = (" or ".join(group) for group in step["groups"])
+    return f"tells {first} from {' from '.join(others)}; expected delta BIC {number(step['expected_delta_bic'], 2)}"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:

@@ -12,9 +12,9 @@ from frictrack.effects import Effect
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.models import Model
-from frictrack.records import GRAVITY, Array
+from frictrack.records import GRAVITY, Array, stretches
 
-CLEAR = 0.8  # of the largest force of the cause: the first place that reaches it is told
+CLEAR = 0.8  # of the largest force of the cause: the middle of the first stretch that reaches it is told
 DEGREE = float(np.rad2deg(1.0))
 
 
@@ -71,7 +71,8 @@ class Seen:
         """Run, piece and frame where the cause is first about as large as it gets."""
         tops = [float(np.max(np.abs(b), initial=0.0)) for b in self.blocks]
         k = int(np.argmax(tops))
-        i = int(np.argmax(np.abs(self.blocks[k]) >= CLEAR * tops[k]))
+        high = stretches(np.abs(self.blocks[k]) >= CLEAR * tops[k])[0]
+        i = (high.start + high.stop - 1) // 2
         response = self.solution.responses[k]
         return response.piece.run, response, i
 
@@ -94,7 +95,7 @@ class Seen:
             pitch = piece.path.pixel_pitch
             how = _length(size) + (f" ({_n(size / pitch, 2)} px)" if pitch else "")
         where = f"frame {int(piece.frames[i])}, {_n(1e3 * piece.t[i])} ms after release"
-        return f"look at run {self.run}, {where}, x = {_n(x[i])} m at {_n(abs(v[i]), 2)} m/s: {how}"
+        return f"look at run {self.run}, {where}, x = {x[i]:.3f} m at {_n(abs(v[i]), 2)} m/s: {how}"
 
     def _total(self, response: Response) -> Array:
         problem, piece = self.solution.problem, response.piece
@@ -186,7 +187,7 @@ def _texture(seen: Seen) -> str:
 def _patch(seen: Seen) -> str:
     place, width = seen.value("x_c"), seen.value("w")
     past = seen.passes(place)
-    return f"from x = {_n(place - 2 * width)} to {_n(place + 2 * width)} m, the middle passed by {past or 'no run'}"
+    return f"from x = {place - 2 * width:.3f} to {place + 2 * width:.3f} m, the middle passed by {past or 'no run'}"
 
 
 def _blow(seen: Seen) -> str:
@@ -237,7 +238,7 @@ def _asymmetry(seen: Seen) -> str:
 
 
 def _lens(seen: Seen) -> str:
-    return f"no error at x = {_n(seen.value('x_c'))} m, growing with the cube of the way from there"
+    return f"no error at x = {seen.value('x_c'):.3f} m, growing with the cube of the way from there"
 
 
 def _locking(seen: Seen) -> str:

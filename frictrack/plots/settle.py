@@ -18,7 +18,7 @@ LEAST = 2.0  # where the axis begins
 @styled
 def settle(steps: Sequence[Mapping[str, Any]]) -> Figure:
     """One row per experiment, one mark per effect: how surely it is told from the others if it is the true one."""
-    figure = blank(0.36 * len(steps) + 1.5, f"{steps[0]['key'].capitalize()} tells most")
+    figure = blank(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
     ax = figure.subplots()
     names = list(dict.fromkeys(name for step in steps for name in step["expected_if_true"]))
     for row, step in enumerate(steps):

@@ -25,10 +25,9 @@ def experiments(steps: Sequence[Mapping[str, Any]]) -> Table:
         (
             f"{k}.",
             typed(step["what"]),
-            ", ".join(step["separates"]),
-            "; ".join(" and ".join(pair) for pair in step["leaves"]),
+            " from ".join(" or ".join(group) for group in step["groups"]),
             f"{number(step['expected_delta_bic'], 2)}",
         )
         for k, step in enumerate(steps, 1)
     ]
-    return table(("", "what to do", "tells apart", "leaves together", "expected delta BIC, at least"), rows, (4,))
+    return table(("", "what to do", "tells", "expected delta BIC, at least"), rows, (3,))

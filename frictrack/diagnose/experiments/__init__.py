@@ -69,10 +69,19 @@ class Offer:
             "separates": told,
             "expected_delta_bic": self.least(),
             "expected_if_true": each,
-            "leaves": [list(pair) for pair in combinations(told, 2) if tuple(sorted(pair)) not in pairs],
+            "groups": _groups(told, pairs),
             "kind": self.kind,
             "key": self.key,
         }
+
+
+def _groups(names: Sequence[str], parted: Sequence[Pair]) -> list[list[str]]:
+    """Names in groups of those that stay together, the largest last."""
+    groups: list[list[str]] = []
+    for name in names:
+        mine = [g for g in groups if any(tuple(sorted((name, other))) not in parted for other in g)]
+        groups = [g for g in groups if g not in mine] + [[*(other for g in mine for other in g), name]]
+    return sorted(groups, key=len)
 
 
 def next_experiment(explanations: Sequence[Explanation], tell: Progress = lambda what: None) -> list[dict[str, Any]]:
@@ -165,7 +174,7 @@ def _hopeless(pair: tuple[str, str], among: Sequence[Explanation]) -> dict[str, 
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_if_true": {},
-        "leaves": [list(pair)],
+        "groups": [list(pair)],
         "kind": "none",
         "key": "none",
     }

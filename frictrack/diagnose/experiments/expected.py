@@ -126,7 +126,8 @@ class Duel:
         problem = rival.problem.over(layout, [*self.ideal, piece])
         found = refine(problem, p, [*self.fitted.starts, start], tau=tau, max_steps=STEPS)
         told, q = extended(truth, span, film.phase)
-        return self._bic(_loosened(found, self.rival.effect, tau), restraint(told, q, tau), unknowns(told))
+        held, count = restraint(told, q, tau), unknowns(told)
+        return min(self._bic(s, held, count) for s in (found, _loosened(found, self.rival.effect, tau)))
 
     def _bic(self, rival: Solution, held: Array, count: int) -> float:
         """Difference of BIC between a rival and a truth that explains all: its levels' restraint, its unknowns."""
