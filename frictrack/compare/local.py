@@ -203,3 +203,26 @@ def _pruned(found: Local) -> Local:
     if len(kept) == len(found.bumps) or not kept:
         return found
     return _pruned(_fitted(replace(found, bumps=kept), steps=3))
+
+
+def uncertain(found: Local) -> tuple[list[Array], list[Array]]:
+    """Force of all bumps at the frames of every piece (n,), N, and its variance by size, centre and width."""
+    bumps, law, k = found.bumps, found.law, len(found.bumps)
+    if not bumps:
+        still = [np.zeros(len(r.piece.t)) for r in law.responses]
+        return still, still
+    sizes = np.array([b.size for b in bumps])
+    scale = np.stack([np.ones(k), sizes, sizes], axis=1)
+    columns = (bump_columns(found, bumps) * scale).reshape(len(law.r), -1)
+    clean = columns - law.u @ (law.u.T @ columns)
+    known = np.zeros(3 * k)
+    known[2::3] = 1.0  # a width that the runs do not tell is known to a factor of e
+    covariance = np.linalg.pinv(clean.T @ clean + np.diag(known), hermitian=True)
+    forces, variances = [], []
+    for i, (response, at) in enumerate(zip(law.responses, found.nodes, strict=True)):
+        here = np.array([b.piece in (None, i) for b in bumps])
+        moved = np.stack([at.moved(b) for b in bumps], axis=1) * here[:, None] * scale
+        flat = np.stack([np.interp(response.piece.t, at.t, q) for q in moved.reshape(len(at.t), -1).T], axis=1)
+        forces.append(flat[:, ::3] @ sizes)
+        variances.append(np.einsum("nj,jk,nk->n", flat, covariance, flat))
+    return forces, variances

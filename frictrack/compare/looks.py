@@ -47,10 +47,11 @@ class Bump:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Where one piece is at its nodes: t s, x m, and by what a dry force of 1 N counts there, all (3 p,)."""
+    """Where one piece is at its nodes: t s, x m, v m/s, and by what a dry force of 1 N counts there, all (3 p,)."""
 
     t: Array
     x: Array
+    v: Array
     dry: Array
 
     def axis(self, bump: Bump) -> Array:
@@ -74,7 +75,7 @@ def nodes(solution: Solution, response: Response) -> Nodes:
     _, level = solution.problem.layout.values(solution.p, piece.run)
     x, v = (piece.path.x, piece.path.v) if isinstance(piece, SeriesPiece) else (response.motion.x, response.motion.v)
     path = piece.along(x, v, level)
-    return Nodes(piece.panels.t, path.x, path.load * path.s)
+    return Nodes(piece.panels.t, path.x, path.v, path.load * path.s)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,183 @@
+"""The force that a fitted law lacks, frame by frame and with a band, deconvolved from the displacement.
+
+The force is a Gaussian process (Matern 3/2) through knots, its trace in the displacement the same that the law's own
+forces leave. Start, law and levels are free beside it. Size and reach of the process are not chosen but averaged over,
+weighed by the restricted likelihood of all runs together, so that the band knows how little is known of them
+(Rasmussen & Williams 2006, ch. 2 and 5). Local forces that stand out by themselves are taken apart first, or they would
+be smeared over the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.compare.beside import Beside, place, traces
+from frictrack.compare.lines import Line, line_at, strongest_line
+from frictrack.compare.local import ALPHA, local_forces, uncertain
+from frictrack.fit.series import SeriesPiece
+from frictrack.fit.simulated.problem import Response
+from frictrack.fit.simulated.solve import Solution
+from frictrack.records import Array
+
+KNOTS = 100  # of a piece at most
+APART = 4.0  # frames between knots at least
+REACHES = 5  # of the process, from a few knots to a quarter of the longest piece
+SIZES = np.geomspace(0.1, 3e4, 31)  # of the process over what the runs just show
+LIGHT = 0.01  # weight, over the largest, below which a size and reach are left out
+
+
+@dataclass(frozen=True)
+class Deconvolved:
+    """What one piece says of the missing force: t s since release, x, v, a of the law's own motion; F, sigma_F in N."""
+
+    run: int
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    F: Array
+    sigma_F: Array
+
+
+def hats(axis: Array, knots: Array) -> Array:
+    """Linear interpolation from knots (K,) to places on an axis (n,), ends held: (n, K)."""
+    right = np.clip(np.searchsorted(knots, axis), 1, len(knots) - 1)
+    share = np.clip((axis - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
+    out = np.zeros((len(axis), len(knots)))
+    rows = np.arange(len(axis))
+    out[rows, right - 1] = 1 - share
+    out[rows, right] = share
+    return out
+
+
+def matern(knots: Array, reach: float) -> Array:
+    """Covariance of a Matern 3/2 process of unit size at knots (K,), (K, K)."""
+    d = np.sqrt(3.0) * np.abs(knots[:, None] - knots) / reach
+    return np.asarray((1 + d) * np.exp(-d))
+
+
+@dataclass(frozen=True)
+class _Process:
+    """One reach of the process: what each piece sees of its independent parts.
+
+    `shape` (n, K) force at the frames, `seen` (K,) squared traces, `on_law` (K, P'), `data` (K,).
+    """
+
+    shape: list[Array]
+    seen: list[Array]
+    on_law: list[Array]
+    data: list[Array]
+
+    def solved(self, size: float) -> tuple[float, list[Array], list[Array]]:
+        """Logarithm of the restricted likelihood, means and variances (n,) of the force for a size."""
+        kept = [size**2 / (1 + size**2 * s) for s in self.seen]
+        inner = np.eye(self.on_law[0].shape[1])
+        pull = np.zeros(len(inner))
+        for k, w, b in zip(kept, self.on_law, self.data, strict=True):
+            inner -= (w * k[:, None]).T @ w
+            pull += w.T @ (k * b)
+        inverse = np.linalg.inv(inner)
+        back = inverse @ pull
+        told = sum(float(b @ (k * b)) for k, b in zip(kept, self.data, strict=True)) + float(pull @ back)
+        spread = sum(float(np.sum(np.log1p(size**2 * s))) for s in self.seen) + float(np.linalg.slogdet(inner)[1])
+        means, variances = [], []
+        for shape, k, w, b in zip(self.shape, kept, self.on_law, self.data, strict=True):
+            means.append(shape @ (k * (b + w @ back)))
+            bent = shape @ (k[:, None] * w)
+            variances.append(shape**2 @ k + np.einsum("np,pq,nq->n", bent, inverse, bent))
+        return (told - spread) / 2, means, variances
+
+
+def deconvolved(solution: Solution) -> tuple[list[Deconvolved], Line | None]:
+    """The missing force at the frames of every piece, and the line by which its phase is counted.
+
+    That line is the vibration of the law if it has one, else the strongest one of what the law leaves.
+    """
+    found = local_forces(solution)
+    known = _vibration(solution)
+    line = strongest_line(found.law) if known is None else line_at(found.law, known)
+    explained = float(found.law.r @ found.law.r - found.left.r @ found.left.r)
+    if line is not None and known is None and line.p < ALPHA and line.gain > explained:
+        found = replace(found, bumps=[], left=found.law.with_columns(line.columns))
+        means, variances = _averaged(found.left)
+        own = [line.force(r.piece.run, r.piece.t) for r in found.left.responses]
+        spread = [np.full_like(f, np.mean(f**2) / max(line.gain / (2 * len(own)), 1.0)) for f in own]
+        means = [m + f for m, f in zip(means, own, strict=True)]
+        variances = [v + s for v, s in zip(variances, spread, strict=True)]
+        bands = [np.zeros_like(f) for f in own]
+    else:
+        means, variances = _averaged(found.left)
+        own, bands = uncertain(found)
+        means = [m + f for m, f in zip(means, own, strict=True)]
+    pieces = zip(found.left.responses, means, variances, bands, strict=True)
+    return [_piece(response, mean, variance + band) for response, mean, variance, band in pieces], line
+
+
+def _vibration(solution: Solution) -> float | None:
+    """Frequency of the first vibration that the law has, Hz; None where it has none."""
+    values, _ = solution.problem.layout.values(solution.p, solution.problem.pieces[0].run)
+    return next((q["frequency"] for name, q in values.items() if name.startswith("vibration")), None)
+
+
+def _averaged(law: Beside) -> tuple[list[Array], list[Array]]:
+    """Means and variances of the force, averaged over sizes and reaches as likely as they are."""
+    knots = [_knots(r) for r in law.responses]
+    made = [_seen(law, i, k) for i, k in enumerate(knots)]
+    step = max(float(k[1] - k[0]) for k in knots)
+    longest = max(float(k[-1] - k[0]) for k in knots)
+    solved = []
+    for reach in np.geomspace(2 * step, max(longest / 4, 3 * step), REACHES):
+        process = _process(law, knots, made, float(reach))
+        top = max(float(s.max()) for s in process.seen)
+        solved += [process.solved(float(size)) for size in SIZES / np.sqrt(max(top, 1e-300))]
+    weight = np.exp(np.array([s[0] for s in solved]) - max(s[0] for s in solved))
+    weight[weight < LIGHT] = 0.0
+    weight /= weight.sum()
+    kept = [(w, s) for w, s in zip(weight, solved, strict=True) if w > 0]
+    means = [np.sum([w * s[1][i] for w, s in kept], axis=0) for i in range(len(knots))]
+    squares = [np.sum([w * (s[2][i] + s[1][i] ** 2) for w, s in kept], axis=0) for i in range(len(knots))]
+    return means, [np.maximum(q - m**2, 0.0) for q, m in zip(squares, means, strict=True)]
+
+
+def _knots(response: Response) -> Array:
+    t = response.piece.t
+    step = float(np.median(np.diff(t)))
+    count = int(np.clip((t[-1] - t[0]) / (APART * step), 3, KNOTS))
+    return np.linspace(t[0], t[-1], count)
+
+
+def _seen(law: Beside, i: int, knots: Array) -> tuple[Array, Array, Array]:
+    """Gram matrix (K, K), inner products with the law (K, P') and with the data (K,) of a force through the knots."""
+    response, rows = law.responses[i], law.rows[i]
+    columns = traces(response, hats(response.piece.panels.t, knots))
+    return columns.T @ columns, columns.T @ law.u[rows], columns.T @ law.r[rows]
+
+
+def _process(law: Beside, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], reach: float) -> _Process:
+    shape, seen, on_law, data = [], [], [], []
+    for response, at, (gram, w, b) in zip(law.responses, knots, made, strict=True):
+        root = np.linalg.cholesky(matern(at, reach) + 1e-10 * np.eye(len(at)))
+        value, vector = np.linalg.eigh(root.T @ gram @ root)
+        part = root @ vector
+        shape.append(hats(response.piece.t, at) @ part)
+        seen.append(np.maximum(value, 0.0))
+        on_law.append(part.T @ w)
+        data.append(part.T @ b)
+    return _Process(shape, seen, on_law, data)
+
+
+def _piece(response: Response, mean: Array, variance: Array) -> Deconvolved:
+    x, v = place(response)
+    a = _acceleration(response, v)
+    return Deconvolved(response.piece.run, response.piece.t, x, v, a, mean, np.sqrt(variance))
+
+
+def _acceleration(response: Response, v: Array) -> Array:
+    """Acceleration of the law's own motion at the frames, m/s^2."""
+    piece = response.piece
+    if isinstance(piece, SeriesPiece):
+        return np.gradient(v, piece.t)
+    return np.interp(piece.t, piece.panels.t, response.motion.a)

@@ -1,0 +1,92 @@
+"""The strongest line of what a law leaves: one frequency for all runs, amplitude and phase of every run its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from frictrack.compare.beside import Beside, traces
+from frictrack.effects.base import frequencies
+from frictrack.fit.simulated.problem import Response
+from frictrack.records import Array
+
+PERIODS = 3.0
+EVERY = 2  # of the library's frequencies, a quarter of a Rayleigh cell apart
+
+
+@dataclass(frozen=True)
+class Line:
+    """A frequency in Hz; force a sin + b cos of 2 pi f t in every run, N, (R, 2); what it gains; and its p."""
+
+    frequency: float
+    waves: dict[int, Array]
+    gain: float
+    p: float
+    columns: Array  # its traces over all frames, (N + m, 2 R)
+
+    def force(self, run: int, t: Array) -> Array:
+        """Its force in one run at times since release (n,), N."""
+        return waves(t, np.array([self.frequency])) @ self.waves[run] if run in self.waves else np.zeros_like(t)
+
+    def phase(self, run: int, t: Array) -> Array:
+        """Cycles (n,) at times since release, whole numbers where the force rises through zero, folded to 0 ... 1."""
+        a, b = self.waves.get(run, (1.0, 0.0))
+        return np.asarray((self.frequency * t + np.arctan2(b, a) / (2 * np.pi)) % 1.0)
+
+
+def waves(t: Array, f: Array) -> Array:
+    """Sine and cosine of every frequency (G,) at times (n,), side by side: (n, 2 G)."""
+    turns = 2 * np.pi * t[:, None] * f
+    return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(t), -1)
+
+
+def scanned(law: Beside) -> Array:
+    """Frequencies worth a look, Hz: fewer periods than `PERIODS` in the longest run are no line."""
+    span = law.solution.problem.layout.span
+    f = frequencies(span)[::EVERY]
+    return f[f >= PERIODS / span.duration]
+
+
+def seen(response: Response, f: Array) -> Array:
+    """Traces of sines and cosines in one piece, (n, 2 G)."""
+    return traces(response, waves(response.piece.panels.t, f))
+
+
+def strongest_line(law: Beside) -> Line | None:
+    """The frequency at which all runs together gain most; None where the law has no frame to look at."""
+    f = scanned(law)
+    runs = sorted({r.piece.run for r in law.responses})
+    if not len(f) or not runs:
+        return None
+    gain = np.zeros(len(f))
+    for run in runs:
+        gram, data = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2))
+        for rows, response in zip(law.rows, law.responses, strict=True):
+            if response.piece.run == run:
+                made = seen(response, f)
+                on = (law.u[rows].T @ made).reshape(-1, len(f), 2)
+                cube = made.reshape(len(made), len(f), 2)
+                gram += np.einsum("nfi,nfj->fij", cube, cube) - np.einsum("pfi,pfj->fij", on, on)
+                data += (law.r[rows] @ made).reshape(len(f), 2)
+        gain += np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
+    return _at(law, float(f[int(np.argmax(gain))]), len(f))
+
+
+def line_at(law: Beside, frequency: float) -> Line:
+    """A line of a known frequency."""
+    return _at(law, frequency, 1)
+
+
+def _at(law: Beside, frequency: float, tried: int) -> Line:
+    runs = sorted({r.piece.run for r in law.responses})
+    columns = np.zeros((len(law.r), 2 * len(runs)))
+    for rows, response in zip(law.rows, law.responses, strict=True):
+        k = 2 * runs.index(response.piece.run)
+        columns[rows, k : k + 2] = seen(response, np.array([frequency]))
+    clean = columns - law.u @ (law.u.T @ columns)
+    size: Array = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-8)[0], dtype=np.float64)
+    gain = float(np.sum((clean @ size) ** 2))
+    p = float(min(1.0, tried * chi2.sf(gain, 2 * len(runs))))
+    return Line(frequency, {run: size[2 * k : 2 * k + 2] for k, run in enumerate(runs)}, gain, p, columns)
