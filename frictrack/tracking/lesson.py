@@ -14,7 +14,7 @@ from frictrack.tracking.learn import learn
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
-from frictrack.tracking.sharp import SmoothPath, smoothed, surer
+from frictrack.tracking.sharp import SmoothPath, matters, smoothed
 from frictrack.tracking.template import Template
 from frictrack.tracking.trust import inflation
 from frictrack.tracking.view import Sums, View, view_of
@@ -88,10 +88,11 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
     """The same with waves shorter than two pixels, where these make the places surer."""
     if not path.axes.any():
         return found, path
+    path = path.again(seen.corner + found.fine.at)
     sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
     better = path.again(seen.corner + sharper.fine.at)
     sharper = _round(seen, sharper, better, None)
-    return (sharper, better) if surer(sharper.fine, found.fine) else (found, path)
+    return (sharper, better) if matters(sharper.fine, found.fine, path.axes) else (found, path)
 
 
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:

@@ -20,8 +20,10 @@ from frictrack.tracking.waves import BAND, FINER
 STRETCH = 8.0  # px, over which errors that repeat from pixel to pixel average out
 LEAST, LONGEST = 12, 160  # frames to either side, and from first to last, of a stretch that a parabola follows
 MANY = 100  # frames, from which short waves can be learnt
+WORSE = 2.0  # times the usual misfit of a parabola: there the path is not smooth
 SHARE = 0.5  # of the frames in which the path must be smooth
-SURER = 0.95  # times the standard deviation that must come out with them
+SURER = 0.95  # times the standard deviation that comes out with them, for them to be kept
+ELSEWHERE = 0.4  # standard deviations by which half of the places move, for the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +60,16 @@ class SmoothPath:
         return template.widened((y, x))
 
 
-def surer(fine: Fine, before: Fine) -> bool:
-    """Whether places have become surer."""
-    one, other = (float(np.median(np.hypot(*f.sigma.T))) for f in (fine, before))
-    return one < SURER * other
+def matters(sharp: Fine, fine: Fine, axes: Mask) -> bool:
+    """Whether places found with short waves are surer, or stand elsewhere by more than noise would move them."""
+    one, other = (float(np.median(np.hypot(*f.sigma.T))) for f in (sharp, fine))
+    moved = (sharp.at - fine.at)[:, axes] / fine.sigma[:, axes]
+    return one < SURER * other or float(np.median(np.abs(moved - np.median(moved, axis=0)))) > ELSEWHERE
 
 
 def smoothed(frames: NDArray[np.int64], at: Array) -> SmoothPath:
-    """Parabolas through stretches of places (n, 2), px, in these frames."""
-    out = np.full(at.shape, np.nan)
+    """Parabolas through stretches of places (n, 2), px, in these frames, where one fits as well as elsewhere."""
+    out, left = np.full(at.shape, np.nan), np.full(at.shape, np.inf)
     for axis in range(2):
         way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at[:, axis])))])
         row = np.arange(len(at))
@@ -75,6 +78,10 @@ def smoothed(frames: NDArray[np.int64], at: Array) -> SmoothPath:
         inside = np.flatnonzero((first >= 0) & (last < len(at)))
         for i in inside[frames[last[inside]] - frames[first[inside]] < LONGEST]:
             part = slice(first[i], last[i] + 1)
-            u = (frames[part] - frames[i]) / LONGEST
-            out[i, axis] = np.linalg.lstsq(np.vander(u, 3), at[part, axis], rcond=None)[0][2]
+            powers = np.vander((frames[part] - frames[i]) / LONGEST, 3)
+            parabola = np.linalg.lstsq(powers, at[part, axis], rcond=None)[0]
+            out[i, axis], left[i, axis] = parabola[2], np.std(at[part, axis] - powers @ parabola)
+        found = np.isfinite(left[:, axis])
+        if found.any():  # a blow or a start, which no parabola follows
+            out[left[:, axis] > WORSE * np.median(left[found, axis]), axis] = np.nan
     return SmoothPath(frames, out)
