@@ -38,13 +38,14 @@ def ideal_size(detector: Detector, effect: Effect, at: dict[str, float]) -> floa
     phases = [p.name for p in effect.parameters if p.role == "phase"]
     tried = np.arange(PHASES) * np.pi / PHASES if phases else [0.0]
     rises = [
-        float(np.sum(detector.unit(effect, _unit(effect, at, dict.fromkeys(phases, q), runs)) ** 2)) for q in tried
+        float(np.sum(detector.unit(effect, unit_values(effect, at, dict.fromkeys(phases, q), runs)) ** 2))
+        for q in tried
     ]
     least = min(rises)
     return float(np.sqrt(limit(freedom(effect, runs)) / least)) if least > 1e-12 else None
 
 
-def _unit(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[Numbers]:
+def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[Numbers]:
     """Numbers of an effect of size one, the first coefficient carrying it."""
     size = next(p.name for p in effect.parameters if p.role in ("amplitude", "depth") or p.linear)
     own = {p.name: p.fixed or 0.0 for p in effect.parameters} | at | dict(phases) | {size: 1.0}

@@ -106,6 +106,14 @@ class Detector:
         moved = [self._answer(seen, effect, own) for seen, own in zip(self._seen, values, strict=True)]
         return self._unexplained(moved, [seen.moves for seen in self._seen])
 
+    def designs(self, effect: Effect, values: list[Numbers]) -> list[tuple[Slide, Mask, Array, Array]]:
+        """Of every run: motion, frames in which it moves (m of them), answers of x to start (2), law and level, effect.
+
+        The answers (m, 2 + P + 1) and (m,) are in m per unit.
+        """
+        pairs = zip(self._seen, values, strict=True)
+        return [(s.slide, s.moves, s.block, self._answer(s, effect, own)[s.moves]) for s, own in pairs]
+
     def share(self, effect: Effect, values: list[Numbers]) -> float:
         """Root mean square of a hidden force over that of the base law, both along the base law's motion."""
         seen = self._seen
