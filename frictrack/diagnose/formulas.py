@@ -31,6 +31,7 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 ABSORBED = 1e-4  # share of a column's square that must remain beside the law
+LARGEST = 1e9  # of a column: beyond it a shape has no value
 STEP = 1e-5  # relative, of a difference
 TRIALS = 25  # of the numbers of a form
 KEPT = 0.4  # of the best gain that a shape must reach on the grid to be refined
@@ -187,9 +188,9 @@ def _scanned(left: Reduced, names: Sequence[str] = ()) -> Iterator[Term]:
 def _gains(left: Reduced, shape: Shape, points: Sequence[tuple[float, ...]], along: tuple[Array, Array]) -> Array:
     """Fall of chi-squared with the best coefficients at every setting, (G,)."""
     u, factor = along
-    made = shape.evaluated(u, [np.array(q) for q in zip(*points, strict=True)])
+    made = shape.on_grid(u, points)
     k = len(made)
-    whole = np.stack([np.nan_to_num(c.reshape(len(u), -1)) for c in made], axis=2) * factor[:, None, None]
+    whole = np.stack([_finite(c) for c in made], axis=2) * factor[:, None, None]
     rows = np.concatenate([m @ c for m, c in zip(left.maps, left.cut(whole.reshape(len(u), -1)), strict=True)])
     beside = left.beside(rows)
     norm = np.linalg.norm(rows, axis=0)
@@ -200,6 +201,11 @@ def _gains(left: Reduced, shape: Shape, points: Sequence[tuple[float, ...]], alo
     turned = np.einsum("gij,gi->gj", vectors, pull)
     gains: Array = np.sum(np.where(values > ABSORBED, turned**2 / np.maximum(values, ABSORBED), 0.0), axis=1)
     return gains
+
+
+def _finite(columns: Array) -> Array:
+    """Columns without what is no number, or as good as infinite."""
+    return np.where(np.abs(columns) < LARGEST, columns, 0.0)
 
 
 def _refined(left: Reduced, term: Term) -> Term:
@@ -226,6 +232,6 @@ def _refined(left: Reduced, term: Term) -> Term:
 
 def _solved(left: Reduced, term: Term, numbers: Sequence[float] | Array) -> tuple[Array, tuple[float, ...]]:
     """What the best coefficients of a form leave, (M,), and these."""
-    columns = left.trace([np.nan_to_num(term.force(path, list(numbers))) for path in left.paths])
+    columns = left.trace([_finite(term.force(path, list(numbers))) for path in left.paths])
     solved = np.linalg.lstsq(columns, left.left, rcond=1e-9)[0]
     return np.asarray(left.left - columns @ solved), tuple(map(float, solved))

@@ -41,13 +41,16 @@ class Shape:
     axes: str = "xtv"
 
     def evaluated(self, u: Array, numbers: Sequence[float | Array]) -> list[Array]:
-        """Its columns along u (n,), each (n,); numbers that are arrays (G,) make them (n, G)."""
-        sets = len(np.atleast_1d(numbers[0])) if len(numbers) and np.ndim(numbers[0]) else 0
-        along = u[:, None] if sets else u
-        names = {"u": along, **CONSTANTS, **dict(zip(self.numbers, numbers, strict=True))}
+        """Its columns along u, each of the shape of u; a number may be one for all or one for each of u."""
+        names = {"u": u, **CONSTANTS, **dict(zip(self.numbers, numbers, strict=True))}
         with np.errstate(all="ignore"):
             made = [_made(text)(names) for text in self.columns]
-        return [np.broadcast_to(column, (len(u), sets) if sets else u.shape) for column in made]
+        return [np.broadcast_to(column, np.shape(u)) for column in made]
+
+    def on_grid(self, u: Array, points: Sequence[tuple[float, ...]]) -> list[Array]:
+        """Its columns along u (n,) at many settings, each (n, G)."""
+        along = np.broadcast_to(u[:, None], (len(u), len(points)))
+        return self.evaluated(along, [np.array(q) for q in zip(*points, strict=True)])
 
 
 @cache
