@@ -9,13 +9,13 @@ the cubic through its values at the nearest four edges.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.simulate.dynamics import NODES, Linear, Panels
 
 STIFF = 1e8  # condition of the fundamental matrix beyond which the panels are chained one by one
 TAPS = 4
-NEAR = (-2, -1, 0, 1, 2)  # edges about one whose part in its running sum is not the usual
 
 
 class Rows:
@@ -31,7 +31,7 @@ class Rows:
         size = np.abs(self.fundamental).max(axis=(1, 2)) * np.abs(inverse).max(axis=(1, 2))
         self.stiff = not float(size.max()) < STIFF
         if not self.stiff:
-            self._sums, self._near = self._summed(inverse[1:] @ self._kick)
+            self._sums, self._here = self._summed(inverse[1:] @ self._kick)
 
     @property
     def starts(self) -> Array:
@@ -48,8 +48,7 @@ class Rows:
         other = np.cumsum(g * self._sums[1], axis=1)
         other *= x[:, 1]
         out += other
-        for near, tap in zip(NEAR, self._near, strict=True):
-            _add(out, tap, g, near, other)
+        out += np.multiply(g, self._here, out=other)
         return out
 
     def _chained(self, g: Array) -> Array:
@@ -58,33 +57,25 @@ class Rows:
         return np.ascontiguousarray(edges[:, 0].T)
 
     def _summed(self, kick: Array) -> tuple[Array, Array]:
-        """Weights (2, p + 1) of both running sums, and what the edges near the last one have too much, (5, p + 1)."""
+        """Weights (2, p + 1) of both running sums, and of every edge itself what its running sums have too much.
+
+        Up to an edge its neighbours are not all counted as they will be; for a smooth g that is a multiple of g there.
+        """
         p = len(kick)
-        sums, near = np.zeros((2, p + 1)), np.zeros((len(NEAR), p + 1, 2))
+        sums, early = np.zeros((2, p + 1)), np.zeros((p + 1, 2))
         panel = np.arange(p)
         for k in range(TAPS):
             at = self._first + k
             np.add.at(sums, (slice(None), at), kick[:, :, k].T)
-            for o, offset in enumerate(NEAR):
-                last = at - offset  # the edge up to which is summed
+            for last in (at + gap for gap in range(-TAPS + 1, TAPS)):  # edges up to which is summed
                 inside = (last >= 0) & (last <= p)
-                early = inside & (panel < last) if offset > 0 else inside & (panel >= last)
-                np.add.at(near[o], last[early], kick[early, :, k] * (1.0 if offset > 0 else -1.0))
-        return sums, np.einsum("omc,mc->om", near, self.fundamental[:, 0])
+                before, counted = inside & (panel < last) & (at > last), inside & (panel >= last) & (at <= last)
+                np.add.at(early, last[before], kick[before, :, k])
+                np.add.at(early, last[counted], -kick[counted, :, k])
+        return sums, np.einsum("mc,mc->m", early, self.fundamental[:, 0])
 
 
-def _add(out: Array, tap: Array, g: Array, offset: int, spare: Array) -> None:
-    """Add tap[m] g[m + offset] to every row of `out`, in place; `spare` is room to work in."""
-    used = np.flatnonzero(tap)
-    if not len(used):
-        return
-    a, b = int(used[0]), int(used[-1]) + 1
-    part = spare[:, a:b]
-    np.multiply(g[:, a + offset : b + offset], tap[a:b], out=part)
-    out[:, a:b] += part
-
-
-def _stencils(panels: Panels) -> tuple[Array, Array]:
+def _stencils(panels: Panels) -> tuple[NDArray[np.int_], Array]:
     """First of the four edges by which every panel is interpolated (p,), and their weights at its nodes (p, 3, 4)."""
     p = len(panels.h)
     first = np.clip(np.arange(p) - 1, 0, max(p + 1 - TAPS, 0))

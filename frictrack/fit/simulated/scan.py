@@ -114,7 +114,7 @@ class Scan:
 
 
 def whitener(schur: Array, full: Array) -> Array:
-    """W (G, K, K) with W' W the inverse of Gram matrices beside the model; absorbed forms gain nothing.
+    """W (G, K, K) with W' W the inverse of Gram matrices beside the model; what it absorbs gains nothing.
 
     `full` (G, K) are the squares of the columns themselves.
     """
@@ -122,11 +122,9 @@ def whitener(schur: Array, full: Array) -> Array:
     size[full < UNSEEN] = np.inf
     unit = schur / size[:, :, None] / size[:, None, :]
     if unit.shape[1] == 1:
-        root = np.where(unit > ABSORBED, 1 / np.sqrt(np.maximum(unit, ABSORBED)), 0.0)
-        return np.asarray(root / size[:, None, :])
-    w, v = np.linalg.eigh(unit)
-    root = np.where(w > ABSORBED, 1 / np.sqrt(np.maximum(w, ABSORBED)), 0.0)
-    return np.asarray((v * root[:, None, :]).transpose(0, 2, 1) / size[:, None, :])
+        return np.asarray(1 / np.sqrt(np.maximum(unit, 0.0) + ABSORBED) / size[:, None, :])
+    unit[:, np.arange(unit.shape[1]), np.arange(unit.shape[1])] += ABSORBED
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)) / size[:, None, :])
 
 
 def families(law: Beside, effect: Effect) -> list[Family]:
