@@ -146,14 +146,16 @@ def _named(solution: Solution, runs: Sequence[Run], missing: str) -> list[Span]:
     whole = made.sum(axis=1)
     total = max(misfit(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
     chance = opened(law).chance
-    p = [chance(b) for b in _stands_out(law, made)]
+    # what the runs share acts in all of them or in none
+    sure = made if _own(effect) else np.repeat(whole[:, None], len(places), axis=1)
+    p = [chance(z) for z in _stands_out(law, sure)]
     return [Span(i, rows, float(c @ law.r) / total, q) for (i, rows), c, q in zip(places, made.T, p, strict=True)]
 
 
 def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
     """Largest force of an effect to be expected in every piece, whatever part of it the piece passes, N."""
     own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
-    if any(p.per_run and (p.linear or p.role) for p in effect.parameters):
+    if _own(effect):
         return own
     scales = []
     for r in solution.responses:
@@ -162,6 +164,11 @@ def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[
         scales.append(float(carried.get(effect.scales_with, 1.0)))
     largest = max(f / s for f, s in zip(own, scales, strict=True))
     return [largest * s for s in scales]
+
+
+def _own(effect: Effect) -> bool:
+    """Whether every run has a size of its own."""
+    return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
 
 
 def _without(solution: Solution, effect: Effect) -> Beside:

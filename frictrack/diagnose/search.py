@@ -13,10 +13,12 @@ from frictrack.diagnose.evidence import Beside, Evidence, evidence, sensed
 from frictrack.diagnose.experiments import settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
+from frictrack.diagnose.repeats import Repeats
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.where import where_it_fails
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, series
@@ -93,6 +95,7 @@ class Diagnosis:
     noise_N: float | None = None  # where friction was measured
     next_experiment: list[dict[str, Any]] = field(default_factory=list)
     evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
+    repeats: Repeats = field(default_factory=Repeats)  # whether the failure is common to the runs, and along which axis
 
     @property
     def best(self) -> Candidate | None:
@@ -111,6 +114,8 @@ class Diagnosis:
             "reduced_chi2": self.reduced_chi2,
             "p_lack_of_fit": self.p_lack_of_fit,
             "fails_at": self.fails_at,
+            "repeats": self.repeats.summary(),
+            "repeats_words": self.repeats.words,
             "candidates": [c.summary() for c in self.candidates],
             "unexplained": self.unexplained,
             "next_experiment": self.next_experiment,
@@ -164,7 +169,11 @@ def diagnose(
         if (first.passing or first.tests.p_lack_of_fit < ALPHA / 2) and not fit.measured
         else []
     )
-    return replace(_conclude(fit, first, last, found), evidence=seen)
+    found_out = replace(_conclude(fit, first, last, found), evidence=seen)
+    if found_out.verdict == "complete":
+        return found_out
+    where = where_it_fails(start, np.random.default_rng(seed))
+    return replace(found_out, repeats=where.repeats, figures=found_out.figures | where.figures)
 
 
 def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
