@@ -11,7 +11,7 @@ import tifffile
 from frictrack.recording import open_recording
 from frictrack.records import Array
 from frictrack.tracking import track
-from frictrack.tracking.sharp import smoothed
+from frictrack.tracking.sharp import drawn_to_pixels, smoothed
 
 FINE = 16  # cells of the drawing per pixel
 SIZE = 40, 48  # px
@@ -73,9 +73,22 @@ def test_a_smooth_path_is_kept_and_what_repeats_from_pixel_to_pixel_is_not() -> 
     frames = np.arange(200)
     true = np.stack([10 + 1.3 * frames + 2e-4 * frames**2, np.full(200, 5.0)], axis=1)
     drawn = true + 0.05 * np.sin(2 * np.pi * true)
-    path = smoothed(frames, drawn)
+    path = smoothed(frames, drawn, frames)
     known = np.isfinite(path.at[:, 0])
     assert known.mean() > 0.8
     assert not np.isfinite(path.at[:, 1]).any()
     assert np.max(np.abs(path.at[known, 0] - true[known, 0])) < 0.01
     assert list(path.axes) == [True, False]
+
+
+def test_what_repeats_from_pixel_to_pixel_is_told_and_the_motion_is_kept() -> None:
+    rng, frames = np.random.default_rng(2), np.arange(400)
+    true = np.stack([10 + 1.3 * frames - 4e-4 * frames**2, np.full(400, 5.2)], axis=1)
+    true[:, 0] += 0.2 * np.sin(2 * np.pi * frames / 90)  # the mass shakes
+    seen = true + 0.003 * rng.standard_normal(true.shape)
+    off, size = drawn_to_pixels(frames, seen + 0.02 * np.sin(2 * np.pi * seen + 0.4))
+    wanted = 0.02 * np.sin(2 * np.pi * true[:, 0] + 0.4)
+    assert np.max(np.abs(off[:, 0] - wanted)) < 0.002
+    assert abs(size[0] - 0.02) < 0.001
+    assert not off[:, 1].any()
+    assert np.max(np.abs(drawn_to_pixels(frames, seen)[0])) < 0.002

@@ -18,11 +18,13 @@ from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
+from frictrack.tracking.sharp import drawn_to_pixels
 
 Progress = Callable[[int, int, str], None]
 
 LEAST_CONTRAST = 3  # grey values
 CHUNK = 256  # frames measured at once
+TOLD = 0.01  # px by which places are drawn to the pixels that is worth a word
 SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
 
@@ -148,8 +150,10 @@ def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str
 def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, name: str) -> Track:
     """One row per frame: the position where it can be trusted, else NaN and the reason."""
     _, _, w, h = rectangle
-    fine, at = measured.fine, measured.at
+    fine, at, found = measured.fine, measured.at, np.flatnonzero(measured.found)
     kept = np.where(measured.found, 0.0, np.nan)
+    off, size = drawn_to_pixels(found, at[found])
+    at[found] -= off
     return Track(
         t=recording.t,
         x_px=at[:, 0] + (w - 1) / 2 + kept,
@@ -161,7 +165,7 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        notes=(*recording.notes, *_unread(measured)),
+        notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
 
 
@@ -169,6 +173,16 @@ def _unread(measured: Followed) -> tuple[str, ...]:
     count = int(np.count_nonzero(measured.reason == UNREAD))
     total = len(measured.reason)
     return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
+
+
+def _drawn(size: Array) -> tuple[str, ...]:
+    """What is said of places that were drawn to the pixels, by amplitudes (2,) along x and y, px."""
+    if not np.any(size > TOLD):
+        return ()
+    return (
+        f"places drawn to the pixels by {np.max(size):.3f} px were set right (peak locking): the target is sharper "
+        "than the sensor resolves; a slight defocus would avoid it",
+    )
 
 
 def _change(film: Recording) -> Array:

@@ -60,7 +60,7 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
     found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(template)))
-    view, path = None, _path(followed).of(rows)
+    view, path = None, _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < 3:
             break
@@ -105,10 +105,10 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
 
 
-def _path(followed: Followed) -> SmoothPath:
-    """The first track, smooth."""
+def _path(followed: Followed, rows: NDArray[np.int64]) -> SmoothPath:
+    """The first track in these frames, smooth."""
     frames = np.flatnonzero(followed.found)
-    return smoothed(frames, followed.at[frames])
+    return smoothed(frames, followed.at[frames], rows)
 
 
 def _teaches(fine: Fine, template: Template) -> Mask:

@@ -21,6 +21,8 @@ STRETCH = 8.0  # px, over which errors that repeat from pixel to pixel average o
 LEAST, LONGEST = 12, 160  # frames to either side, and from first to last, of a stretch that a parabola follows
 MANY = 100  # frames, from which short waves can be learnt
 WORSE = 2.0  # times the usual misfit of a parabola: there the path is not smooth
+ENOUGH = 2000  # frames whose places tell how far all are drawn to the pixels
+SHOWN = 3.0  # condition of the pixel's waves up to which every shift was seen
 SHARE = 0.5  # of the frames in which the path must be smooth
 SURER = 0.95  # times the standard deviation that comes out with them, for them to be kept
 ELSEWHERE = 0.4  # standard deviations by which half of the places move, for the same
@@ -33,11 +35,6 @@ class SmoothPath:
     frames: NDArray[np.int64]
     at: Array
 
-    def of(self, frames: NDArray[np.int64]) -> SmoothPath:
-        """Those of some of its frames."""
-        rows = np.searchsorted(self.frames, frames)
-        return SmoothPath(frames, self.at[rows])
-
     @property
     def axes(self) -> Mask:
         """Axes (x, y) along which the path is smooth and shows every shift."""
@@ -46,7 +43,7 @@ class SmoothPath:
 
     def again(self, at: Array) -> SmoothPath:
         """The same from better places (n, 2), px, where these stand close enough to each other."""
-        better = smoothed(self.frames, at).at
+        better = smoothed(self.frames, at, self.frames).at
         return replace(self, at=np.where(np.isfinite(better), better, self.at))
 
     def placed(self, fine: Fine, corner: NDArray[np.int64], template: Template) -> Fine:
@@ -67,21 +64,55 @@ def matters(sharp: Fine, fine: Fine, axes: Mask) -> bool:
     return one < SURER * other or float(np.median(np.abs(moved - np.median(moved, axis=0)))) > ELSEWHERE
 
 
-def smoothed(frames: NDArray[np.int64], at: Array) -> SmoothPath:
-    """Parabolas through stretches of places (n, 2), px, in these frames, where one fits as well as elsewhere."""
-    out, left = np.full(at.shape, np.nan), np.full(at.shape, np.inf)
+def smoothed(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64]) -> SmoothPath:
+    """Parabolas through stretches of places (n, 2), px, in these frames, where one fits as well as elsewhere.
+
+    The path is given in the `wanted` ones of the frames.
+    """
+    rows = np.searchsorted(frames, wanted)
+    each = [_parabolas(frames, at[:, axis], at[:, [axis]], rows)[:, 0] for axis in range(2)]
+    return SmoothPath(wanted, np.stack(each, axis=1))
+
+
+def drawn_to_pixels(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
+    """By how much places (n, 2), px, are off towards the pixels, and the amplitude of that along x and y, px.
+
+    What repeats from pixel to pixel along a smooth path is no motion. Zero along an axis without one.
+    """
+    rows = np.arange(0, len(frames), -(-len(frames) // ENOUGH))
+    off, size = np.zeros_like(at), np.zeros(2)
     for axis in range(2):
-        way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at[:, axis])))])
-        row = np.arange(len(at))
-        first = np.minimum(np.searchsorted(way, way - STRETCH / 2, side="right") - 1, row - LEAST)
-        last = np.maximum(np.searchsorted(way, way + STRETCH / 2), row + LEAST)
-        inside = np.flatnonzero((first >= 0) & (last < len(at)))
-        for i in inside[frames[last[inside]] - frames[first[inside]] < LONGEST]:
-            part = slice(first[i], last[i] + 1)
-            powers = np.vander((frames[part] - frames[i]) / LONGEST, 3)
-            parabola = np.linalg.lstsq(powers, at[part, axis], rcond=None)[0]
-            out[i, axis], left[i, axis] = parabola[2], np.std(at[part, axis] - powers @ parabola)
-        found = np.isfinite(left[:, axis])
-        if found.any():  # a blow or a start, which no parabola follows
-            out[left[:, axis] > WORSE * np.median(left[found, axis]), axis] = np.nan
-    return SmoothPath(frames, out)
+        series = np.column_stack([at[:, axis], _waves(at[:, axis])])
+        rough = series[rows] - _parabolas(frames, at[:, axis], series, rows)
+        rough = rough[np.isfinite(rough[:, 0])]
+        if len(rough) >= max(MANY, SHARE * len(rows)) and np.linalg.cond(rough[:, 1:]) < SHOWN:
+            found = np.linalg.lstsq(rough[:, 1:], rough[:, 0], rcond=None)[0]
+            off[:, axis], size[axis] = series[:, 1:] @ found, np.hypot(*found[:2])
+    return off, size
+
+
+def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArray[np.int64]) -> Array:
+    """Series (n, k) in some rows (m, k), by parabolas in time through `STRETCH` px of the places `at` (n,).
+
+    Not a number where the stretch is not there, or where the first series follows no parabola: a blow or a start.
+    """
+    out, left = np.full((len(rows), series.shape[1]), np.nan), np.full(len(rows), np.inf)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at)))])
+    first = np.minimum(np.searchsorted(way, way[rows] - STRETCH / 2, side="right") - 1, rows - LEAST)
+    last = np.maximum(np.searchsorted(way, way[rows] + STRETCH / 2), rows + LEAST)
+    inside = np.flatnonzero((first >= 0) & (last < len(at)))
+    for i in inside[frames[last[inside]] - frames[first[inside]] < LONGEST]:
+        part = slice(first[i], last[i] + 1)
+        powers = np.vander((frames[part] - frames[rows[i]]) / LONGEST, 3)
+        parabola = np.linalg.lstsq(powers, series[part], rcond=None)[0]
+        out[i], left[i] = parabola[2], np.std(series[part, 0] - powers @ parabola[:, 0])
+    found = np.isfinite(left)
+    if found.any():
+        out[left > WORSE * np.median(left[found])] = np.nan
+    return out
+
+
+def _waves(at: Array) -> Array:
+    """Two harmonics of the pixel, (n, 4)."""
+    turns = [2 * np.pi * k * at for k in (1, 2)]
+    return np.column_stack([f(u) for u in turns for f in (np.sin, np.cos)])
