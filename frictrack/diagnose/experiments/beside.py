@@ -1,7 +1,7 @@
 """What a measurement beside the film would say of one cause: a mark at rest, a rule, a level, a clock, a sensor.
 
 Such a check shows the cause itself. Where it is there, an explanation without it is refuted by the whole signal S.
-Where it is not, an explanation with it may shrink it, at the price of the fall of chi-squared G that it brought: the
+Where it is not, an explanation with it may shrink it, at the price of the evidence G that it has: the
 least of (1 - a)^2 G + a^2 S is G S/(G + S).
 """
 

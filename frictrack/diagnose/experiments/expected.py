@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.diagnose.experiments.planned import Film, extended, filmed, spread
+from frictrack.diagnose.rivals import information
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow
@@ -23,7 +24,7 @@ from frictrack.fit.unknowns.scatter import restraint
 from frictrack.records import Array
 
 PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
-MOMENTS = np.linspace(0.06, 0.94, 12)  # of the planned run, at which a rival's event is sought
+MOMENTS = np.linspace(0.1, 0.9, 7)  # of the planned run, at which a rival's event is sought
 SIZES = ("amplitude", "depth")
 BELIEVED = 0.05  # of friction: size of a cause that the runs do not tell
 UNTOLD = 10.0  # rise of chi-squared below which the runs do not tell a size
@@ -32,7 +33,7 @@ OWN_STEPS, STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on al
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause that was added to the law, and the fall of chi-squared that it brought on the runs at hand.
+    """A cause that was added to the law, and the fall of BIC that it brought on the runs at hand.
 
     `believed` is the same law with the cause small where the runs leave its size open: what a new run is foretold by.
     """
@@ -49,7 +50,7 @@ def explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
     What runs do not tell (a cable's constant pull beside Coulomb friction) may have come out of the fit absurdly large,
     and would promise absurd evidence in a run of another kind.
     """
-    gain = max(bare.objective - solution.objective, 0.0)
+    gain = max(information(bare) - information(solution), 0.0)
     return Explanation(effect, solution, gain, _believed(effect, solution, bare))
 
 

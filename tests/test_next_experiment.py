@@ -1,0 +1,217 @@
+"""The next experiment parts what it promises to part, with about the evidence that it promises.
+
+Truth is made apart from the code under test: the new run is simulated with the hidden effect, its noise and its level,
+and everything is fitted again. The predictions by hand use closed forms.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
+
+from frictrack import effects, models
+from frictrack.diagnose import diagnose
+from frictrack.diagnose.experiments import Duel, Explanation, explanation, films, menu, next_experiment, settling
+from frictrack.diagnose.experiments.beside import ACCELEROMETER, LEVEL, checks
+from frictrack.diagnose.experiments.planned import Film, filmed
+from frictrack.diagnose.here import words
+from frictrack.diagnose.rivals import information
+from frictrack.fit import fit
+from frictrack.fit.simulated.growth import grow, settled
+from frictrack.records import GRAVITY
+from frictrack.results import plain
+from frictrack.simulate.slide import Conditions, simulate
+
+LAW = ["coulomb", "viscous"]
+SIGMA = 1e-5
+SCATTER = 0.02  # of the friction level, where runs can tell it
+KEYS = {"what", "separates", "expected_delta_bic", "expected_if_true", "groups", "kind", "key"}
+
+
+def law_with(name, values):
+    return {n: BASE[n] for n in LAW} | {name: values}
+
+
+def runs_with(name, values, speeds, *, seed=1, duration=0.12):
+    law, scatter = law_with(name, values), SCATTER if len(speeds) > 3 else 0.0
+    specs = tuple(Spec(v, 1, duration) for v in speeds)
+    return study(models.of(law), law, specs=specs, sigma=SIGMA, scatter=scatter, rng=np.random.default_rng(seed))[0]
+
+
+def explained(runs, *names):
+    """The bare law, and what each effect makes of it."""
+    bare = fit(LAW, runs).solution
+    return bare, {n: settled(grow(bare, effects.get(n))) for n in names}
+
+
+def explanations(runs, *names):
+    bare, grown = explained(runs, *names)
+    return [explanation(n, s, bare) for n, s in grown.items()]
+
+
+def take(film, law, scatter, *, seed=9):
+    """The planned run as the truth would have it: same start, mass, tilt, rate and zoom, its own noise and level."""
+    rng = np.random.default_rng(seed)
+    fps, mass = FPS * film.rate, MASS * film.mass
+    t = np.arange(int(0.4 * fps)) / fps
+    own = {k: dict(q) for k, q in law.items()}
+    for q in own.values():
+        if "phase" in q and "period" not in q:
+            q["phase"] = rng.uniform(-np.pi, np.pi)
+    load = film.mass * np.cos(film.tilt) * (1 + scatter * rng.standard_normal())
+    held = Conditions(mass, load, film.mass, PITCH * film.pitch, film.tilt)
+    slide = simulate(models.of(own), own, held, t, film.start)
+    gone = (np.sign(film.start[1]) * slide.v < 0.02) | (slide.x < film.course[0]) | (slide.x > film.course[1])
+    n = int(np.argmax(gone)) or len(t)
+    y, kept = (slide.x + slide.shift)[:n], t[:n]
+    known = {"mass": mass, "name": "new", "pitch": PITCH * film.pitch, "incline": film.tilt}
+    return measured(kept, y, sigma=SIGMA * film.pitch, rng=rng, **known)
+
+
+# truth, its values, the rival that these runs cannot tell from it, speeds
+AMBIGUOUS = [
+    ("drag", {"c": 0.009}, "drift", (4.0, 4.2, 4.4, 4.1)),
+    ("patch", {"F": 0.1, "x_c": 0.22, "w": 0.02}, "collision", (5.0,)),
+]
+
+
+@pytest.fixture(scope="module", params=AMBIGUOUS, ids=lambda p: f"{p[0]}-{p[2]}")
+def pair(request):
+    truth, values, rival, speeds = request.param
+    runs = runs_with(truth, values, speeds, duration=0.12)
+    return truth, rival, law_with(truth, values), runs, explanations(runs, truth, rival)
+
+
+def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pair):
+    truth, rival, law, runs, among = pair
+    _, before = explained(runs, truth, rival)
+    assert abs(information(before[rival]) - information(before[truth])) < 25  # nobody could tell
+    offers = sorted((o for o in films(among) if o.parted()), key=lambda o: -o.least())
+    best = offers[0]
+    film = next(e.film for e in menu(among[0].solution) if e.key == best.key)
+    _, after = explained([*runs, take(film, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
+    observed = information(after[rival]) - information(after[truth])
+    expected = best.evidence[truth, rival]
+    assert observed > 10
+    spread = 4 * np.sqrt(expected)  # of a chi-squared of that non-centrality, two standard deviations
+    assert expected / 2 - spread < observed < 2 * expected + spread
+
+
+def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
+    values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
+    runs = runs_with("vibration", values, (4.2, 4.6, 5.0, 5.5), duration=0.06)
+    shake, vibration = explanations(runs, "camera_shake", "vibration")
+    for duel in (Duel(shake, vibration), Duel(vibration, shake)):
+        repeat = next(e.film for e in menu(shake.solution) if e.key == "repeat")
+        assert abs(duel.now) < 1
+        assert abs(duel.after(repeat)) < 1  # both have a phase of its own for it
+        heavy = next(e.film for e in menu(shake.solution) if e.key == "double mass")
+        # a tie of the amplitudes is all that tells them apart: a rival with one per run pays for four more
+        frames = sum(len(p.t) for p in shake.solution.problem.pieces)
+        assert 10 < duel.after(heavy) < 4 * np.log(2 * frames)
+
+
+def test_the_planned_run_is_the_one_that_the_law_makes():
+    runs = runs_with("drag", {"c": 0.05}, (4.0, 4.2, 4.4))
+    bare = fit(LAW, runs).solution
+    film = Film((0.0, 3.0), (0.0, 0.3), mass=2.0)
+    piece = filmed(bare, film)
+    f_c, f_v = (bare.p[bare.problem.layout.index(*a)] for a in (("coulomb", "F_c"), ("viscous", "F_v")))
+    m, load = 2 * MASS, 2 * f_c  # m v' = -2 F_c - F_v v, by hand
+    v = (3.0 + load / f_v) * np.exp(-f_v * piece.t / m) - load / f_v
+    x = (3.0 + load / f_v) * m / f_v * (1 - np.exp(-f_v * piece.t / m)) - load / f_v * piece.t
+    assert np.max(np.abs(piece.y - x)) < 1e-9
+    assert piece.y[-1] <= 0.3
+    assert v.min() > 0
+    tilted = filmed(bare, replace(film, mass=1.0, tilt=np.deg2rad(5.0)))
+    a = np.gradient(np.gradient(tilted.y, tilted.t), tilted.t)[5]
+    lean = GRAVITY * np.sin(np.deg2rad(5.0)) + (f_c * np.cos(np.deg2rad(5.0)) + f_v * 3.0) / MASS
+    assert a == pytest.approx(-lean, rel=0.01)
+
+
+def test_the_menu_keeps_within_what_the_set_up_has_shown():
+    runs = runs_with("drag", {"c": 0.05}, (3.0, 6.0))
+    entries = {e.key: e for e in menu(fit(LAW, runs).solution)}
+    assert entries["slower"].film.start[1] == pytest.approx(1.5, rel=0.01)
+    assert entries["faster"].film.start[1] == 8.0  # not nine
+    assert entries["reversed"].film.start[1] < 0
+    assert "no run has had so far" in entries["reversed"].words
+    assert entries["to a stop"].film.start[1] ** 2 / 2 / 24.0 < 0.6  # it stops on the course: (8 + 1.2 v)/m and more
+    assert {"half mass", "double mass", "tilt +1", "tilt -1", "frame rate", "zoom", "longer"} <= entries.keys()
+
+
+def test_a_level_tells_a_slope_by_its_own_accuracy():
+    runs = runs_with("slope", {"F": 1.2}, (4.0, -4.0, 4.4, -4.4))
+    slope, asymmetry = explanations(runs, "slope", "asymmetry")
+    found = {check.key: (if_one, if_other) for check, if_one, if_other in checks(slope, asymmetry)}
+    value = slope.solution.p[slope.solution.problem.layout.index("slope", "F")]
+    signal = (value / (MASS * GRAVITY * LEVEL)) ** 2
+    assert found["level"][0] == pytest.approx(signal)
+    assert found["level"][1] == pytest.approx(slope.gain * signal / (slope.gain + signal))
+    told = next_experiment([slope, asymmetry])
+    assert told[0]["key"] == "level"
+    assert "level" in told[0]["what"]
+
+
+def test_an_accelerometer_tells_a_force_from_a_fault_of_the_picture():
+    runs = runs_with("vibration", {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}, (4.2,))
+    vibration, shake = explanations(runs, "vibration", "camera_shake")
+    found = {check.key: if_one for check, if_one, _ in checks(vibration, shake)}
+    frames = len(vibration.solution.problem.pieces[0].t)
+    amplitude = vibration.solution.p[vibration.solution.problem.layout.index("vibration", "amplitude")]
+    assert found["accelerometer"] == pytest.approx(frames / 2 * (amplitude / MASS / ACCELEROMETER) ** 2, rel=0.1)
+
+
+def test_a_pair_that_no_run_parts_is_told_what_else_does():
+    runs = runs_with("slope", {"F": 1.2}, (4.0, 4.2))
+    bare, grown = explained(runs, "slope", "spring")
+    assert settling(bare, [], ()) == []  # nothing passes, nothing to part
+    one = Explanation("spring", grown["spring"], 0.0, grown["spring"])
+    told = next_experiment([one, replace(one, effect="spring")])
+    assert [(step["kind"], step["separates"], step["expected_delta_bic"]) for step in told] == [("none", [], 0.0)]
+    pair = [explanation(n, s, bare) for n, s in grown.items()]
+    told = next_experiment(pair)  # in one direction neither has brought anything: a cable pulls like a slope
+    assert told[-1]["kind"] == "none"
+    assert told[-1]["what"].startswith("No run of this menu parts slope and spring")
+    assert "lay a level on the course, and take the cable off" in told[-1]["what"]
+
+
+def test_the_diagnosis_tells_it_in_json_best_first():
+    values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
+    found = diagnose(fit(LAW, runs_with("vibration", values, (4.0,), duration=0.04)))
+    assert found.verdict == "ambiguous"
+    steps = json.loads(json.dumps(plain(found.summary()), allow_nan=False))["next_experiment"]
+    assert steps
+    for step in steps:
+        assert step.keys() == KEYS
+        assert step["expected_delta_bic"] >= 10 or step["kind"] == "none"
+        assert {n for g in step["groups"] for n in g} == set(step["separates"])
+    group = {found.best.effect, *found.best.indistinguishable_from}
+    assert set(steps[0]["separates"]) <= group | {c.effect for c in found.candidates}
+    assert any(step["key"] == "reference" for step in steps)
+
+
+def test_candidates_speak_of_the_numbers_of_this_study():
+    runs = runs_with("patch", {"F": 1.5, "x_c": 0.21, "w": 0.02}, (4.0, 5.0))
+    _, grown = explained(runs, "patch")
+    told = words(effects.get("patch"), grown["patch"])["here"]
+    assert told.startswith("From x = 0.17")
+    assert "r0 in frame" in told
+    assert "look at run" in told
+    runs = runs_with("texture", {"amplitude": 0.8, "period": 0.03, "phase": 1.0}, (4.0, 5.0))
+    _, grown = explained(runs, "texture")
+    assert "one mark every 30.0 mm of the course" in words(effects.get("texture"), grown["texture"])["here"]
+    assert "here" not in words(effects.get("texture"))
+
+
+@pytest.mark.parametrize("name", sorted(set(effects.LIBRARY) - {"coulomb", "viscous", "lugre", "presliding"}))
+def test_every_effect_of_the_library_has_words_of_its_own(name):
+    from frictrack.diagnose.experiments.words import KEEPS  # noqa: PLC0415
+    from frictrack.diagnose.here import OWN  # noqa: PLC0415
+
+    assert name in KEEPS
+    assert name in OWN or name in ("stribeck", "measured_load")
