@@ -22,7 +22,6 @@ from frictrack.diagnose.rivals import information
 from frictrack.diagnose.shapes import SHAPES, Shape
 from frictrack.diagnose.terms import AXES, NAME, Formula, Term, bounds_of, coefficients_of, effect_of, letters_of
 from frictrack.diagnose.told import told
-from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow, settled, without
 from frictrack.fit.simulated.solve import Solution, settle_scatter
@@ -53,23 +52,25 @@ def formulas(solution: Solution, beside: Solution | None = None) -> list[dict[st
 
     Started from the law itself, and where more than noise remains from the law with what was found so far, `beside`.
     """
-    found = _found(solution, information(solution), _excess(solution))
+    found = _found(solution, _Judge(information(solution), _excess(solution)), solution.problem.model)
     if beside is not None and beside is not solution and not any(_is_noise(f.solution) for f in found):
-        found += _found(beside, information(solution), _excess(solution))
+        found += _found(beside, _Judge(information(solution), _excess(solution)), None)
     return [told(f, solution) for f in _ranked(found)[:SHOWN]]
 
 
-def _found(solution: Solution, bare: float, excess: float) -> list[Formula]:
-    """Formulas of one term, and of two where one leaves more than noise."""
-    judge = _Judge(bare, excess)
-    single = _rivals(judge, judge.added(solution, (), _terms(reduced(solution), FIRST)))
+def _found(solution: Solution, judge: _Judge, law: Model | None) -> list[Formula]:
+    """Formulas of one term, and of two where one leaves more than noise.
+
+    `law` is what may move beside them, where it may have been bent by what it lacks.
+    """
+    single = _rivals(judge, judge.added(solution, (), _terms(reduced(solution), FIRST)), law)
     if not single or _is_noise(single[0].solution):
         return single
     left = reduced(single[0].solution)
     return single + judge.added(single[0].solution, single[0].terms, _terms(left, SECOND))
 
 
-def _rivals(judge: _Judge, tried: Sequence[Formula]) -> list[Formula]:
+def _rivals(judge: _Judge, tried: Sequence[Formula], law: Model | None) -> list[Formula]:
     """The best of what was tried, and what explains as well in its place, best first.
 
     Beside a law that lacks something the scan ranks but roughly; beside the law of the best formula it is right.
@@ -77,8 +78,8 @@ def _rivals(judge: _Judge, tried: Sequence[Formula]) -> list[Formula]:
     if not tried:
         return []
     best = max(tried, key=lambda f: f.delta_bic)
-    if not _is_noise(best.solution):
-        best = judge.reseated(best)
+    if law is not None and not _is_noise(best.solution):
+        best = judge.reseated(best, law)
     left = reduced(best.solution, NAME)
     terms = _terms(left, FITTED, (best.terms[0].along.name,))
     near = [t for t in terms if _worth(terms[0], left) - _worth(t, left) < NEAR and t.shape != best.terms[0].shape]
@@ -125,18 +126,14 @@ class _Judge:
         except FrictrackError:
             return None
 
-    def reseated(self, best: Formula) -> Formula:
+    def reseated(self, best: Formula, law: Model) -> Formula:
         """The same formula where an effect of the law stands better elsewhere now that the law is not bent any more."""
         solution = best.solution
-        for effect in in_turn(Model(tuple(e for e in solution.problem.model.effects if not _is_own(e))))[1]:
+        for effect in in_turn(law)[1]:
             with suppress(FrictrackError):
-                moved = settled(grow(without(solution, effect.name), effect))
+                moved = grow(without(solution, effect.name), effect)
                 solution = moved if moved.objective < solution.objective else solution
         return self.of(best.terms, solution)
-
-
-def _is_own(effect: Effect) -> bool:
-    return effect.name.startswith(NAME)
 
 
 def _excess(solution: Solution) -> float:
