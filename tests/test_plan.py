@@ -1,0 +1,226 @@
+"""A plan promises what films then keep: pairs it calls parted are parted, those it leaves open are open.
+
+Truth is a simulation of the planned runs with noise, or a formula by hand.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
+
+from frictrack import effects, models
+from frictrack.cli import main, show
+from frictrack.diagnose.rivals import information
+from frictrack.errors import FrictrackError
+from frictrack.fit import fit
+from frictrack.fit.simulated.growth import grow, settled
+from frictrack.flow import open_study
+from frictrack.flow import plan as plan_study
+from frictrack.plan import Stand, choose, menu, of_fit, summary, usual
+from frictrack.plan.choose import tabled
+from frictrack.plan.stand import BRAKING, NOISE
+from frictrack.results import plain
+from frictrack.simulate.slide import Conditions, simulate
+
+BARE = '[study]\nname = "before"\nmass = "0.35 kg"\n[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
+LAW = ["coulomb", "stribeck", "viscous"]
+
+
+@pytest.fixture(scope="module")
+def chosen():
+    return choose(usual(MASS, FPS, PITCH))
+
+
+@pytest.fixture(scope="module")
+def told(chosen):
+    return json.loads(json.dumps(plain(summary(chosen)), allow_nan=False))
+
+
+def test_the_usual_set_up_is_stated_and_is_what_is_simulated(chosen, told):
+    stand = chosen.stand
+    assert stand.noise == NOISE * PITCH
+    assert stand.values["coulomb"]["F_c"] == MASS * BRAKING
+    assert any("0.02 px (10 µm)" in line for line in told["assumed"])
+    assert any("5 m/s²" in line for line in told["assumed"])
+    fast = next(r for r in chosen.tables.runs if r.entry.key == "8 m/s")
+    t, x = fast.piece.t, fast.response.motion.x_edge[fast.piece.at]
+    a = -(x[2] - 2 * x[1] + x[0]) / (t[1] - t[0]) ** 2
+    assert a == pytest.approx(BRAKING + 0.1 * BRAKING * 8.0, rel=1e-3)  # F_c and F_v v over m; Stribeck is gone
+
+
+def test_every_run_brings_pairs_apart_until_nothing_more_helps(chosen, told):
+    left = [told["pairs_before"], *(run["pairs_left"] for run in told["runs"])]
+    assert left[0] == told["pairs"] == len(chosen.tables.names) * (len(chosen.tables.names) - 1) // 2
+    assert all(b <= a for a, b in pairwise(left))
+    assert sum(run["adds"] for run in told["runs"]) >= left[0] - left[-1]
+    assert len(told["runs"]) <= 8
+    assert any(run["speed"] is not None and run["speed"] < 0 for run in told["runs"])  # a slope shows no other way
+    assert any(run["mass"] != MASS for run in told["runs"])  # a vibration against a shake of the camera
+
+
+def test_more_runs_never_tell_less(chosen):
+    few = chosen.tables.evidence([0, 5], reference=False)
+    more = chosen.tables.evidence([0, 5, 9], reference=False)
+    assert np.all(more[:, -1] >= few[:, -1] - 1e-6)
+
+
+def test_a_mark_at_rest_rules_the_camera_out(chosen):
+    k = chosen.tables.names.index("camera_shake")
+    v = chosen.tables.names.index("vibration")
+    without = chosen.tables.evidence([2], reference=False)
+    with_it = chosen.tables.evidence([2], reference=True)
+    assert without[v, k] < 10 < with_it[v, k]
+    assert with_it[k, v] >= without[k, v] + chosen.tables.shown[2, k] * 0.999
+
+
+def test_a_slope_and_a_direction_stay_together_and_a_level_settles_it(told):
+    left = {frozenset(one["effects"]): one for one in told["left"]}
+    alike = left[frozenset({"asymmetry", "slope"})]
+    assert alike["expected_chi2"] < 1e-3
+    assert alike["why"] == "every run of the menu is moved in the same way by both"
+    assert "level" in alike["settle"]
+
+
+def test_memory_is_not_seen_in_runs_that_only_slide_one_way(told):
+    unseen = {one["effect"]: one for one in told["unseen"]}
+    assert "presliding" in unseen
+    assert "reverse the drive" in unseen["presliding"]["settle"]
+    assert told["detection_limits"]["presliding"]["value"] is None
+    assert "drive_error" in told["not_planned"]
+
+
+def film_planned(chosen, name, factor=1.0, seed=4):
+    """Every planned run simulated with one effect at its planned size, seen with noise, levels scattering."""
+    rng, stand = np.random.default_rng(seed), chosen.stand
+    k = chosen.tables.names.index(name)
+    cause, size = chosen.tables.causes[k], chosen.tables.sizes[k] * factor
+    law = {n: dict(q) for n, q in stand.values.items()}
+    own = dict(cause.setting) | {p.name: 0.0 for p in cause.effect.linear}
+    first = next(p.name for p in cause.effect.parameters if p.linear or p.role == "depth")
+    made = []
+    for i, run in enumerate(chosen.runs):
+        film = run.entry.film
+        law[name] = (
+            own
+            | {first: size}
+            | {p.name: rng.uniform(-3, 3) for p in cause.effect.parameters if p.role == "phase" and p.per_run}
+        )
+        held = Conditions(MASS * film.mass, film.mass * (1 + stand.scatter * rng.standard_normal()), film.mass, PITCH)
+        t = run.piece.t
+        slide = simulate(models.of(law), law, held, t, film.start)
+        moving = int(np.argmin(np.sign(film.start[1]) * slide.v > 0.02)) or len(t)
+        x = (slide.x + slide.shift)[:moving]
+        made.append(measured(t[:moving], x, sigma=stand.noise, mass=held.mass, name=f"p{i}", rng=rng))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("name", "rival"), [("vibration", "camera_shake"), ("spring", "drift"), ("texture", "vibration")]
+)
+def test_films_of_the_planned_runs_keep_what_the_plan_promised(chosen, name, rival):
+    a, b = (chosen.tables.names.index(n) for n in (name, rival))
+    assert chosen.evidence[a, b] > 10
+    bare = fit(LAW, film_planned(chosen, name)).solution
+    true, other = (settled(grow(bare, effects.get(n))) for n in (name, rival))
+    assert information(other) - information(true) > 10
+    assert information(bare) - information(true) > 10
+
+
+def test_the_detection_limit_is_where_the_effect_begins_to_show(chosen, told):
+    limit = told["detection_limits"]["texture"]
+    assert limit["unit"] == "N"
+    for factor, shows in ((3 * limit["share"], True), (0.1 * limit["share"], False)):
+        bare = fit(LAW, film_planned(chosen, "texture", factor)).solution
+        rise = bare.objective - settled(grow(bare, effects.get("texture"))).objective
+        assert (rise > 40) is shows
+
+
+def test_runs_that_were_filmed_count_and_their_law_is_assumed():
+    law = {n: BASE[n] for n in ("coulomb", "viscous")}
+    runs, _ = study(models.of(law), law, specs=(Spec(3.0, 1, 0.1), Spec(5.0, 1, 0.1)), sigma=2e-5)
+    stand = of_fit(fit(list(law), runs))
+    assert stand.values["coulomb"]["F_c"] == pytest.approx(8.0, rel=0.01)
+    assert stand.noise == pytest.approx(2e-5, rel=0.1)
+    assert [e.key for e in stand.done] == ["run r0", "run r1"]
+    assert stand.done[0].film.start[1] == pytest.approx(3.0, rel=0.01)
+    tables, _ = tabled(stand, lambda done, total, what: None)
+    assert tables.runs[0].entry.key == "run r0"
+    assert len(tables.runs) > len(menu(stand)) // 2
+
+
+def test_a_course_too_short_for_any_run_is_said():
+    short = usual(MASS, 100.0, 1e-6)
+    with pytest.raises(FrictrackError, match="expected a course on which the mass can slide"):
+        choose(short)
+    assert isinstance(short, Stand)
+
+
+@pytest.fixture
+def before(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(BARE)
+    return path
+
+
+def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys):
+    begin = time.process_time()
+    main_ok(["plan", str(before), "--json"])
+    assert time.process_time() - begin < 60
+    found = json.loads(capsys.readouterr().out)
+    assert found["runs"]
+    assert found["runs"][0].keys() >= {"what", "speed", "mass", "incline_deg", "separates", "adds", "pairs_left"}
+    page = Path(found["page"]).read_text(encoding="utf-8")
+    assert "What to film" in page
+    assert found["runs"][0]["what"] in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    out = io.StringIO()
+    show.plan(Console(file=out, width=200), found)
+    said = out.getvalue()
+    assert "pairs left" in said
+    assert "presliding is not seen" in said
+
+
+def main_ok(argv):
+    with pytest.raises(SystemExit) as left:
+        main(argv)
+    assert left.value.code in (0, None)
+
+
+@pytest.mark.parametrize("command", ["run", "diagnose", "motion", "compare", "report"])
+def test_other_commands_say_that_runs_are_missing(before, capsys, command):
+    with pytest.raises(SystemExit) as left:
+        main([command, str(before)])
+    assert left.value.code == 2
+    assert "expected at least one [[run]] but got none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[camera]\nfps = 4000\nscale = 1e-4\n", "expected a mass in [study]"),
+        ("[study]\nmass = 1\n[camera]\nscale = 1e-4\n", "expected the frame rate in [camera]"),
+        ("[study]\nmass = 1\n[camera]\nfps = 4000\n", "expected a scale in [camera]"),
+    ],
+)
+def test_what_a_plan_needs_is_asked_for(tmp_path, text, says):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(FrictrackError) as raised:
+        plan_study(open_study(path, bare=True))
+    assert says in str(raised.value)
+    assert raised.value.usage
+
+
+def test_help_names_the_command():
+    said = subprocess.run([sys.executable, "-m", "frictrack", "--help"], capture_output=True, text=True, check=True)
+    assert "plan" in said.stdout
