@@ -16,6 +16,7 @@ from frictrack.cli.cells import number, plus_minus
 from frictrack.cli.cells import table as _table
 from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
 from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
+from frictrack.cli.unexplained import evidence, unexplained
 
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
@@ -158,8 +159,10 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     out.print(f"[bold]{verdict}[/bold]" + (f": [bold]{missing}[/bold]" if missing else ""))
     chi2, p, noise = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit", "noise_um"))
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
+    evidence(out, result.get("evidence") or [])
     if result["candidates"]:
         out.print(candidates(result["candidates"]))
+    unexplained(out, result.get("unexplained"))
     for remark in result.get("remarks", []):
         out.print(escape(remark))
     next_experiment(out, result.get("next_experiment") or [])

@@ -10,7 +10,7 @@ every run (surrogates: Schreiber & Schmitz 2000, Physica D 142), which keep what
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -54,10 +54,12 @@ class Evidence:
     acts_on: str  # force or measurement: where it puts the cause
     run: str | None = None  # None for all runs together
     name: str = ""
+    curve: Mapping[str, Array] = field(default_factory=dict)  # of the run that shows it best: t (s), left and told (m)
+    shown: str = ""  # that run
 
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON."""
-        return dict(vars(self))
+        return {key: value for key, value in vars(self).items() if key != "curve"}
 
 
 def evidence(
@@ -68,9 +70,15 @@ def evidence(
     for kind, name, series in _witnesses(runs, beside or {}):
         seen = _in_step(solution, runs, series, rng)
         if seen is not None and seen.p <= SURE:
-            found.append(_told(kind, name, seen))
+            run = runs[solution.responses[seen.piece].piece.run].name
+            found.append(replace(_told(kind, name, seen), curve=seen.curve, shown=run))
     felt = sensed(solution, runs, beside or {})
     return sorted([*found, *([felt] if felt else [])], key=lambda e: -e.share)
+
+
+def curves_of(found: Sequence[Evidence]) -> dict[str, dict[str, Array]]:
+    """What a picture of each is drawn from, under the place of each."""
+    return {f"evidence_{i}": dict(e.curve) for i, e in enumerate(found) if e.curve}
 
 
 def _witnesses(runs: Sequence[Run], beside: Beside) -> list[tuple[str, str, list[Array]]]:
@@ -93,6 +101,8 @@ class _Seen:
     way: str
     size: float  # of the load: N per kg and m/s^2
     frequency: float  # Hz, where it moves most
+    piece: int  # the one in which it shows best
+    curve: dict[str, Array]
 
 
 def _in_step(
@@ -112,6 +122,7 @@ def _in_step(
         traces = _traces(left, solution, smooth, (float(stretch), rng.uniform(size=len(runs))))
         null.append(max(_gain(left, columns)[0] for columns in traces.values()))
     gain, coefficients = own[way]
+    piece, curve = _curve(left, solution, _traces(left, solution, smooth, None)[way] @ coefficients)
     chance = float((1 + np.sum(np.array(null) >= best)) / (DRAWS + 1))
     return _Seen(
         share=float(np.clip(gain / max(left.excess, gain, 1e-300), 0.0, 1.0)),
@@ -119,7 +130,19 @@ def _in_step(
         way=way,
         size=float(coefficients[0]),
         frequency=_loudest([s for s in smooth if s is not None]),
+        piece=piece,
+        curve=curve,
     )
+
+
+def _curve(left: Reduced, solution: Solution, told: Array) -> tuple[int, dict[str, Array]]:
+    """The piece in which a trace (M,) is largest: what is left there and what is told, as displacement, m."""
+    ends = np.cumsum([len(m) for m in left.maps])[:-1]
+    parts = np.split(told, ends)
+    k = int(np.argmax([float(part @ part) for part in parts]))
+    piece = solution.responses[k].piece
+    back = (left.shifts[k] * piece.sigma).T * piece.sigma[:, None]
+    return k, {"t": piece.t, "left": back @ np.split(left.left, ends)[k], "told": back @ parts[k]}
 
 
 @dataclass(frozen=True)
@@ -207,7 +230,7 @@ def sensed(solution: Solution, runs: Sequence[Run], beside: Beside) -> Evidence 
     The residual displacement is what acceleration there is beside the model's, integrated twice; the sensor's bias and
     gain are free. Felt: the mass moves so. Not felt: the picture does.
     """
-    parts, chi2 = [], 0.0
+    parts, curves, chi2 = [], [], 0.0
     for r in solution.responses:
         run = runs[r.piece.run]
         none = np.full(len(run.displacement), np.nan)
@@ -217,7 +240,12 @@ def sensed(solution: Solution, runs: Sequence[Run], beside: Beside) -> Evidence 
             continue
         noise = float(noise_level(a, known)[0])
         t = run.displacement.t
-        parts.append(_by_frequency(r, np.interp(t, t[known], a[known]), noise))
+        a = np.interp(t, t[known], a[known])
+        parts.append(_by_frequency(r, a, noise))
+        columns = _felt(r, a[r.piece.frames])
+        rest = columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], columns[:, 0] - r.r, rcond=None)[0]
+        felt_there = (columns[:, 0] - rest) * r.piece.sigma
+        curves.append((run.name, {"t": r.piece.t, "left": r.r * r.piece.sigma, "told": felt_there}))
         chi2 += float(r.r @ r.r) - len(r.r)
     if not parts:
         return None
@@ -228,7 +256,9 @@ def sensed(solution: Solution, runs: Sequence[Run], beside: Beside) -> Evidence 
         return None
     share = float(weight @ (felt * seen)) / power
     sigma = float(np.sqrt(weight**2 @ (seen**2 * (noise_of + share**2)))) / power
-    return _judged(share, sigma, float(np.sum((seen**2 - 1)[weight > WORTH])) / max(chi2, 1e-300))
+    judged = _judged(share, sigma, float(np.sum((seen**2 - 1)[weight > WORTH])) / max(chi2, 1e-300))
+    shown, curve = max(curves, key=lambda c: float(np.sum(c[1]["left"] ** 2)))
+    return None if judged is None else replace(judged, curve=curve, shown=shown)
 
 
 def _by_frequency(response: Response, a: Array, noise: float) -> tuple[Array, Array, Array]:

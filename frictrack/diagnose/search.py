@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
-from frictrack.diagnose.evidence import Beside, Evidence, evidence, sensed
+from frictrack.diagnose.evidence import Beside, Evidence, curves_of, evidence, sensed
 from frictrack.diagnose.experiments import settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
@@ -164,16 +164,13 @@ def diagnose(
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         last = one_round(found[-1].law if found else start, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
-    seen = (
-        evidence(start, fit.runs, np.random.default_rng(seed), beside)
-        if (first.passing or first.tests.p_lack_of_fit < ALPHA / 2) and not fit.measured
-        else []
-    )
-    found_out = replace(_conclude(fit, first, last, found), evidence=seen)
-    if found_out.verdict == "complete":
-        return found_out
+    concluded = _conclude(fit, first, last, found)
+    if concluded.verdict == "complete":
+        return concluded
+    seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside)
     where = where_it_fails(start, np.random.default_rng(seed))
-    return replace(found_out, repeats=where.repeats, figures=found_out.figures | where.figures)
+    figures = concluded.figures | where.figures | curves_of(seen)
+    return replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
 
 
 def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
