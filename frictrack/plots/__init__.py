@@ -5,7 +5,7 @@ plots.motion(run).savefig("v3.pdf")
 
 from frictrack.plots.budget import budget
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned, unexplained
+from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
@@ -13,6 +13,7 @@ from frictrack.plots.modelled import modelled
 from frictrack.plots.profiles import profiles
 from frictrack.plots.settle import settle
 from frictrack.plots.style import number, plain_name, png, svg, unit
+from frictrack.plots.unexplained import in_step, unexplained
 
 __all__ = [
     "budget",
@@ -39,6 +40,7 @@ __all__ = [
     "scanned",
     "settle",
     "svg",
+    "in_step",
     "unexplained",
     "unit",
 ]
