@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.report import budgets, measured, record, settle, tables, words
+from frictrack.report import budgets, measured, record, settle, tables, unexplained, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -41,7 +41,8 @@ class Trial:
     evidence: Markup
     cards: list[tables.Card]
     scan: Markup
-    unexplained: Markup
+    unexplained: dict[str, Any] | None
+    in_step: list[dict[str, Any]]
 
 
 def write(results: Results, path: Path) -> Path:
@@ -184,7 +185,6 @@ def _trial(model: ModelResults, results: Results, draw: Draw) -> Trial:
     better = results.current if results.current is not model else None
     best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
-    left = diagnosis.get("unexplained")
     return Trial(
         headline=f"{plots.plain_name(model.name)} {words.lacks(diagnosis)}",
         diagnosis=diagnosis,
@@ -193,7 +193,8 @@ def _trial(model: ModelResults, results: Results, draw: Draw) -> Trial:
         evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
         cards=tables.cards(diagnosis),
         scan=draw(plots.scan(best, curves)) if plots.scanned(curves) else Markup(""),
-        unexplained=draw(plots.unexplained(left)) if left else Markup(""),
+        unexplained=unexplained.unexplained(diagnosis, draw),
+        in_step=unexplained.evidence(diagnosis, model.figures, draw),
     )
 
 
