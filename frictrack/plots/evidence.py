@@ -292,20 +292,3 @@ def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> 
     ax.set_title(effect, fontweight="normal")
     ax.set_ylabel(axis("amplitude", size_unit))
     _abscissa(ax, name, shown)
-
-
-@styled
-def unexplained(found: Mapping[str, Any]) -> Figure:
-    """Force that no effect explains, over the axis on which it repeats best."""
-    name = {
-        "x": axis("displacement x", "m"),
-        "t": axis("time since release t", "s"),
-        "v": axis("velocity v", "m/s"),
-    }
-    curve = np.asarray(found["curve"], dtype=float)
-    figure = blank(3.2, f"What no effect explains repeats best along {found['axis']}")
-    ax = figure.subplots()
-    ax.axhline(0, color="#666666", lw=0.7)
-    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILLION, marker="o", markersize=4)
-    ax.set(xlabel=name[found["axis"]], ylabel="unexplained force / N")
-    return figure
