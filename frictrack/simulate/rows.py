@@ -66,7 +66,8 @@ class Rows:
         panel = np.arange(p)
         for k in range(TAPS):
             at = self._first + k
-            np.add.at(sums, (slice(None), at), kick[:, :, k].T)
+            for total, own in zip(sums, kick[:, :, k].T, strict=True):
+                np.add.at(total, at, own)
             for last in (at + gap for gap in range(-TAPS + 1, TAPS)):  # edges up to which is summed
                 inside = (last >= 0) & (last <= p)
                 before, counted = inside & (panel < last) & (at > last), inside & (panel >= last) & (at <= last)
