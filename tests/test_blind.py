@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from frictrack.blind import benchmark, make, score
+from frictrack.blind import draw as drawing
 from frictrack.blind.bounds import ideal_size
 from frictrack.blind.detector import Detector, freedom, is_event, limit
 from frictrack.blind.draw import LAWS, candidates, draw
@@ -242,7 +243,9 @@ def test_the_same_seed_draws_the_same_study():
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind") / "out"
-    made_of = make(folder, 3, seed=4, workers=1)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(drawing, "MOST", 150)  # short runs, for speed
+        made_of = make(folder, 3, seed=4, workers=1)
     assert made_of["studies"] == 3
     return folder
 

@@ -1,13 +1,15 @@
 """How a diagnosis fares: detection limits of several ways side by side, and the scores of blind studies.
 
-    python pipelines/benchmarks/diagnosis [--only limits,blind] [--effects drag,texture] [--repeats 20]
+    python pipelines/benchmarks/diagnosis [--only limits,blind,notebook] [--effects drag,texture] [--repeats 20]
         [--peers-python PATH | --no-peers] [--blind FOLDER ...] [--json FILE]
 
 limits: one study (five runs, 10 um, 3 % scatter): the limit that frictrack states and the size that it names in 95 of
 100 repeats, the ideal detector's, the same detector's in the force domain, and a sparse regression's (PySINDy).
 
 blind: the scores of folders on which `frictrack blind score` has finished. What is measured is put into the file
-(default: results.json beside this one, which the notebook shows); the rest of it stays.
+(default: results.json beside this one); the rest of it stays.
+
+notebook: notebooks/blind.ipynb is executed again; it shows what results.json holds.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ from machine import described  # noqa: E402
 
 from diagnosis import run  # noqa: E402 - found only now
 
-PARTS = ("limits", "blind")
+PARTS = ("limits", "blind", "notebook")
 RESULTS = Path(__file__).with_name("results.json")
+NOTEBOOK = Path(__file__).resolve().parents[3] / "notebooks" / "blind.ipynb"
 
 
 def main() -> None:
@@ -54,8 +57,24 @@ def main() -> None:
         )
     if "blind" in wanted:
         known["blind"] = known.get("blind", {}) | {_kind(s): s for s in map(_score, args.blind)}
-    args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-    print(f"results: {args.json}")
+    if set(wanted) - {"notebook"}:
+        args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+        print(f"results: {args.json}")
+    if "notebook" in wanted:
+        _execute()
+        print(f"results: {NOTEBOOK}")
+
+
+def _execute() -> None:
+    """The notebook with the outputs of the stored results."""
+    import nbformat  # noqa: PLC0415
+    from nbclient import NotebookClient  # noqa: PLC0415
+
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(NOTEBOOK.parent)}}).execute()
+    for cell in notebook.cells:
+        cell.metadata.pop("execution", None)  # times of day
+    nbformat.write(notebook, NOTEBOOK)
 
 
 def _score(folder: Path) -> dict[str, Any]:
