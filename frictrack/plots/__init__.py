@@ -14,19 +14,23 @@ from frictrack.plots.profiles import profiles
 from frictrack.plots.settle import settle
 from frictrack.plots.style import number, plain_name, png, svg, unit
 from frictrack.plots.unexplained import in_step, unexplained
+from frictrack.plots.where import drawable, missing_force
 
 __all__ = [
     "budget",
     "candidates",
     "cutoff",
+    "drawable",
     "failing",
     "film",
     "fit",
     "friction",
     "history",
+    "in_step",
     "limited",
     "limits",
     "loops",
+    "missing_force",
     "modelled",
     "motion",
     "noise_um",
@@ -40,7 +44,6 @@ __all__ = [
     "scanned",
     "settle",
     "svg",
-    "in_step",
     "unexplained",
     "unit",
 ]

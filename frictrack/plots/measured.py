@@ -168,8 +168,9 @@ def friction(runs: Sequence[RunResults]) -> Figure:
     figure = blank(4.4, _friction_title(able))
     left, right = figure.subplots(1, 2, sharey=True)
     everything = []
-    for run, look in zip(able, style.RUNS * (len(able) // len(style.RUNS) + 1), strict=False):
-        f = run.friction
+    looks = {run.name: style.RUNS[k % len(style.RUNS)] for k, run in enumerate(runs)}
+    for run in able:
+        f, look = run.friction, looks[run.name]
         assert f is not None
         shown = style.broken(f.F, style.clear(f, run.motion.guard))
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):

@@ -23,8 +23,9 @@ from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
 GAP = 1.5  # usual steps of time beyond which a line is broken
+CLOSE = 0.12  # of a panel, within which two labels would touch
 MOST_PANELS = 12  # runs drawn; of more, those that fit worst
-AFTER: dict[str, Any] = {"color": style.SKY, "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
+AFTER: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def failing(
 
     `better` is a later model, whose residual is drawn behind.
     """
-    by_name = {run.name: run for run in runs}
+    by_name, colors = {run.name: run for run in runs}, style.run_colors(runs)
     shown = worst_runs(model, runs)
     columns = style.across(len(shown))
     rows = -(-len(shown) // columns)
@@ -86,16 +87,16 @@ def failing(
         ax = panels[k // columns, k % columns]
         if better is not None:
             _dots(ax, residuals(better, by_name[name]), with_band=False, **AFTER)
-        _dots(ax, residuals(model, by_name[name]), color=style.VERMILLION, zorder=3)
+        _dots(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
         ax.set_title(_panel_title(model, name), fontweight="normal")
-        _mark(ax, [s for s in spans if s["run"] == name])
+        _mark(ax, [s for s in spans if s["run"] == name], colors[name])
     _label_grid(panels, (axis("residual", residual_unit(model)),), len(shown))
-    handles: list[Any] = [Line2D([], [], color=style.VERMILLION, label=plain_name(model.name), **style.DOTS)]
+    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOTS)]
     if better is not None:
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
     handles.append(Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"))
     if spans:
-        handles.append(Patch(fc=style.FAILS, ec="#777777", hatch="\\\\", lw=0, label="fails; share of the error"))
+        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="fails here; share of the misfit"))
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
@@ -230,11 +231,17 @@ def _panel_title(model: ModelResults, name: str) -> str:
     return f"{name}: {number(row['errors']['rms_displacement_um'])} µm{told}"
 
 
-def _mark(ax: Axes, spans: Sequence[dict[str, Any]]) -> None:
+def _mark(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
+    """Every span as a shade in its run's colour, with its share; of neighbours that would overlap, the larger one's."""
     top = ax.get_xaxis_transform()
+    low, high = ax.get_xlim()
+    told: list[float] = []
     for s in spans:
         a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
-        ax.axvspan(a, b, fc=style.FAILS, ec="#999999", hatch="\\\\", lw=0, zorder=0.5, alpha=0.7)
+        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
+        if any(abs((a + b) / 2 - t) < CLOSE * (high - low) for t in told):
+            continue
+        told.append((a + b) / 2)
         share = f"{100 * s['share_of_error']:.0f} %"
         label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
         label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from typing import Any, ParamSpec
 
@@ -129,6 +129,16 @@ def band(ax: Axes, x: Array, middle: Array, sigma: Array, **look: Any) -> None:
 def broken(values: Array, mask: Mask) -> Array:
     """The values where the mask holds, NaN elsewhere: a line with gaps."""
     return np.where(mask, values, np.nan)
+
+
+def run_color(k: int) -> str:
+    """The colour of run number k of a study, the same in all figures."""
+    return str(RUNS[k % len(RUNS)]["color"])
+
+
+def run_colors(runs: Sequence[Any]) -> dict[str, str]:
+    """Colours of the runs of a study by name."""
+    return {run.name: run_color(k) for k, run in enumerate(runs)}
 
 
 def stretches(friction: Friction) -> list[slice]:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.report import budgets, measured, record, settle, tables, unexplained, words
+from frictrack.report import budgets, measured, record, settle, tables, unexplained, where, words
 from frictrack.report.numbers import formula, quantity
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -36,8 +36,6 @@ class Trial:
 
     headline: str
     diagnosis: Mapping[str, Any]
-    residual: Markup
-    spans: tables.Table
     evidence: Markup
     cards: list[tables.Card]
     scan: Markup
@@ -101,7 +99,8 @@ def render(results: Results) -> str:
         by_cell=words.measured_friction(results),
         own=_own(results, draw),
         told=words.own_motion(results.current) if results.current else [],
-        trials=[_trial(m, results, draw) for m in _failed(results)],
+        failures=[where.failure(m, results, draw, _headline(m)) for m in _failed(results)],
+        trials=[_trial(m, draw) for m in _failed(results)],
         settle=settle,
         steps=steps,
         hopeless=settle.hopeless(results.diagnosis),
@@ -180,16 +179,17 @@ def _own(results: Results, draw: Draw) -> Markup:
     return draw(plots.modelled(model, results.runs)) if model is not None and model.motion else Markup("")
 
 
-def _trial(model: ModelResults, results: Results, draw: Draw) -> Trial:
+def _headline(model: ModelResults) -> str:
+    return f"{plots.plain_name(model.name)} {words.lacks(model.diagnosis or {})}"
+
+
+def _trial(model: ModelResults, draw: Draw) -> Trial:
     diagnosis = model.diagnosis or {}
-    better = results.current if results.current is not model else None
     best = diagnosis["candidates"][0]["effect"] if diagnosis["candidates"] else ""
     curves: Mapping[str, Array] = model.figures.get(best, {})
     return Trial(
-        headline=f"{plots.plain_name(model.name)} {words.lacks(diagnosis)}",
+        headline=_headline(model),
         diagnosis=diagnosis,
-        residual=draw(plots.failing(model, results.runs, diagnosis["fails_at"], better)),
-        spans=tables.spans(diagnosis["fails_at"]),
         evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
         cards=tables.cards(diagnosis),
         scan=draw(plots.scan(best, curves)) if plots.scanned(curves) else Markup(""),

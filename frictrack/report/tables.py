@@ -168,10 +168,11 @@ def spans(found: Sequence[Mapping[str, Any]]) -> Table:
             span(s.get("x")),
             span(s.get("v")),
             f"{100 * s['share_of_error']:.0f} %",
+            number(s["p"], 1) if s.get("p") is not None else "",
         )
         for s in found
     ]
-    return table(("run", "t / ms", "x / m", "v / (m/s)", "share of the error"), rows, (1, 2, 3, 4))
+    return table(("run", "t / ms", "x / m", "v / (m/s)", "share of the misfit", "p"), rows, (1, 2, 3, 4, 5))
 
 
 @dataclass(frozen=True)

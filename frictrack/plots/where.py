@@ -1,0 +1,156 @@
+"""Where a model fails: the force that it misses, against every axis along which a failure may repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.plots import style
+from frictrack.plots.style import axis, band, blank, styled
+from frictrack.records import Array, Mask
+
+AXES = {
+    "t": ("time since release t", "s"),
+    "x": ("displacement x", "m"),
+    "v": ("velocity v", "m/s"),
+    "a": ("acceleration a", "m/s^2"),
+    "phase": ("phase", "cycles"),
+}
+WORDS = {"t": "time", "x": "place", "v": "velocity", "phase": "phase"}
+JUMP = 20.0  # usual steps along an axis beyond which a line is broken
+RUG = 0.03  # of a panel's height between the marks of two runs
+BELOW = 0.05  # of a panel's height, free at its foot
+
+
+def drawable(figures: Mapping[str, Mapping[str, Array]]) -> bool:
+    """Whether a diagnosis kept the missing force."""
+    return "residual_force" in figures
+
+
+@styled
+def missing_force(
+    figures: Mapping[str, Mapping[str, Array]],
+    spans: Sequence[Mapping[str, Any]],
+    colors: Mapping[str, str],
+    repeats: Sequence[Mapping[str, Any]] = (),
+) -> Figure:
+    """The missing force of all runs over time, place, velocity, acceleration and phase, with what they have in common.
+
+    `colors` are those of the fitted runs, in order; `spans` are marked at the foot of every panel. Bands: 2 standard
+    deviations. Raises KeyError where no such force was kept.
+    """
+    whole = figures["residual_force"]
+    shown = [name for name in AXES if name in whole]
+    figure = blank(6.6, _title(repeats))
+    panels = figure.subplots(2, 3)
+    factor, unit = style.scaled(whole["F"], "N")
+    reach = _reach(figures, shown)
+    shares = {r["axis"]: r for r in repeats}
+    for ax, name in zip(np.ravel(panels), shown, strict=False):
+        _runs(ax, whole, name, factor, list(colors.values()))
+        _common(ax, figures.get(f"common_{name}"), factor)
+        _rug(ax, whole, name, spans, colors)
+        ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+        ax.set_ylim(factor * (-reach - BELOW * 2 * reach - RUG * 2 * reach * len(colors)), factor * reach)
+        ax.set_xlabel(_label(name, whole))
+        ax.set_title(_told(shares.get(name)), fontweight="normal", fontsize=9.5)
+    for ax in panels[:, 0]:
+        ax.set_ylabel(axis("missing force", unit))
+    for ax in np.ravel(panels)[len(shown) :]:
+        ax.set_axis_off()
+    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, colors, spans)
+    return figure
+
+
+def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
+    if not repeats or repeats[0]["p"] > 0.01 or not repeats[0]["share"]:
+        return "The force that the model misses"
+    best = repeats[0]
+    return f"The force that the model misses repeats with {WORDS[best['axis']]} in {best['runs']} of {best['of']} runs"
+
+
+def _told(found: Mapping[str, Any] | None) -> str:
+    """What the other runs foretell along this axis."""
+    if found is None:
+        return ""
+    return f"other runs foretell {100 * found['share']:.0f} % of the misfit"
+
+
+def _label(name: str, whole: Mapping[str, Array]) -> str:
+    words, unit = AXES[name]
+    if name == "phase" and "frequency" in whole:
+        return f"{words} at {style.number(float(whole['frequency'][0]))} Hz / {unit}"
+    return axis(words, unit)
+
+
+def _reach(figures: Mapping[str, Mapping[str, Array]], shown: Sequence[str]) -> float:
+    """How far the force goes either way; a band wider than the force itself does not set the scale."""
+    whole = figures["residual_force"]
+    sure = np.abs(whole["F"]) + style.SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]))
+    usual = float(np.median(whole["sigma_F"])) * style.SIGMAS
+    return 1.1 * max(float(np.max(sure, initial=0.0)), usual, 1e-12)
+
+
+def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, colors: Sequence[str]) -> None:
+    """One thin line with its band per run, broken where the axis jumps."""
+    for k in np.unique(whole["run"]).astype(int):
+        mine = whole["run"] == k
+        along, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+        steps = np.abs(np.diff(along, prepend=along[0]))
+        force = style.broken(force, steps <= JUMP * max(float(np.median(steps)), 1e-12))
+        color = colors[k]
+        band(ax, along, factor * force, factor * sigma, color=color, alpha=0.12, zorder=1.5)
+        ax.plot(along, factor * force, color=color, lw=1.0, alpha=0.9, zorder=2)
+
+
+def _common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
+    if curve is None:
+        return
+    known = np.isfinite(curve["F"])
+    at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
+    band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4)
+
+
+def _rug(
+    ax: Axes,
+    whole: Mapping[str, Array],
+    name: str,
+    spans: Sequence[Mapping[str, Any]],
+    colors: Mapping[str, str],
+) -> None:
+    """A bar for every span at the foot of the panel, in its run's colour."""
+    if name == "phase":
+        return
+    foot = ax.get_xaxis_transform()
+    names = list(colors)
+    for s in (s for s in spans if s["run"] in colors):
+        k = names.index(s["run"])
+        inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], s["v"])
+        if inside.any():
+            reach, y = whole[name][inside], BELOW / 2 + RUG * k
+            ends = [float(reach.min()), float(reach.max())]
+            ax.plot(ends, [y, y], transform=foot, color=colors[s["run"]], lw=3.0, solid_capstyle="butt", zorder=5)
+
+
+def _within(values: Array, reach: Sequence[float]) -> Mask:
+    room = 1e-6 + 1e-3 * (reach[1] - reach[0])
+    return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
+
+
+def _legend(figure: Figure, ax: Axes | None, colors: Mapping[str, str], spans: Sequence[Any]) -> None:
+    handles: list[Any] = [Line2D([], [], color=color, label=name) for name, color in colors.items()]
+    handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
+    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.SIGMAS:g} std"))
+    if spans:
+        handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
+    if ax is None:
+        figure.legend(handles=handles, loc="outside lower left", ncols=6)
+    else:
+        ax.legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)

@@ -1,0 +1,80 @@
+"""Where a model fails: its figures, its spans, and whether the failure repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from frictrack import plots
+from frictrack.plots.style import run_colors
+from frictrack.report.numbers import number
+from frictrack.report.tables import Table, spans, table
+from frictrack.results import ModelResults, Results
+
+AXES = {
+    "x": "place on the course",
+    "t": "time since release",
+    "v": "velocity",
+    "phase": "phase of one frequency",
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One model that fails, and where."""
+
+    headline: str
+    fit: str  # how far its misfit is beyond the noise
+    residual: Markup
+    force: Markup
+    words: str
+    repeats: Table
+    spans: Table
+
+
+def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> Failure:
+    """Where one model fails, as its diagnosis says."""
+    diagnosis = model.diagnosis or {}
+    better = results.current if results.current is not model else None
+    found, repeated = diagnosis.get("fails_at", []), diagnosis.get("repeats", [])
+    fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
+    colors = {name: color for name, color in run_colors(results.runs).items() if name in fitted}
+    pictured = plots.missing_force(model.figures, found, colors, repeated) if plots.drawable(model.figures) else None
+    return Failure(
+        headline=headline,
+        fit=_fit(diagnosis),
+        residual=draw(plots.failing(model, results.runs, found, better)),
+        force=Markup("") if pictured is None else draw(pictured),
+        words=diagnosis.get("repeats_words", ""),
+        repeats=_repeats(repeated),
+        spans=spans(found),
+    )
+
+
+def _fit(diagnosis: Mapping[str, Any]) -> str:
+    """The lack of fit in one sentence."""
+    chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
+    if chi2 is None or p is None:
+        return ""
+    chance = "less often than" if p <= 0.001 else "in a share of"
+    return (
+        f"What the model leaves is {number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
+        f"{number(chi2, 3)}); noise alone looks like this {chance} {number(p, 1)} of all draws."
+    )
+
+
+def _repeats(found: Sequence[Mapping[str, Any]]) -> Table:
+    rows = [
+        (
+            AXES[r["axis"]] + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            f"{100 * r['share']:.0f} %",
+            f"{r['runs']} of {r['of']}",
+            number(r["p"], 2),
+        )
+        for r in found
+    ]
+    return table(("the failure repeats with", "misfit that the other runs foretell", "runs", "p"), rows, (1, 2, 3))
