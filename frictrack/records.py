@@ -91,6 +91,7 @@ class Track(Table):
     target: tuple[float, float, float, float] | None = None  # rectangle x, y, w, h in frame `template`, px
     template: int = 0  # number of the frame in which `target` stands
     picture: Array | None = None  # the target averaged over the run, grey values
+    systematic: float = scalar("px", default=0.0)  # rms by which places are off slowly, beside the noise
     notes: tuple[str, ...] = ()  # measurement findings, in words
 
     @property
@@ -112,6 +113,7 @@ class Displacement(Table):
     valid: Mask = column("", kind=np.bool_)
     pixel_pitch: float | None = scalar("m", default=None)
     relative_scale_error: float = scalar("1", default=0.0)
+    systematic: float = scalar("m", default=0.0)  # rms of what a tracker is off by slowly, beside its noise
     shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
 

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from scipy.fft import dct
 
+from frictrack.calibration import calibrate
+from frictrack.diagnose.null import slow_errors
 from frictrack.recording import open_recording
-from frictrack.records import Array
+from frictrack.records import Array, Track
 from frictrack.tracking import track
 from frictrack.tracking.sharp import drawn_to_pixels, smoothed
 
@@ -92,3 +95,14 @@ def test_what_repeats_from_pixel_to_pixel_is_told_and_the_motion_is_kept() -> No
     assert abs(size[0] - 0.02) < 0.001
     assert not off[:, 1].any()
     assert np.max(np.abs(drawn_to_pixels(frames, seen)[0])) < 0.002
+
+
+def test_what_stays_off_slowly_is_as_large_in_every_octave_and_goes_with_the_pitch() -> None:
+    errors = slow_errors((512, 400), np.random.default_rng(3))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.02)
+    energy = np.sum(dct(errors, axis=0, norm="ortho") ** 2, axis=1)
+    octaves = [energy[2**k : 2 ** (k + 1)].sum() for k in range(1, 6)]
+    assert np.ptp(octaves) < 0.3 * np.mean(octaves)
+    t = np.arange(50) / 4000
+    seen = Track(t, 3 + 400 * t, 0 * t, 0 * t, 0.01 + 0 * t, 0.01 + 0 * t, 1 + 0 * t, np.full(50, ""), systematic=1e-3)
+    assert calibrate(seen, "0.5 mm/px").systematic == pytest.approx(0.5e-6)

@@ -58,6 +58,7 @@ def calibrate(
         x, y = _along_path(plane, line, y)
     place = place - _zero(plane, origin_px)
     ends = _ends(at[valid], place[valid] @ x)
+    pitch = _pitch(plane, ends.mean(axis=0), x)
     notes = (*_told(plane, ends, x), *remarks(line, x, axis))
     return Displacement(
         t=track.t,
@@ -67,7 +68,8 @@ def calibrate(
         sigma_x=_sigma(variance, jacobian, x),
         sigma_y=_sigma(variance, jacobian, y),
         valid=valid,
-        pixel_pitch=_pitch(plane, ends.mean(axis=0), x),
+        pixel_pitch=pitch,
+        systematic=track.systematic * pitch,
         relative_scale_error=plane.length(ends)[1],
         notes=(*track.notes, *told, *notes),
     )

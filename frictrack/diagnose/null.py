@@ -1,8 +1,8 @@
 """What the data would look like if nothing were missing: parametric bootstrap draws through the same pipeline.
 
-A draw is white noise of the measured level plus levels scattering by the fitted spread, seen through the
-linearised model. Its noise level and its spread are estimated again, as they were for the data, so that both
-uncertainties enter every p-value.
+A draw is white noise of the measured level, what a tracker is off by slowly, and levels scattering by the fitted
+spread, seen through the linearised model. Its noise level and its spread are estimated again, as they were for the
+data, so that both uncertainties enter every p-value.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.fft import idct
 
 from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.problem import Response
@@ -20,6 +21,7 @@ from frictrack.records import Array, Mask
 
 DRAWS = 999
 TAUS = np.geomspace(0.002, 0.32, 9)
+FEWEST = 4  # frames in half a wave of what changes slowly
 WHITE = 20.0  # variance of a third difference of white noise of variance one
 
 
@@ -88,8 +90,21 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
         for i in mine:
             e = out[law.rows[i]]
             e /= level
+            piece = law.strips[i].response.piece
+            if piece.systematic:
+                e += slow_errors(e.shape, rng) * (piece.systematic / piece.sigma)[:, None]
             q = law.strips[i].response.q.astype(np.float32)
             e -= q @ (q.T @ e)
+
+
+def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
+    """Errors (n, D) of rms one that are as large in every octave from a few frames to the whole piece."""
+    waves = np.zeros(shape, dtype=np.float32)
+    k = np.arange(1, max(shape[0] // FEWEST, 2), dtype=np.float32)[:, None]
+    size = np.sqrt(shape[0] / np.sum(1 / k)) / np.sqrt(k)
+    waves[1 : 1 + len(k)] = size * rng.standard_normal((len(k), shape[1]), dtype=np.float32)
+    errors: Short = idct(waves, axis=0, norm="ortho")
+    return errors
 
 
 def _draw(rng: np.random.Generator, out: Short) -> None:

@@ -24,6 +24,7 @@ Progress = Callable[[int, int, str], None]
 
 LEAST_CONTRAST = 3  # grey values
 CHUNK = 256  # frames measured at once
+SYSTEMATIC = 1e-3  # px rms that places stay off slowly: the picture that was learnt, blur that changes with the speed
 TOLD = 0.01  # px by which places are drawn to the pixels that is worth a word
 SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
@@ -165,6 +166,7 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
+        systematic=SYSTEMATIC,
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
 

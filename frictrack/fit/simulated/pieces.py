@@ -50,6 +50,7 @@ class Piece:
     angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a segment of a longer stretch
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
+    systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
@@ -251,6 +252,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Pie
         mass=mass,
         way=begin.way,
         angle=_bridged(times, run.displacement.angle, t),
+        systematic=run.displacement.systematic,
     )
 
 
