@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.compare import failing_spans
 from frictrack.diagnose.evidence import Beside, Evidence, curves_of, evidence, sensed
-from frictrack.diagnose.experiments import settling
+from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
 from frictrack.diagnose.repeats import Repeats
@@ -144,7 +144,9 @@ def diagnose(
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
-    start = fit.solution if fit.route.plain or fit.measured else settled(fit.solution)
+    start = fit.solution if fit.route.plain else settled(fit.solution)
+    if fit.measured:
+        start, _ = series.weighed(fit.solution)
     felt = None if fit.measured else sensed(start, fit.runs, beside or {})
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[Tried] = []
@@ -155,14 +157,17 @@ def diagnose(
 
         if last.passing and len(found) < MOST_EFFECTS:
             best = finished(_preferred(last.passing, felt))
-            found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
+            found.append(replace(best, indistinguishable_from=_alike(best, _possible(last.tried, felt))))
+        elif fit.measured:
+            break
         else:
             before = [t.effect.name for t in found]
             found = reviewed(found, own, told)
             if [t.effect.name for t in found] == before:
                 break
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
-        last = one_round(found[-1].law if found else start, own, rng, told)
+        law = found[-1].law if found else start
+        last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict == "complete":
@@ -178,6 +183,18 @@ def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
     return [t for t in tried if felt is None or t.effect.acts_on == felt.acts_on]
 
 
+def _alike(best: Tried, tried: Sequence[Tried]) -> tuple[str, ...]:
+    """What cannot be told from the best, where friction was measured beside the noise that the best one leaves."""
+    if best.law.problem.simulates:
+        return rivals(best, tried)
+    _, noise = series.weighed(best.law)
+    return rivals(*_recounted([best], noise), _recounted(tried, noise))
+
+
+def _recounted(tried: Sequence[Tried], noise: series.Noise) -> list[Tried]:
+    return [t if t.solution is None else replace(t, solution=series.counted(t.solution, noise)) for t in tried]
+
+
 def _preferred(passing: Sequence[Tried], felt: Evidence | None) -> Tried:
     """The best of what passes, or what explains nearly as well and is what an accelerometer feels."""
     near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < NEAR]
@@ -186,7 +203,7 @@ def _preferred(passing: Sequence[Tried], felt: Evidence | None) -> Tried:
 
 def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
     listed = _listed(first, found)
-    leftover = last.tests.p_lack_of_fit < ALPHA / 2
+    leftover = last.tests.p_lack_of_fit < ALPHA / 2 and not fit.measured  # there the noise is what is left
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
         verdict = "complete"
@@ -195,14 +212,14 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
     else:
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
-    noise = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)))
+    noise, misfit = _noise(fit)
     return Diagnosis(
         model=fit.model.names,
         verdict=verdict,
         missing=[t.effect.name for t in found],
         noise_um=None if fit.measured else 1e6 * noise,
         noise_N=noise if fit.measured else None,
-        reduced_chi2=fit.reduced_chi2,
+        reduced_chi2=misfit,
         p_lack_of_fit=first.tests.p_lack_of_fit,
         fails_at=[] if clean else _fails_at(fit, found),
         candidates=listed,
@@ -210,8 +227,18 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         detection_limits=limits,
         remarks=_remarks(fit, first.barred),
         figures=curves,
-        next_experiment=_next(first, found),
+        next_experiment=for_unexplained(last.solution) if verdict == "unexplained" else _next(first, found),
     )
+
+
+def _noise(fit: Fit) -> tuple[float, float]:
+    """Noise of a frame, m, or N where friction was measured; and the reduced chi-squared beside it."""
+    if not fit.measured:
+        noise = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)))
+        return noise, fit.reduced_chi2
+    noise = series.weighed(fit.solution)[1].rms
+    left = np.concatenate([r.r * r.piece.sigma for r in fit.solution.responses])
+    return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
 
 def _listed(first: Round, found: list[Tried]) -> list[Candidate]:
@@ -308,7 +335,7 @@ def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str
 def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
     out = [f"not tried: {'; '.join(barred.values())}"] if barred else []
     if fit.measured:
-        return out + series.remarks(fit.solution, fit.runs)
+        return out + series.remarks(fit.solution, fit.runs, series.weighed(fit.solution)[1])
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
     if any(run.has_incline for run in fit.runs):

@@ -73,11 +73,11 @@ def _run(chosen: Chosen, step: Step) -> dict[str, Any]:
 
 def _unseen(chosen: Chosen) -> dict[int, dict[str, Any]]:
     """Causes that these runs would not show at their stated size."""
-    out = {}
+    out, enough = {}, threshold()
     for k, (name, e) in enumerate(zip(chosen.tables.names, chosen.evidence[:, -1], strict=True)):
-        if e < PARTED:
+        if e < enough:
             effect = chosen.tables.causes[k].effect
-            why = f"at its stated size it changes chi-squared by {e:.2g} beside the law; {PARTED:g} would show it"
+            why = f"at its stated size it changes chi-squared by {e:.2g} beside the law; {enough:.2g} would show it"
             out[k] = {"effect": name, "why": why, "settle": _settles(effect)}
     return out
 

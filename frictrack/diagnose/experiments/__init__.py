@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 from typing import Any
 
+from frictrack.diagnose.experiments.axes import along_axes
 from frictrack.diagnose.experiments.beside import checks
 from frictrack.diagnose.experiments.expected import Duel, Explanation, explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
@@ -19,12 +20,24 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.solve import Solution
 
-__all__ = ["Duel", "Experiment", "Explanation", "explanation", "menu", "next_experiment", "settling"]
+__all__ = [
+    "Duel",
+    "Experiment",
+    "Explanation",
+    "explanation",
+    "films",
+    "for_unexplained",
+    "menu",
+    "next_experiment",
+    "settling",
+]
 
 NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
 PARTED = 10.0  # expected difference of BIC from which two explanations are told apart
 MOST = 3  # explanations that are compared with each other
 SHOWN = 5  # experiments that are told
+AXES = 2  # along which what no effect explains is compared
+SIMPLE = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that tell axes apart
 EFFORT = ("accelerometer", "course sensor", "known weight")  # what has to be bought, fixed and brought in time
 DEAR = 10.0  # times as much evidence as a film must come from these to be preferred
 
@@ -84,19 +97,29 @@ def _groups(names: Sequence[str], parted: Sequence[Pair]) -> list[list[str]]:
     return sorted(groups, key=len)
 
 
-def next_experiment(explanations: Sequence[Explanation], tell: Progress = lambda what: None) -> list[dict[str, Any]]:
+def next_experiment(
+    explanations: Sequence[Explanation], tell: Progress = lambda what: None, keys: Sequence[str] = ()
+) -> list[dict[str, Any]]:
     """What would part explanations of the same runs, best first: JSON; the first `MOST` of them are compared.
 
-    Where nothing of the menu can, one entry says so and names other means.
+    `keys` may name the runs of the menu that are weighed. Where nothing of it can, one entry says so and names other
+    means.
     """
     among = list(explanations)[:MOST]
     if len(among) < 2 or any(is_series(e.solution.problem) or _turns(e) for e in among):
         return []
     names = [e.effect for e in among]
-    offers = [offer for offer in (*films(among, tell), *beside(among)) if offer.parted()]
+    offers = [offer for offer in (*films(among, tell, keys), *beside(among)) if offer.parted()]
     out = [offer.summary(names) for offer in _ordered(offers)[:SHOWN]]
     left = [pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.parted() for o in offers)]
     return out + [_hopeless(pair, among) for pair in left]
+
+
+def for_unexplained(solution: Solution, tell: Progress = lambda what: None) -> list[dict[str, Any]]:
+    """What would tell whether that which a law leaves belongs to the place, the time or the speed: JSON."""
+    if is_series(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
+        return []
+    return next_experiment(along_axes(solution)[:AXES], tell, SIMPLE)
 
 
 def settling(
@@ -134,10 +157,12 @@ def _ordered(offers: Sequence[Offer]) -> list[Offer]:
     return out
 
 
-def films(among: Sequence[Explanation], tell: Progress = lambda what: None) -> Iterator[Offer]:
-    """Every run of the menu with the evidence expected of it."""
+def films(
+    among: Sequence[Explanation], tell: Progress = lambda what: None, keys: Sequence[str] = ()
+) -> Iterator[Offer]:
+    """Every run of the menu (or those of some `keys`) with the evidence expected of it."""
     duels = {(a.effect, b.effect): Duel(a, b) for a, b in permutations(among, 2)}
-    for entry in menu(among[0].solution):
+    for entry in (e for e in menu(among[0].solution) if not keys or e.key in keys):
         tell(f"weighing an experiment: {entry.key}")
         yield Offer(entry.key, entry.words, "film", {pair: _after(duel, entry) for pair, duel in duels.items()})
 
