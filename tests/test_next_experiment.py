@@ -15,7 +15,16 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import Duel, Explanation, explanation, films, menu, next_experiment, settling
+from frictrack.diagnose.experiments import (
+    Duel,
+    Explanation,
+    explanation,
+    films,
+    for_unexplained,
+    menu,
+    next_experiment,
+    settling,
+)
 from frictrack.diagnose.experiments.beside import ACCELEROMETER, LEVEL, checks
 from frictrack.diagnose.experiments.planned import Film, filmed
 from frictrack.diagnose.here import words
@@ -193,6 +202,18 @@ def test_the_diagnosis_tells_it_in_json_best_first():
     group = {found.best.effect, *found.best.indistinguishable_from}
     assert set(steps[0]["separates"]) <= group | {c.effect for c in found.candidates}
     assert any(step["key"] == "reference" for step in steps)
+
+
+def test_what_no_effect_explains_gets_a_run_that_tells_its_axis():
+    joint = effects.formula("joint", "F*s*tanh((x - x_c)/w)", bounds={"x_c": (0.0, 1.0), "w": (0.001, 0.1)})
+    law = {n: BASE[n] for n in LAW} | {"joint": {"F": 0.3, "x_c": 0.15, "w": 0.01}}
+    specs = tuple(Spec(v, 1, 0.06) for v in (4.0, 4.1))
+    runs, _ = study(models.of([*LAW, joint]), law, specs=specs, sigma=SIGMA)
+    told = for_unexplained(fit(LAW, runs).solution)
+    assert told[0]["kind"] == "film"
+    assert "place" in told[0]["separates"]
+    assert told[0]["expected_if_true"]["place"] > 10
+    assert "what is tied to the place comes again at the same place" in told[0]["what"]
 
 
 def test_candidates_speak_of_the_numbers_of_this_study():
