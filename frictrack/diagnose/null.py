@@ -120,4 +120,5 @@ def _third_differences(response: Response, e: Short) -> tuple[Array, int]:
 
 def _neighbours(frames: Array) -> Mask:
     """Which third differences have four neighbouring frames."""
-    return np.asarray(frames[3:] - frames[:-3] == 3)
+    step = int(np.median(np.diff(frames)))  # of a series of which only every so many frames count
+    return np.asarray(frames[3:] - frames[:-3] == 3 * step)

@@ -188,7 +188,7 @@ def _alike(best: Tried, tried: Sequence[Tried]) -> tuple[str, ...]:
     if best.law.problem.simulates:
         return rivals(best, tried)
     _, noise = series.weighed(best.law)
-    return rivals(*_recounted([best], noise), _recounted(tried, noise))
+    return rivals(_recounted([best], noise)[0], _recounted(tried, noise))
 
 
 def _recounted(tried: Sequence[Tried], noise: series.Noise) -> list[Tried]:

@@ -1,6 +1,7 @@
 """Runs whose friction was measured: fitted to that series, without differentiation and without a mass."""
 
 from frictrack.fit.series.law import covariance, heldout_rms, search_series, solve_series
+from frictrack.fit.series.noise import Noise, counted, weighed
 from frictrack.fit.series.problem import (
     SeriesPiece,
     SeriesProblem,
@@ -14,10 +15,12 @@ from frictrack.fit.series.problem import (
 from frictrack.fit.series.told import curves, errors_of, remarks, row
 
 __all__ = [
+    "Noise",
     "SeriesPiece",
     "SeriesProblem",
     "check_model",
     "common_load",
+    "counted",
     "covariance",
     "curves",
     "errors_of",
@@ -30,4 +33,5 @@ __all__ = [
     "series_pieces",
     "solve_series",
     "spans_of_series",
+    "weighed",
 ]

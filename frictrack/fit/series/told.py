@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.fit.series.law import likeness
+from frictrack.fit.series.noise import Noise
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array, Curve, Run
@@ -49,12 +50,12 @@ def errors_of(responses: Sequence[Response]) -> dict[str, Any]:
     force = np.concatenate([r.piece.y for r in responses])
     return dict.fromkeys(UNKNOWN) | {
         "rms_N": _rms(left),
-        "noise_N": noise(responses),
+        "noise_N": white(responses),
         "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
     }
 
 
-def noise(responses: Sequence[Response]) -> float:
+def white(responses: Sequence[Response]) -> float:
     """White noise of the cell, N, rms."""
     return _rms(np.concatenate([r.piece.sigma for r in responses]))
 
@@ -69,7 +70,7 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
         "role": role,
         "level": level,
         "noise_um": None,
-        "noise_N": noise([response]),
+        "noise_N": white([response]),
         "correlated_s": likeness(response.r) * interval,
         "segments": 1,
         "segment_s": float(response.piece.t[-1] - response.piece.t[0]),
@@ -77,17 +78,15 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
     }
 
 
-def remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
+def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
     """What a diagnosis on a measured friction rests on, in words."""
-    alike = []
-    for response in solution.responses:
-        run = runs[response.piece.run]
-        alike.append(likeness(response.r) * float(np.median(np.diff(run.motion.t))))
+    interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
-    if max(alike) > 0:
+    if noise.alike > 1:
         out.append(
-            f"what the model leaves is alike over {max(alike):.2g} s: the law misses something or the cell drifts; "
-            "p-values take the cell's noise as white, so read them as a ranking"
+            f"what the model leaves is {noise.rms:.2g} N rms and alike over {noise.alike * interval:.2g} s (the cell's "
+            f"white noise is {white(solution.responses):.2g} N): the law lacks something or the cell drifts. All of it "
+            f"is taken as noise, {noise.alike:.3g} frames as one, so that only what explains much of it passes"
         )
     return out
 
