@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from frictrack import effects
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import draw as drawing
 from frictrack.blind.bounds import ideal_size
@@ -240,11 +241,15 @@ def test_the_same_seed_draws_the_same_study():
 # --- seal and benchmark
 
 
+SOME = ("coulomb", "stribeck", "viscous", "drag", "texture", "lens", "slope")  # a small library, for speed
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind") / "out"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(drawing, "MOST", 150)  # short runs, for speed
+        patched.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
         made_of = make(folder, 3, seed=4, workers=1)
     assert made_of["studies"] == 3
     return folder
@@ -280,6 +285,7 @@ def test_kinds_come_in_proportion_and_in_no_order():
 
 
 def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
     done: list[str] = []
     real = benchmark.judge
 
