@@ -23,6 +23,7 @@ from frictrack.records import Array
 
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
 LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
+MOST_SIMULATED = 6
 AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
 
 Tell = Callable[[str], None]
@@ -104,7 +105,8 @@ def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str
 def _is_worth(done: list[Tried], new: Tried) -> bool:
     """Whether a trial is worth a simulation: the first that passes, and what may be as good as the best."""
     known = [t.delta_bic for t in done if t.solution is not None]
-    return new.p < ALPHA / 2 and (not known or new.delta_bic > AS_GOOD * max(known) - NEAR - 2 * SAME)
+    near = not known or new.delta_bic > AS_GOOD * max(known) - NEAR - 2 * SAME
+    return near and new.p < ALPHA / 2 and len(known) < MOST_SIMULATED
 
 
 def _paid(law: Beside, layout: Layout) -> float:

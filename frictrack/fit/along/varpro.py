@@ -25,6 +25,7 @@ SLACK = 0.1  # of what an effect explains: how far behind a place may look befor
 NOISE = 12.0  # the same in units of the noise
 COUPLED = 0.1  # share of each other that two effects explain, for them to be sought anew together
 UNSAID = 30.0  # in units of the noise: more than the best of a thousand forms gains by chance
+SHORT = 64  # places of a scan that costs nothing
 GAIN = 1e-6  # of the misfit that a trial must gain to be kept
 
 
@@ -62,6 +63,14 @@ class Search:
         return frozenset(
             (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(price, best[i.effect])
         )
+
+    def exchanged(self, problem: Projected, state: State, effect: str) -> State:
+        """The law with one effect, and all whose scan is as short, where they explain most beside each other."""
+        whole = self.items
+        self.items = [i for i in whole if i.effect == effect or len(self.tables.grid(i).values) <= SHORT]
+        state = self._exchanged(problem, state)
+        self.items = whole
+        return state
 
     def first(self) -> Array:
         """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""

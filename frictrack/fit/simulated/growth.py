@@ -19,6 +19,7 @@ from frictrack.fit.unknowns.layout import Layout
 from frictrack.models import Model
 from frictrack.records import Array
 
+TRIAL_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
 TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
 
 
@@ -87,14 +88,14 @@ def simulated(law: Beside, trial: Trial) -> Solution:
         starts = problem.first_starts()
     tau = seen.tau or 0.03
     try:
-        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS)
+        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
     except FrictrackError:  # the law is no motion yet: without the effect it was one
         there = dict(zip(seen.problem.layout.names, seen.p, strict=True))
         mine = [s.linear and s.effect == trial.effect.name for s in layout.slots]
         kept = zip(layout.names, trial.p, mine, strict=True)
         p = np.array([there.get(n, 0.0 if gone else value) for n, value, gone in kept])
         first = refine(problem, p, seen.starts, tau=tau, free=layout.coefficients, max_steps=4)
-        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS)
+        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
 
 
 def settled(solution: Solution) -> Solution:

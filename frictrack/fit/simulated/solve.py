@@ -110,7 +110,7 @@ class _Walk:
         return trial
 
 
-def refine(
+def refine(  # noqa: PLR0913 - one door to the solver, all settings named
     problem: Problem,
     p: Array,
     starts: Sequence[Array],
@@ -118,10 +118,11 @@ def refine(
     tau: float = 0.03,
     free: Mask | None = None,
     max_steps: int = 20,
+    enough: float = ENOUGH,
 ) -> Solution:
     """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
 
-    `free` (P,) tells which unknowns may move; default all.
+    `free` (P,) tells which unknowns may move; default all. A step that promises less than `enough` is not taken.
     """
     low, high = problem.layout.bounds
     if free is not None:
@@ -129,9 +130,9 @@ def refine(
     walk = _Walk(problem, tau, low, high, free is None)
     state, damping = walk.at(p, list(starts)), FIRST_DAMPING
     for _ in range(max_steps):
-        enough = ENOUGH * max(1.0, state.objective / max(problem.n_frames, 1))
+        least = enough * max(1.0, state.objective / max(problem.n_frames, 1))
         step, promised = _step(state, damping, (low, high))
-        if promised < enough or damping > MOST_DAMPED:
+        if promised < least or damping > MOST_DAMPED:
             break
         try:
             trial = walk.stepped(state, step)
@@ -143,7 +144,7 @@ def refine(
             state, damping = trial, max(damping * 0.01, UNDAMPED)
         else:
             damping *= 100
-        if 0 < improved < enough and damping == UNDAMPED:
+        if 0 < improved < least and damping == UNDAMPED:
             break
     return state
 
@@ -192,11 +193,17 @@ def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
 
 
 def settle_scatter(
-    problem: Problem, p: Array, starts: Sequence[Array], tau: float = 0.03, *, max_steps: int = 20
+    problem: Problem,
+    p: Array,
+    starts: Sequence[Array],
+    tau: float = 0.03,
+    *,
+    max_steps: int = 20,
+    enough: float = ENOUGH,
 ) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
     for _ in range(4):
-        solution = refine(problem, p, starts, tau=tau, max_steps=max_steps)
+        solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
         basis = solution.basis
         if not basis.random or problem.layout.levels_free:
             return solution
@@ -205,4 +212,4 @@ def settle_scatter(
         p, starts, old, tau = solution.p, solution.starts, tau, new
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break
-    return refine(problem, p, starts, tau=tau, max_steps=max_steps)
+    return refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)

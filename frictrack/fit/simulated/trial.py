@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter
-from frictrack.fit.along import Along, Projected, State
+from frictrack.fit.along import Along, Projected, Search, State
 from frictrack.fit.simulated.beside import Beside
 from frictrack.fit.simulated.scan import Scan, has_own_scan, per_run_coefficients
 from frictrack.fit.unknowns.layout import Layout
@@ -24,6 +24,7 @@ TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at thi
 PICKS = 4  # places of one scan that are tried
 APART = 3  # steps of the grid within which a second pick is the same one
 WORTH = 0.5  # of the best rise that a place must promise
+POOR = 1.2  # chi-squared per frame beyond which something stands wrong
 ROUGH, LAST = 4, 25  # steps of a refinement: of every place, and of the best two
 CLOSE, ENOUGH = 1e-3, 1e-6  # share of the misfit that a step must promise
 
@@ -92,7 +93,27 @@ def _best(law: Beside, effect: Effect, starts: Iterable[Start]) -> Trial:
         found.append((problem, problem.refine(problem.at(p), steps=ROUGH, enough=CLOSE)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = min((_finished(problem, state) for problem, state in found[:2]), key=lambda pair: pair[1].misfit)
+    if has_own_scan(effect):
+        best = _events(law, effect, *best)
+    elif best[1].misfit > POOR * best[0].along.size:  # the law beside it may stand where it stood without it
+        problem, state = best
+        best = _finished(problem, Search(problem.along, problem.tau).exchanged(problem, state, ""))
     return _trial(effect, *best)
+
+
+def _events(law: Beside, effect: Effect, problem: Projected, state: State) -> tuple[Projected, State]:
+    """Events of single runs beside each other: each was found where all the others were missing."""
+    search = Search(problem.along, problem.tau)
+    state = search.exchanged(problem, state, effect.name)
+    old = problem.layout
+    idle = search.idle(state, PULSE_PRICE * np.log(law.solution.problem.n_frames))
+    gone = {pair for pair in idle if pair[0] == effect.name}
+    if gone:
+        p = dict(zip(old.names, problem.along.law(state.numbers, state.coefficients), strict=True))
+        layout = replace(old, absent=old.absent | gone)
+        problem = _projected(law, layout)
+        state = problem.at(np.array([p[name] for name in layout.names]))
+    return _finished(problem, state)
 
 
 def _finished(problem: Projected, state: State) -> tuple[Projected, State]:
