@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +29,7 @@ MOMENTS = np.linspace(0.1, 0.9, 7)  # of the planned run, at which a rival's eve
 SIZES = ("amplitude", "depth")
 BELIEVED = 0.05  # of friction: size of a cause that the runs do not tell
 UNTOLD = 10.0  # rise of chi-squared below which the runs do not tell a size
+CLOSEST = 2  # of these starts that are refined
 OWN_STEPS, STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
 
 
@@ -169,15 +171,14 @@ def _placed(rival: Solution, layout: Layout, piece: Piece, begin: tuple[Array, A
     p, start, tau = begin
     problem = Problem(layout.model, layout, [piece])
     own = np.array([s.run == piece.run for s in layout.slots])
-    best, where = np.inf, (p, start)
+    tried = []
     for trial in _trials(rival, layout, p, piece):
-        try:
-            found = refine(problem, trial, [start], tau=tau, free=own, max_steps=OWN_STEPS)
-        except FrictrackError:  # a start too wild to be integrated
-            continue
-        if found.objective < best:
-            best, where = found.objective, (found.p, found.starts[0])
-    return where
+        with suppress(FrictrackError):  # a start too wild to be integrated
+            tried.append(refine(problem, trial, [start], tau=tau, free=own, max_steps=1))
+    tried.sort(key=lambda s: s.objective)
+    found = [refine(problem, s.p, s.starts, tau=tau, free=own, max_steps=OWN_STEPS) for s in tried[:CLOSEST]]
+    best = min(found, key=lambda s: s.objective, default=None)
+    return (p, start) if best is None else (best.p, best.starts[0])
 
 
 def _trials(rival: Solution, layout: Layout, p: Array, piece: Piece) -> Iterator[Array]:
