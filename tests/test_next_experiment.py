@@ -6,14 +6,17 @@ and everything is fitted again. The predictions by hand use closed forms.
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
-from frictrack import effects, models
+from frictrack import effects, models, plots
+from frictrack.cli import show
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.experiments import (
     Duel,
@@ -32,6 +35,7 @@ from frictrack.diagnose.rivals import information
 from frictrack.fit import fit
 from frictrack.fit.simulated.growth import grow, settled
 from frictrack.records import GRAVITY
+from frictrack.report import settle
 from frictrack.results import plain
 from frictrack.simulate.slide import Conditions, simulate
 
@@ -236,3 +240,44 @@ def test_every_effect_of_the_library_has_words_of_its_own(name):
 
     assert name in KEEPS
     assert name in OWN or name in ("stribeck", "measured_load")
+
+
+STEPS = [
+    {
+        "what": "Film a run with half the mass: why",
+        "separates": ["vibration", "camera_shake", "load_modulation"],
+        "expected_delta_bic": 41.0,
+        "expected_if_true": {"vibration": 41.0, "camera_shake": 300.0, "load_modulation": 55.0},
+        "groups": [["vibration"], ["camera_shake", "load_modulation"]],
+        "kind": "film",
+        "key": "half mass",
+    },
+    {
+        "what": "No run of this menu parts slope and spring; lay a level on the course",
+        "separates": [],
+        "expected_delta_bic": 0.0,
+        "expected_if_true": {},
+        "groups": [["slope", "spring"]],
+        "kind": "none",
+        "key": "none",
+    },
+]
+
+
+def test_terminal_and_report_say_the_same():
+    out = io.StringIO()
+    show.next_experiment(Console(file=out, width=200), STEPS)
+    said = out.getvalue()
+    assert "1. Film a run with half the mass: why" in said
+    assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said
+    assert "2. No run of this menu parts slope and spring" in said
+    found = {"next_experiment": STEPS}
+    rows = settle.experiments(settle.shown(found)).rows
+    assert rows == (
+        ("1.", "Film a run with half the mass: why", "vibration from camera_shake or load_modulation", "41"),
+    )
+    assert settle.hopeless(found) == [STEPS[1]["what"]]
+    assert settle.shown(None) == []
+    drawn = plots.svg(plots.settle(settle.shown(found)))
+    assert "1. half mass" in drawn
+    assert "if camera_shake is true" in drawn
