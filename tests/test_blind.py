@@ -13,6 +13,7 @@ import pytest
 from frictrack import effects
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import draw as drawing
+from frictrack.blind.alike import alike, exact
 from frictrack.blind.bounds import ideal_size
 from frictrack.blind.detector import Detector, freedom, is_event, limit
 from frictrack.blind.draw import LAWS, candidates, draw
@@ -24,10 +25,11 @@ from frictrack.blind.seal import NAME, opened
 from frictrack.blind.tally import tally, wilson
 from frictrack.blind.truth import RunTruth, Truth, made
 from frictrack.blind.where import overlap
-from frictrack.blind.write import table
+from frictrack.blind.write import table, write_study
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
 TRUTH = Truth(
@@ -236,6 +238,27 @@ def test_events_happen_in_some_runs_each_at_a_moment_of_its_own():
 def test_the_same_seed_draws_the_same_study():
     assert draw(5, "foreign", 3) == draw(5, "foreign", 3)
     assert draw(5, "foreign", 3) != draw(6, "foreign", 3)
+
+
+# --- what nobody can tell from the truth
+
+
+WAVE = {"amplitude": 0.6, "frequency": 61.0, "phase": 0.3}
+
+
+@pytest.mark.parametrize(("name", "own"), [("vibration", WAVE), ("texture", CAUSES["texture"] | {"amplitude": 0.3})])
+def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own: dict[str, float], tmp_path: Path):
+    truth = holding(replace(TRUTH, hidden=(name,)), **{name: own})
+    write_study(truth, tmp_path)
+    session = Session(open_study(tmp_path / "study.toml"))
+    session.fit()
+    fit = session.tried.fit(session.tried.current()[0])
+    whole = exact(truth, fit.solution)
+    assert whole.chi2 < 0.05  # the true law at the true motion leaves nothing
+    found = alike(truth, fit.solution)[name]
+    assert found[0] == name
+    assert ("camera_shake" in found) == (name == "vibration")
+    assert not {"texture", "vibration"} - {name} & set(found)
 
 
 # --- seal and benchmark

@@ -30,7 +30,7 @@ def alike(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
 
     `base` is the fitted base law, whose pieces and layout are taken; its data are replaced by the true motion.
     """
-    whole = _whole(truth, base)
+    whole = exact(truth, base)
     return {name: (name, *_standing_in(whole, name)) for name in truth.hidden}
 
 
@@ -75,7 +75,7 @@ def _restraint(whole: Solution) -> float:
     return float(held @ held)
 
 
-def _whole(truth: Truth, base: Solution) -> Solution:
+def exact(truth: Truth, base: Solution) -> Solution:
     """The true law at the true motion, refined by what rounding leaves."""
     slides = [truth.slide(run) for run in truth.runs]
     pieces = [replace(p, y=(slides[p.run].x + slides[p.run].shift)[p.frames]) for p in base.problem.pieces]
