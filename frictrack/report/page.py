@@ -104,7 +104,7 @@ def render(results: Results) -> str:
         settle=settle,
         steps=steps,
         hopeless=settle.hopeless(results.diagnosis),
-        settling=draw(plots.settle(steps)) if steps else Markup(""),
+        settling=draw(plots.settle(settle.drawn(steps))) if settle.drawn(steps) else Markup(""),
         history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
         routes=_routes(results, draw),

@@ -8,10 +8,21 @@ from typing import Any
 from frictrack.report.numbers import number, typed
 from frictrack.report.tables import Table, table
 
+LITTLE: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
+
 
 def shown(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
-    """Experiments that would part something, best first; none before a diagnosis."""
-    return [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
+    """Experiments that would part something, best first; none before a diagnosis.
+
+    One that was stored with less than is told today is filled up.
+    """
+    steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
+    return [LITTLE | {"groups": [[name] for name in step["separates"]]} | dict(step) for step in steps]
+
+
+def drawn(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Those whose evidence can be drawn."""
+    return [step for step in steps if step["expected_if_true"]]
 
 
 def hopeless(diagnosis: Mapping[str, Any] | None) -> list[str]:
