@@ -118,8 +118,8 @@ def test_the_limit_is_seen_in_95_of_100_repeats():
     rng = np.random.default_rng(4)
     from scipy.stats import chi2  # noqa: PLC0415
 
-    threshold = chi2.isf(0.005 / 2000, 3)
-    offset = np.array([np.sqrt(limit(3)), 0.0, 0.0])
+    threshold = chi2.isf(0.005 / 25 / 40, 3)
+    offset = np.array([np.sqrt(limit(3, 40)), 0.0, 0.0])
     seen = np.sum((rng.standard_normal((20000, 3)) + offset) ** 2, axis=1) > threshold
     assert np.mean(seen) == pytest.approx(0.95, abs=0.006)
 
@@ -128,6 +128,7 @@ def test_a_phase_in_every_run_costs_two_numbers_in_every_run():
     counts = {"texture": 2, "vibration": 12, "drag": 1, "spring": 2, "collision": 1, "friction_lag": 1}
     assert {name: freedom(made(name), 6) for name in counts} == counts
     assert limit(12) > limit(2) > limit(1)
+    assert limit(1, 100) > limit(1)
 
 
 def test_the_size_at_the_limit_makes_that_rise():
@@ -188,7 +189,7 @@ def test_a_draw_hides_what_it_says_at_the_size_it_says():
         truth = draw(20 + turn, "one", ORDER.index(name))
         assert truth.hidden == (name,)
         left = Detector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs))).trace(truth)
-        needed = limit(freedom(made(name), len(truth.runs)))
+        needed = Detector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs))).limit(made(name))
         assert np.sqrt(float(left @ left) / needed) == pytest.approx(truth.size[0], rel=0.06)
         assert SIZES[0] <= truth.size[0] <= SIZES[1]
 

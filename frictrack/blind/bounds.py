@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.blind.detector import Detector, freedom, is_event, limit
+from frictrack.blind.detector import Detector, is_event
 from frictrack.blind.truth import Numbers, Truth, made
 from frictrack.effects import Effect
 
@@ -33,16 +33,27 @@ def _comparable(effect: Effect) -> bool:
 
 
 def ideal_size(detector: Detector, effect: Effect, at: dict[str, float]) -> float | None:
-    """Smallest size that the ideal detector sees in 95 of 100 repeats, phases at their worst; None if it never can."""
+    """Smallest size that the ideal detector sees in 95 of 100 repeats; None if it never can.
+
+    Phases, and what further coefficients an effect has, are at their least favourable.
+    """
     runs = len(detector.bare.runs)
     phases = [p.name for p in effect.parameters if p.role == "phase"]
     tried = np.arange(PHASES) * np.pi / PHASES if phases else [0.0]
-    rises = [
-        float(np.sum(detector.unit(effect, unit_values(effect, at, dict.fromkeys(phases, q), runs)) ** 2))
-        for q in tried
-    ]
-    least = min(rises)
-    return float(np.sqrt(limit(freedom(effect, runs)) / least)) if least > 1e-12 else None
+    forms = [unit_values(effect, at, dict.fromkeys(phases, float(q)), runs) for q in tried]
+    least = min(_rise(detector, effect, form) for form in forms)
+    return float(np.sqrt(detector.limit(effect) / least)) if least > 1e-12 else None
+
+
+def _rise(detector: Detector, effect: Effect, form: list[Numbers]) -> float:
+    """Rise by an effect of size one, its further coefficients hiding what they can of it."""
+    first, *others = [p.name for p in effect.linear] or [""]
+    left = detector.unit(effect, form)
+    for name in others:
+        swapped = [{effect.name: own[effect.name] | {first: 0.0, name: 1.0}} for own in form]
+        other = detector.unit(effect, swapped)
+        left = left - other * float(other @ left) / max(float(other @ other), 1e-300)
+    return float(left @ left)
 
 
 def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[Numbers]:

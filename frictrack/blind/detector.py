@@ -28,7 +28,8 @@ from frictrack.simulate.dynamics import Response as Linear
 from frictrack.simulate.slide import Slide
 
 ALPHA = 0.005  # of the candidates' half of a diagnosis
-FORMS = 2000  # independent forms that the scans of a library look at, about; ten times more raise a size by 8 %
+CANDIDATES = 25  # effects that are tried, each of which gets the same part of alpha
+OVERSAMPLED = 4  # forms of a scan that are one: its steps are a quarter of a resolution cell
 POWER = 0.95
 SLOW = 0.02  # m/s, below which a run is taken for stuck
 SMALL = 1e-6  # relative step of a number of the law
@@ -36,9 +37,12 @@ LEAST_SCATTER = 1e-4
 
 
 @cache
-def limit(freedom: int) -> float:
-    """Rise of chi-squared, with so many free coefficients, that is seen in 95 of 100 repeats."""
-    threshold = float(chi2.isf(ALPHA / FORMS, freedom))
+def limit(freedom: int, forms: int = 1) -> float:
+    """Rise of chi-squared, with so many free coefficients, that is seen in 95 of 100 repeats.
+
+    It is the largest of so many independent `forms` of one candidate.
+    """
+    threshold = float(chi2.isf(ALPHA / CANDIDATES / forms, freedom))
     return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1.0, 1e4))
 
 
@@ -89,6 +93,13 @@ class Detector:
     def slides(self) -> list[Slide]:
         """The motions without what is hidden."""
         return [seen.slide for seen in self._seen]
+
+    def limit(self, effect: Effect) -> float:
+        """Rise of chi-squared at which an effect is seen in 95 of 100 repeats."""
+        span, runs = self.bare.span(self.slides), len(self.bare.runs)
+        scans = [len(p.scan(span)) for p in effect.parameters if p.scan is not None and p.fixed is None]
+        forms = int(np.prod(scans)) * (runs if is_event(effect) else 1)
+        return limit(freedom(effect, runs), max(1, forms // OVERSAMPLED))
 
     def trace(self, truth: Truth) -> Array:
         """What nothing but the hidden causes explains, in units of the noise; its square is the rise."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.blind.detector import Detector, freedom, is_event, limit
+from frictrack.blind.detector import Detector, is_event
 from frictrack.blind.foreign import FOREIGN, reach
 from frictrack.blind.truth import Numbers, Truth, made
 from frictrack.effects import Effect, Parameter, Span
@@ -42,7 +42,7 @@ def _with_size(found: Hidden | None, size: float) -> tuple[Hidden, float] | None
 
 
 def _times(trace: Array, detector: Detector, effect: Effect) -> float:
-    return float(np.linalg.norm(trace) / np.sqrt(limit(freedom(effect, len(detector.bare.runs)))))
+    return float(np.linalg.norm(trace) / np.sqrt(detector.limit(effect)))
 
 
 # --- what it looks like
@@ -129,7 +129,7 @@ def _checked(detector: Detector, effect: Effect, values: list[Numbers]) -> Hidde
 
 def _grown(detector: Detector, effect: Effect, shape: list[Numbers], size: float) -> Hidden | None:
     """A cause grown until its rise is `size` squared times the limit."""
-    wanted = size * np.sqrt(limit(freedom(effect, len(detector.bare.runs))))
+    wanted = size * np.sqrt(detector.limit(effect))
     factor = wanted / max(float(np.linalg.norm(detector.unit(effect, shape))), 1e-12)
     if effect.memory:  # its numbers were drawn where they may lie: as large as that it must be seen
         whole = _checked(detector, effect, shape)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from frictrack.blind.bounds import PHASES, unit_values
-from frictrack.blind.detector import Detector, freedom, limit
+from frictrack.blind.detector import Detector
 from frictrack.blind.truth import made
 from frictrack.records import Array
 
@@ -30,12 +30,12 @@ def chained(x: Array, fps: float, mass: float) -> Array:
 
 def force_size(detector: Detector, name: str, at: dict[str, float], seed: int = 0) -> float | None:
     """Smallest size seen in 95 of 100 repeats, phases at their worst; None where it never can be."""
-    effect, bare = made(name), detector.bare
+    effect = made(name)
     phases = [p.name for p in effect.parameters if p.role == "phase"]
     tried = np.arange(PHASES) * np.pi / PHASES if phases else [0.0]
     errors = [_error(detector, name, at, dict.fromkeys(phases, float(q)), seed) for q in tried]
     worst = max(errors)
-    return float(np.sqrt(limit(freedom(effect, len(bare.runs)))) * worst) if np.isfinite(worst) else None
+    return float(np.sqrt(detector.limit(effect)) * worst) if np.isfinite(worst) else None
 
 
 def _error(detector: Detector, name: str, at: dict[str, float], phases: dict[str, float], seed: int) -> float:
