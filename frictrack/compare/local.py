@@ -25,7 +25,7 @@ ROUNDS = 4
 SHARE = 0.02  # of what all bumps explain that each must carry
 PREFERRED = 10.0  # of chi-squared by which one place for all runs must gain more than a moment of one run
 BRIEFER = 6.6  # of chi-squared that a longer moment must gain over a briefer one
-LIKEWISE = 0.05  # p in a run of its own for one more event where other runs show theirs
+LIKEWISE = 0.2  # chance in a run of its own below which one more moment is believed where other runs show theirs
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,22 @@ class Local:
     rest: float = 1.0  # p of what still stands out most
 
     def p(self, bump: Bump) -> float:
-        """Chance of a bump that stands out by its z.
+        """Chance of a bump: of the whole search, or of that in its own piece alone, see `believes`."""
+        whole = self.chance(bump.z)
+        if bump.piece is None or whole < ALPHA or not self.believes(bump):
+            return whole
+        return min(whole, self.own[bump.piece](bump.z))
+
+    def believes(self, bump: Bump) -> bool:
+        """Whether noise alone rarely shows a bump.
 
         Where other pieces show a moment of their own, one more is believed by the search in its own piece alone.
         """
-        whole = self.chance(bump.z)
+        if self.chance(bump.z) < ALPHA:
+            return True
         others = {b.piece for b in self.bumps if not b.at_place} - {bump.piece}
         mine = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
-        if bump.piece is None or not others or mine:
-            return whole
-        return min(whole, self.own[bump.piece](bump.z) * ALPHA / LIKEWISE)
+        return bump.piece is not None and bool(others) and not mine and self.own[bump.piece](bump.z) < LIKEWISE
 
     @property
     def complete(self) -> bool:
@@ -95,8 +101,8 @@ def _stand_out(found: Local) -> tuple[list[list[Bump]], float]:
         best = max(places, key=lambda b: b.z, default=moment)
         if places and found.chance(best.z) < ALPHA and best.z**2 > moment.z**2 + PREFERRED:
             return [[b] for b in places if found.chance(b.z) < ALPHA], found.chance(best.z)
-        rest = min(rest, here.p(moment))
-        if here.p(moment) >= ALPHA:
+        rest = min(rest, here.chance(moment.z))
+        if not here.believes(moment):
             return [taken] if taken else [], rest
         taken.append(moment)
         left = left.with_columns(bump_columns(found, [moment])[:, :, 0])
@@ -199,7 +205,7 @@ def _pruned(found: Local) -> Local:
     if not found.bumps:
         return found
     total = float(found.law.r @ found.law.r - found.left.r @ found.left.r)
-    kept = [b for b in found.bumps if found.p(b) < ALPHA and b.z**2 > SHARE * total]
+    kept = [b for b in found.bumps if found.believes(b) and b.z**2 > SHARE * total]
     if len(kept) == len(found.bumps) or not kept:
         return found
     return _pruned(_fitted(replace(found, bumps=kept), steps=3))

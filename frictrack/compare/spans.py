@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare.beside import Beside, beside, place, traces
-from frictrack.compare.local import Local, bump_columns, local_forces, opened, solved
+from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, solved
 from frictrack.compare.looks import Bump, limits
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
@@ -145,11 +145,18 @@ def _named(solution: Solution, runs: Sequence[Run], missing: str) -> list[Span]:
     made = np.stack([_part(law, i, rows, solution, missing) for i, rows in places], axis=1)
     whole = made.sum(axis=1)
     total = max(misfit(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
-    chance = opened(law).chance
+    search = opened(law)
     # what the runs share acts in all of them or in none
     sure = made if _own(effect) else np.repeat(whole[:, None], len(places), axis=1)
-    p = [chance(z) for z in _stands_out(law, sure)]
-    return [Span(i, rows, float(c @ law.r) / total, q) for (i, rows), c, q in zip(places, made.T, p, strict=True)]
+    p = [_p(search, i, z) for (i, _), z in zip(places, _stands_out(law, sure), strict=True)]
+    spans = [Span(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, made.T, p, strict=True)]
+    return [s for s in spans if s.p < LIKEWISE]
+
+
+def _p(search: Local, piece: int, z: float) -> float:
+    """Chance of a span: of the whole search, or, where that is too much to ask, of the search in its own piece."""
+    whole = search.chance(z)
+    return whole if whole < ALPHA else min(whole, search.own[piece](z))
 
 
 def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:

@@ -32,6 +32,7 @@ KNOTS = {"x": 120, "t": 80, "v": 40}
 REACHES = (2.0, 6.0, 20.0)  # of a curve, in knots
 SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
 ALPHA = 0.01
+LAW = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
 FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
 SAME = 0.1  # of the misfit, within which two axes are as good
 
@@ -56,8 +57,8 @@ class Axis:
 
     @property
     def holds(self) -> bool:
-        """Whether it repeats beyond chance."""
-        return self.p <= ALPHA and self.share > 0
+        """Whether it repeats beyond chance, in two runs at least."""
+        return self.p <= ALPHA and self.runs > 1
 
     def summary(self) -> dict[str, Any]:
         """JSON of one axis."""
@@ -85,41 +86,92 @@ class Repeats:
 
 @dataclass(frozen=True)
 class _Fold:
-    """What the runs see of a curve through knots: Gram matrices (R, K, K) and data (R, K, D), D = 1 + draws."""
+    """What the runs see of a curve through K knots and of the S columns of the law that they share.
+
+    Gram matrices (R, K + S, K + S) and data (R, K + S, D), D = 1 + draws.
+    """
 
     knots: Array
     gram: Array
     data: Array
 
 
+@dataclass(frozen=True)
+class _Runs:
+    """Residuals and shared law of every run, beside what belongs to the run alone (its level, its own phases).
+
+    `series` (n_i, D) and `shared` (n_i, S) of every piece; `own` (n_i, k) orthonormal; `run` its place among the runs.
+    """
+
+    law: Beside
+    at: list[Nodes]
+    run: list[int]
+    own: list[Array]
+    shared: list[Array]
+    series: list[Array]
+
+    @property
+    def count(self) -> int:
+        return max(self.run) + 1
+
+    def seen(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Gram matrices and data of columns (n_i, k) with the shared law beside them, run by run."""
+        k = columns[0].shape[1] + self.shared[0].shape[1]
+        gram, data = np.zeros((self.count, k, k)), np.zeros((self.count, k, self.series[0].shape[1]))
+        for i, run in enumerate(self.run):
+            clean = columns[i] - self.own[i] @ (self.own[i].T @ columns[i])
+            both = np.hstack([clean, self.shared[i]])
+            gram[run] += both.T @ both
+            data[run] += both.T @ self.series[i]
+        return gram, data
+
+
 def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Repeats:
     """Along which axis the failure of a fitted law repeats from run to run."""
     law = beside(solution)
     runs = sorted({r.piece.run for r in law.responses})
-    at = [nodes(solution, r) for r in law.responses]
-    excess = _excess(law, runs)
     if len(runs) < 2:
         return Repeats(words="One run cannot tell whether a failure repeats: film another one, best at another speed.")
-    series = _drawn(law, rng, draws)
+    apart = _apart(law, runs, _drawn(law, rng, draws))
     found, curves = [], {}
     for axis in KNOTS:
-        gains, curves[axis] = _smooth([_fold(law, at, runs, axis, dry, series) for dry in (True, False)])
+        made, curves[axis] = _smooth([_fold(apart, axis, dry) for dry in (True, False)])
         if axis == "x":
-            gains = _better(gains, _wave(law, at, runs, series))
-        made = _judged(axis, gains, excess)
-        found.append(made)
-    phase = _phase(law, runs, excess, rng, draws)
-    found = sorted([*found, phase], key=lambda a: (not a.holds, -a.share))
+            made = _better(made, _wave(apart))
+        found.append(_judged(axis, made, _excess(apart)))
+    found.append(_phase(law, runs, rng, draws))
+    found.sort(key=lambda a: (not a.holds, -a.share))
     return Repeats(found, told(found), curves)
 
 
-def _excess(law: Beside, runs: Sequence[int]) -> Array:
-    """Misfit of every run beyond its noise, of chi-squared, at least its uncertainty, (R,)."""
-    out = np.zeros((len(runs), 2))
+def _apart(law: Beside, runs: Sequence[int], series: Array) -> _Runs:
+    """Every run beside what belongs to it alone."""
+    layout = law.solution.problem.layout
+    own, shared, left = [], [], []
     for rows, response in zip(law.rows, law.responses, strict=True):
-        r = law.r[rows]
-        out[runs.index(response.piece.run)] += float(r @ r), len(r) - float(np.sum(law.u[rows] ** 2))
-    return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
+        slots = [layout.slots[i] for i in response.active]
+        mine = np.array([s.run is not None for s in slots], dtype=bool)
+        q, upper = np.linalg.qr(response.jac[:, mine])
+        q = q[:, np.abs(np.diag(upper)) > 1e-9 * max(float(np.linalg.norm(upper)), 1e-300)]
+        own.append(q)
+        shared.append(response.jac[:, ~mine] - q @ (q.T @ response.jac[:, ~mine]))
+        left.append(series[rows] - q @ (q.T @ series[rows]))
+    norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
+    shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
+    at = [nodes(law.solution, r) for r in law.responses]
+    return _Runs(law, at, [runs.index(r.piece.run) for r in law.responses], own, shared, left)
+
+
+def _excess(apart: _Runs) -> Array:
+    """Misfit of every run beyond its noise under the law of the other runs, at least its uncertainty, (R,)."""
+    gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
+    fold = _Fold(np.empty(0), gram, data)
+    left, frames = np.zeros(apart.count), np.zeros(apart.count)
+    for run, series, own in zip(apart.run, apart.series, apart.own, strict=True):
+        left[run] += float(series[:, 0] @ series[:, 0])
+        frames[run] += len(series) - own.shape[1]
+    left -= _gains(fold, _held(fold), 0)[:, 0]
+    return np.asarray(np.maximum(left - frames, np.sqrt(2 * frames)))
 
 
 def _drawn(law: Beside, rng: np.random.Generator, draws: int) -> Array:
@@ -136,32 +188,35 @@ def _drawn(law: Beside, rng: np.random.Generator, draws: int) -> Array:
     return out
 
 
-def _knots(at: Sequence[Nodes], law: Beside, axis: str) -> Array:
+def _knots(apart: _Runs, axis: str) -> Array:
     if axis == "x":
-        low, high = course(law.responses)
+        low, high = course(apart.law.responses)
     elif axis == "t":
-        low, high = min(float(n.t[0]) for n in at), max(float(n.t[-1]) for n in at)
+        low, high = min(float(n.t[0]) for n in apart.at), max(float(n.t[-1]) for n in apart.at)
     else:
-        speeds = [np.abs(n.v) for n in at]
+        speeds = [np.abs(n.v) for n in apart.at]
         low, high = min(float(s.min()) for s in speeds), max(float(s.max()) for s in speeds)
     return np.linspace(low, high, KNOTS[axis])
 
 
-def _fold(law: Beside, at: Sequence[Nodes], runs: Sequence[int], axis: str, dry: bool, series: Array) -> _Fold:
-    """A curve over an axis as every run sees it beside the law; a dry force goes with load, level and direction."""
-    knots = _knots(at, law, axis)
-    made = np.zeros((len(law.r), len(knots)))
-    for rows, response, n in zip(law.rows, law.responses, at, strict=True):
+def _fold(apart: _Runs, axis: str, dry: bool) -> _Fold:
+    """A curve over an axis as every run sees it; a dry force goes with load, level and direction."""
+    knots = _knots(apart, axis)
+    made = []
+    for response, n in zip(apart.law.responses, apart.at, strict=True):
         along = {"x": n.x, "t": n.t, "v": np.abs(n.v)}[axis]
         carried = n.dry if dry else np.sign(n.dry) if axis == "v" else np.ones_like(n.dry)
-        made[rows] = traces(response, hats(along, knots) * carried[:, None])
-    made -= law.u @ (law.u.T @ made)
-    gram, data = np.zeros((len(runs), len(knots), len(knots))), np.zeros((len(runs), len(knots), series.shape[1]))
-    for rows, response in zip(law.rows, law.responses, strict=True):
-        k = runs.index(response.piece.run)
-        gram[k] += made[rows].T @ made[rows]
-        data[k] += made[rows].T @ series[rows]
-    return _Fold(knots, gram, data)
+        made.append(traces(response, hats(along, knots) * carried[:, None]))
+    return _Fold(knots, *apart.seen(made))
+
+
+def _held(fold: _Fold) -> Array:
+    """What holds the law of the other runs where they do not tell it: the law of all, (K + S, K + S)."""
+    k = len(fold.knots)
+    out = np.zeros(fold.gram.shape[1:])
+    out[k:, k:] = LAW * fold.gram.sum(axis=0)[k:, k:]
+    out += 1e-12 * np.trace(out) * np.eye(len(out))
+    return out
 
 
 def _smooth(tried: Sequence[_Fold]) -> tuple[Array, dict[str, Array]]:
@@ -169,12 +224,14 @@ def _smooth(tried: Sequence[_Fold]) -> tuple[Array, dict[str, Array]]:
     best: Array | None = None
     curve: dict[str, Array] = {}
     for fold in tried:
-        scale = float(np.trace(fold.gram.sum(axis=0)) / len(fold.knots))
+        k = len(fold.knots)
+        scale = float(np.trace(fold.gram.sum(axis=0)[:k, :k]) / k)
         for reach in REACHES:
-            prior = np.linalg.inv(matern(np.arange(float(len(fold.knots))), reach) + 1e-8 * np.eye(len(fold.knots)))
+            prior = np.linalg.inv(matern(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
             for size in SIZES:
-                held = np.asarray(prior * (scale / size**2), dtype=np.float64)
-                gains = _gains(fold, held)
+                held = _held(fold)
+                held[:k, :k] += prior * (scale / size**2)
+                gains = _gains(fold, held, k)
                 if best is None or gains[:, 0].sum() > best[:, 0].sum():
                     curve = _curve(fold, held)
                 best = gains if best is None else _better(best, gains)
@@ -194,57 +251,81 @@ def _judged(axis: str, gains: Array, excess: Array) -> Axis:
     return Axis(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
-def _wave(law: Beside, at: Sequence[Nodes], runs: Sequence[int], series: Array) -> Array:
+def _wave(apart: _Runs) -> Array:
     """Fall of every run's chi-squared (R, D) with a dry force that waves over the place, all told by the other runs."""
-    f = 1 / periods(law.solution.problem.layout.span)
-    gram, data = np.zeros((len(runs), len(f), 2, 2)), np.zeros((len(runs), len(f), 2, series.shape[1]))
-    on = np.zeros((law.u.shape[1], 2 * len(f)))
-    made = []
-    for rows, response, n in zip(law.rows, law.responses, at, strict=True):
-        made.append(traces(response, waves(n.x, f) * n.dry[:, None]))
-        on += law.u[rows].T @ made[-1]
-    for rows, response, columns in zip(law.rows, law.responses, made, strict=True):
-        clean = columns - law.u[rows] @ on
-        k = runs.index(response.piece.run)
-        cube = clean.reshape(len(clean), len(f), 2)
-        gram[k] += np.einsum("nfi,nfj->fij", cube, cube)
-        data[k] += (clean.T @ series[rows]).reshape(len(f), 2, -1)
-    out = np.zeros((len(runs), series.shape[1]))
-    each = np.arange(series.shape[1])
-    for k in range(len(runs)):
-        others = data.sum(axis=0) - data[k]
-        inverse = np.linalg.pinv(gram.sum(axis=0) - gram[k], rcond=1e-6, hermitian=True)
-        size = inverse @ others
-        best = np.argmax(np.sum(size * others, axis=1), axis=0)
-        c = size[best, :, each]
-        own = np.einsum("di,dij,dj->d", c, gram[k][best], c)
-        out[k] = 2 * np.sum(c * data[k][best, :, each], axis=1) - own
+    f = 1 / periods(apart.law.solution.problem.layout.span)
+    made = [traces(r, waves(n.x, f) * n.dry[:, None]) for r, n in zip(apart.law.responses, apart.at, strict=True)]
+    gram, data = apart.seen(made)
+    fold = _Fold(np.empty(2 * len(f)), gram, data)
+    held, k = _held(fold), 2 * len(f)
+    law, out = slice(k, None), np.zeros((apart.count, data.shape[2]))
+    for run in range(apart.count):
+        others, seen = gram.sum(axis=0) - gram[run] + held, data.sum(axis=0) - data[run]
+        inverse = np.linalg.pinv(others[law, law], rcond=1e-10, hermitian=True)
+        bent = inverse @ others[law, :k]  # what the law takes up of every column, (S, K)
+        pairs = _pairs(others[:k, :k] - others[:k, law] @ bent)
+        left = (seen[:k] - bent.T @ seen[law]).reshape(len(f), 2, -1)
+        size = np.linalg.pinv(pairs, rcond=1e-6, hermitian=True) @ left
+        best = np.argmax(np.sum(size * left, axis=1), axis=0)
+        out[run] = _told_by(gram[run], data[run], inverse @ seen[law], bent, size, best)
     return out
 
 
-def _gains(fold: _Fold, held: Array) -> Array:
-    """Fall of every run's chi-squared with the curve of the other runs, (R, D)."""
+def _pairs(gram: Array) -> Array:
+    """The 2 x 2 blocks on the diagonal of a matrix (2 G, 2 G): (G, 2, 2)."""
+    at = np.arange(len(gram) // 2) * 2
+    return np.stack([np.stack([gram[at + i, at + j] for j in (0, 1)], axis=1) for i in (0, 1)], axis=1)
+
+
+def _told_by(gram: Array, data: Array, law: Array, bent: Array, size: Array, best: Array) -> Array:
+    """Fall of one run's chi-squared (D,) with the wave that is best for the other runs, each draw its own."""
+    k, each = bent.shape[1], np.arange(data.shape[1])
+    c = size[best, :, each]  # (D, 2)
+    columns = 2 * best[:, None] + np.arange(2)
+    moved = law - np.einsum("sdi,di->sd", bent[:, columns], c)
+    before = 2 * np.sum(law * data[k:], axis=0) - np.einsum("sd,sd->d", law, gram[k:, k:] @ law)
+    after = 2 * np.sum(moved * data[k:], axis=0) - np.einsum("sd,sd->d", moved, gram[k:, k:] @ moved)
+    after += 2 * np.sum(c * data[columns, each[:, None]], axis=1)
+    after -= np.einsum("di,dij,dj->d", c, gram[columns[:, :, None], columns[:, None, :]], c)
+    after -= 2 * np.einsum("di,dis,sd->d", c, gram[:, k:][columns], moved)
+    return np.asarray(after - before)
+
+
+def _gains(fold: _Fold, held: Array, knots: int) -> Array:
+    """Fall of every run's chi-squared with curve and law of the other runs, over that with their law alone, (R, D).
+
+    Without knots, over the law of all runs.
+    """
     gram, data = fold.gram.sum(axis=0) + held, fold.data.sum(axis=0)
     out = np.zeros((len(fold.gram), data.shape[1]))
-    for k, (g, b) in enumerate(zip(fold.gram, fold.data, strict=True)):
+    law = slice(knots, None)
+    for run, (g, b) in enumerate(zip(fold.gram, fold.data, strict=True)):
         c = np.linalg.solve(gram - g, data - b)
-        out[k] = 2 * np.einsum("kd,kd->d", c, b) - np.einsum("kd,kd->d", c, g @ c)
+        out[run] = _fall(g, b, c)
+        if knots and c.shape[0] > knots:
+            bare = np.linalg.solve((gram - g)[law, law], (data - b)[law])
+            out[run] -= _fall(g[law, law], b[law], bare)
     return out
+
+
+def _fall(gram: Array, data: Array, c: Array) -> Array:
+    """Fall of chi-squared with coefficients c (K, D), (D,)."""
+    return np.asarray(2 * np.einsum("kd,kd->d", c, data) - np.einsum("kd,kd->d", c, gram @ c))
 
 
 def _curve(fold: _Fold, held: Array) -> dict[str, Array]:
     """The common curve of all runs, N, with its standard deviation."""
     inverse = np.linalg.inv(fold.gram.sum(axis=0) + held)
-    force = inverse @ fold.data.sum(axis=0)[:, 0]
-    return {"at": fold.knots, "F": force, "sigma_F": np.sqrt(np.maximum(np.diag(inverse), 0.0))}
+    force, k = inverse @ fold.data.sum(axis=0)[:, 0], len(fold.knots)
+    return {"at": fold.knots, "F": force[:k], "sigma_F": np.sqrt(np.maximum(np.diag(inverse)[:k], 0.0))}
 
 
-def _phase(law: Beside, runs: Sequence[int], excess: Array, rng: np.random.Generator, draws: int) -> Axis:
+def _phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: int) -> Axis:
     """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
 
     Foretold are the odd frames; they stand for all.
     """
-    f = scanned(law)
+    f, excess = scanned(law), _beyond(law, runs)
     halves = [_halves(law, run, f) for run in runs]
     gains, total = _waved(halves)
     best = int(np.argmax(total))
@@ -261,6 +342,15 @@ def _phase(law: Beside, runs: Sequence[int], excess: Array, rng: np.random.Gener
 
 
 _Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G, 2, 2), data (G, 2), (G, 2)
+
+
+def _beyond(law: Beside, runs: Sequence[int]) -> Array:
+    """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
+    out = np.zeros((len(runs), 2))
+    for rows, response in zip(law.rows, law.responses, strict=True):
+        r = law.r[rows]
+        out[runs.index(response.piece.run)] += float(r @ r), len(r) - float(np.sum(law.u[rows] ** 2))
+    return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
 
 
 def _rolled(h: _Halves, by: int) -> _Halves:

@@ -13,8 +13,8 @@ from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 
 AXES = ("t", "x", "v", "a", "phase")
-PLACES = 81  # of a common curve
-SMOOTH = 1 / 40  # of an axis: width of the smoothing
+PLACES = 161  # of a common curve
+SMOOTH = 1 / 80  # of an axis: width of the smoothing
 ENOUGH = 0.2  # of the usual number of frames round a place for a run to have a say there
 
 
@@ -35,8 +35,9 @@ def where_it_fails(solution: Solution, rng: np.random.Generator) -> Where:
 def figures_of(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[str, Array]]:
     """Curves for plots and files.
 
-    `residual_force`: run (its number among the fitted ones), t, x, v, a, phase (cycles) and F, sigma_F (N, positive
-    against the motion), all (n,); `common_x` and so on: the mean curve of all runs over an axis, `at`, F, sigma_F (k,).
+    `residual_force`: run (its number among the fitted ones), t, x, phase (cycles), v and a (along the motion, so v is
+    the speed), F and sigma_F (N, positive against the motion), all (n,); `common_x` and so on: the mean curve of all
+    runs over an axis, `at`, F, sigma_F (k,).
     """
     frames = [_along(p, line) for p in pieces]
     whole = {name: np.concatenate([f[name] for f in frames]) for name in frames[0]}
@@ -51,7 +52,8 @@ def figures_of(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[s
 
 def _along(piece: Deconvolved, line: Line | None) -> dict[str, Array]:
     against = np.where(piece.v < 0, -1.0, 1.0)
-    out = {"run": np.full(len(piece.t), float(piece.run)), "t": piece.t, "x": piece.x, "v": piece.v, "a": piece.a}
+    out = {"run": np.full(len(piece.t), float(piece.run)), "t": piece.t, "x": piece.x}
+    out |= {"v": against * piece.v, "a": against * piece.a}
     if line is not None:
         out["phase"] = (line.phase(piece.run, piece.t) + np.where(against < 0, 0.5, 0.0)) % 1.0
     return out | {"F": against * piece.F, "sigma_F": piece.sigma_F}

@@ -168,7 +168,7 @@ def friction(runs: Sequence[RunResults]) -> Figure:
     figure = blank(4.4, _friction_title(able))
     left, right = figure.subplots(1, 2, sharey=True)
     everything = []
-    looks = {run.name: style.RUNS[k % len(style.RUNS)] for k, run in enumerate(runs)}
+    looks = style.run_looks(runs)
     for run in able:
         f, look = run.friction, looks[run.name]
         assert f is not None

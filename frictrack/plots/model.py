@@ -77,7 +77,8 @@ def failing(
 
     `better` is a later model, whose residual is drawn behind.
     """
-    by_name, colors = {run.name: run for run in runs}, style.run_colors(runs)
+    by_name = {run.name: run for run in runs}
+    colors = {name: look["color"] for name, look in style.run_looks(runs).items()}
     shown = worst_runs(model, runs)
     columns = style.across(len(shown))
     rows = -(-len(shown) // columns)

@@ -131,14 +131,9 @@ def broken(values: Array, mask: Mask) -> Array:
     return np.where(mask, values, np.nan)
 
 
-def run_color(k: int) -> str:
-    """The colour of run number k of a study, the same in all figures."""
-    return str(RUNS[k % len(RUNS)]["color"])
-
-
-def run_colors(runs: Sequence[Any]) -> dict[str, str]:
-    """Colours of the runs of a study by name."""
-    return {run.name: run_color(k) for k, run in enumerate(runs)}
+def run_looks(runs: Sequence[Any]) -> dict[str, dict[str, Any]]:
+    """Colour and dashes of the runs of a study by name, the same in all figures."""
+    return {run.name: RUNS[k % len(RUNS)] for k, run in enumerate(runs)}
 
 
 def stretches(friction: Friction) -> list[slice]:

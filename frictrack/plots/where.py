@@ -18,8 +18,8 @@ from frictrack.records import Array, Mask
 AXES = {
     "t": ("time since release t", "s"),
     "x": ("displacement x", "m"),
-    "v": ("velocity v", "m/s"),
-    "a": ("acceleration a", "m/s^2"),
+    "v": ("speed", "m/s"),
+    "a": ("acceleration along the motion", "m/s^2"),
     "phase": ("phase", "cycles"),
 }
 WORDS = {"t": "time", "x": "place", "v": "velocity", "phase": "phase"}
@@ -37,12 +37,12 @@ def drawable(figures: Mapping[str, Mapping[str, Array]]) -> bool:
 def missing_force(
     figures: Mapping[str, Mapping[str, Array]],
     spans: Sequence[Mapping[str, Any]],
-    colors: Mapping[str, str],
+    looks: Mapping[str, Mapping[str, Any]],
     repeats: Sequence[Mapping[str, Any]] = (),
 ) -> Figure:
     """The missing force of all runs over time, place, velocity, acceleration and phase, with what they have in common.
 
-    `colors` are those of the fitted runs, in order; `spans` are marked at the foot of every panel. Bands: 2 standard
+    `looks` are those of the fitted runs, in order; `spans` are marked at the foot of every panel. Bands: 2 standard
     deviations. Raises KeyError where no such force was kept.
     """
     whole = figures["residual_force"]
@@ -50,26 +50,27 @@ def missing_force(
     figure = blank(6.6, _title(repeats))
     panels = figure.subplots(2, 3)
     factor, unit = style.scaled(whole["F"], "N")
-    reach = _reach(figures, shown)
+    low, high = _reach(whole)
     shares = {r["axis"]: r for r in repeats}
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        _runs(ax, whole, name, factor, list(colors.values()))
+        _runs(ax, whole, name, factor, list(looks.values()))
         _common(ax, figures.get(f"common_{name}"), factor)
-        _rug(ax, whole, name, spans, colors)
+        _rug(ax, whole, name, spans, looks)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-        ax.set_ylim(factor * (-reach - BELOW * 2 * reach - RUG * 2 * reach * len(colors)), factor * reach)
+        foot = (BELOW + RUG * len(looks)) * (high - low) if spans else 0.0
+        ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
         ax.set_xlabel(_label(name, whole))
         ax.set_title(_told(shares.get(name)), fontweight="normal", fontsize=9.5)
     for ax in panels[:, 0]:
         ax.set_ylabel(axis("missing force", unit))
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
-    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, colors, spans)
+    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, looks, spans)
     return figure
 
 
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
-    if not repeats or repeats[0]["p"] > 0.01 or not repeats[0]["share"]:
+    if not repeats or repeats[0]["p"] > 0.01 or repeats[0]["runs"] < 2:
         return "The force that the model misses"
     best = repeats[0]
     return f"The force that the model misses repeats with {WORDS[best['axis']]} in {best['runs']} of {best['of']} runs"
@@ -89,24 +90,26 @@ def _label(name: str, whole: Mapping[str, Array]) -> str:
     return axis(words, unit)
 
 
-def _reach(figures: Mapping[str, Mapping[str, Array]], shown: Sequence[str]) -> float:
-    """How far the force goes either way; a band wider than the force itself does not set the scale."""
-    whole = figures["residual_force"]
-    sure = np.abs(whole["F"]) + style.SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]))
-    usual = float(np.median(whole["sigma_F"])) * style.SIGMAS
-    return 1.1 * max(float(np.max(sure, initial=0.0)), usual, 1e-12)
+def _reach(whole: Mapping[str, Array]) -> tuple[float, float]:
+    """How far the force goes either way, N; a band wider than the force itself does not set the scale."""
+    usual = float(np.median(whole["sigma_F"]))
+    room = style.SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
+    low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
+    margin = 0.05 * max(high - low, 1e-12)
+    return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
-def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, colors: Sequence[str]) -> None:
+def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, looks: Sequence[Mapping[str, Any]]) -> None:
     """One thin line with its band per run, broken where the axis jumps."""
     for k in np.unique(whole["run"]).astype(int):
         mine = whole["run"] == k
         along, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
         steps = np.abs(np.diff(along, prepend=along[0]))
-        force = style.broken(force, steps <= JUMP * max(float(np.median(steps)), 1e-12))
-        color = colors[k]
-        band(ax, along, factor * force, factor * sigma, color=color, alpha=0.12, zorder=1.5)
-        ax.plot(along, factor * force, color=color, lw=1.0, alpha=0.9, zorder=2)
+        usual = 0.5 if name == "phase" else JUMP * max(float(np.median(steps)), 1e-12)
+        force = style.broken(force, steps <= usual)
+        look = looks[k]
+        band(ax, along, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(along, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
 
 
 def _common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
@@ -123,20 +126,22 @@ def _rug(
     whole: Mapping[str, Array],
     name: str,
     spans: Sequence[Mapping[str, Any]],
-    colors: Mapping[str, str],
+    looks: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """A bar for every span at the foot of the panel, in its run's colour."""
     if name == "phase":
         return
     foot = ax.get_xaxis_transform()
-    names = list(colors)
-    for s in (s for s in spans if s["run"] in colors):
+    names = list(looks)
+    for s in (s for s in spans if s["run"] in looks):
         k = names.index(s["run"])
-        inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], s["v"])
+        inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
         if inside.any():
             reach, y = whole[name][inside], BELOW / 2 + RUG * k
             ends = [float(reach.min()), float(reach.max())]
-            ax.plot(ends, [y, y], transform=foot, color=colors[s["run"]], lw=3.0, solid_capstyle="butt", zorder=5)
+            ax.plot(
+                ends, [y, y], transform=foot, color=looks[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
+            )
 
 
 def _within(values: Array, reach: Sequence[float]) -> Mask:
@@ -144,8 +149,8 @@ def _within(values: Array, reach: Sequence[float]) -> Mask:
     return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
 
 
-def _legend(figure: Figure, ax: Axes | None, colors: Mapping[str, str], spans: Sequence[Any]) -> None:
-    handles: list[Any] = [Line2D([], [], color=color, label=name) for name, color in colors.items()]
+def _legend(figure: Figure, ax: Axes | None, looks: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
+    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in looks.items()]
     handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
     handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.SIGMAS:g} std"))
     if spans:

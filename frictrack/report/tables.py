@@ -168,11 +168,16 @@ def spans(found: Sequence[Mapping[str, Any]]) -> Table:
             span(s.get("x")),
             span(s.get("v")),
             f"{100 * s['share_of_error']:.0f} %",
-            number(s["p"], 1) if s.get("p") is not None else "",
+            _chance(s.get("p")),
         )
         for s in found
     ]
     return table(("run", "t / ms", "x / m", "v / (m/s)", "share of the misfit", "p"), rows, (1, 2, 3, 4, 5))
+
+
+def _chance(p: float | None) -> str:
+    """A p-value; what is far beyond any doubt is not given digits that no noise is known to."""
+    return "" if p is None else "< 10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}" if p < 1e-6 else number(p, 1)
 
 
 @dataclass(frozen=True)

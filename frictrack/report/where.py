@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
-from frictrack.plots.style import run_colors
+from frictrack.plots.style import run_looks
 from frictrack.report.numbers import number
 from frictrack.report.tables import Table, spans, table
 from frictrack.results import ModelResults, Results
@@ -42,8 +42,8 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
     better = results.current if results.current is not model else None
     found, repeated = diagnosis.get("fails_at", []), diagnosis.get("repeats", [])
     fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
-    colors = {name: color for name, color in run_colors(results.runs).items() if name in fitted}
-    pictured = plots.missing_force(model.figures, found, colors, repeated) if plots.drawable(model.figures) else None
+    looks = {name: look for name, look in run_looks(results.runs).items() if name in fitted}
+    pictured = plots.missing_force(model.figures, found, looks, repeated) if plots.drawable(model.figures) else None
     return Failure(
         headline=headline,
         fit=_fit(diagnosis),
@@ -60,10 +60,10 @@ def _fit(diagnosis: Mapping[str, Any]) -> str:
     chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
     if chi2 is None or p is None:
         return ""
-    chance = "less often than" if p <= 0.001 else "in a share of"
+    often = "in none of 999 draws" if p <= 0.001 else f"in {number(100 * p, 2)} % of all draws"
     return (
         f"What the model leaves is {number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
-        f"{number(chi2, 3)}); noise alone looks like this {chance} {number(p, 1)} of all draws."
+        f"{number(chi2, 3)}); noise alone looks as bad {often}."
     )
 
 
