@@ -30,6 +30,7 @@ from frictrack.diagnose.experiments import (
 )
 from frictrack.diagnose.experiments.beside import ACCELEROMETER, LEVEL, checks
 from frictrack.diagnose.experiments.planned import Film, filmed
+from frictrack.diagnose.experiments.words import told_apart
 from frictrack.diagnose.here import words
 from frictrack.diagnose.rivals import information
 from frictrack.fit import fit
@@ -42,7 +43,7 @@ from frictrack.simulate.slide import Conditions, simulate
 LAW = ["coulomb", "viscous"]
 SIGMA = 1e-5
 SCATTER = 0.02  # of the friction level, where runs can tell it
-KEYS = {"what", "separates", "expected_delta_bic", "expected_if_true", "groups", "kind", "key"}
+KEYS = {"what", "separates", "expected_delta_bic", "expected_if_true", "groups", "tells", "kind", "key"}
 
 
 def law_with(name, values):
@@ -249,6 +250,7 @@ STEPS = [
         "expected_delta_bic": 41.0,
         "expected_if_true": {"vibration": 41.0, "camera_shake": 300.0, "load_modulation": 55.0},
         "groups": [["vibration"], ["camera_shake", "load_modulation"]],
+        "tells": told_apart([["vibration"], ["camera_shake", "load_modulation"]]),
         "kind": "film",
         "key": "half mass",
     },
@@ -258,6 +260,7 @@ STEPS = [
         "expected_delta_bic": 0.0,
         "expected_if_true": {},
         "groups": [["slope", "spring"]],
+        "tells": "",
         "kind": "none",
         "key": "none",
     },
@@ -271,6 +274,7 @@ def test_terminal_and_report_say_the_same():
     assert "1. Film a run with half the mass: why" in said
     assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said
     assert "2. No run of this menu parts slope and spring" in said
+    assert told_apart([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}
     rows = settle.experiments(settle.shown(found)).rows
     assert rows == (

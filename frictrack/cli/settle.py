@@ -28,8 +28,8 @@ def _evidence(step: dict[str, Any]) -> str:
     """What an experiment parts, and how well."""
     if not step["separates"]:
         return ""
-    first, *others = (" or ".join(group) for group in step.get("groups") or [[name] for name in step["separates"]])
-    return f"tells {first} from {' from '.join(others)}; expected delta BIC {number(step.get('expected_delta_bic'), 2)}"
+    tells = step.get("tells", f"{', '.join(step['separates'])} apart")
+    return f"tells {tells}; expected delta BIC {number(step.get('expected_delta_bic'), 2)}"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:

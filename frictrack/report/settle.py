@@ -17,7 +17,7 @@ def shown(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     One that was stored with less than is told today is filled up.
     """
     steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
-    return [LITTLE | {"groups": [[name] for name in step["separates"]]} | dict(step) for step in steps]
+    return [LITTLE | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
 
 
 def drawn(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -36,7 +36,7 @@ def experiments(steps: Sequence[Mapping[str, Any]]) -> Table:
         (
             f"{k}.",
             typed(step["what"]),
-            " from ".join(" or ".join(group) for group in step["groups"]),
+            step["tells"],
             f"{number(step['expected_delta_bic'], 2)}",
         )
         for k, step in enumerate(steps, 1)

@@ -15,7 +15,7 @@ from frictrack.diagnose.experiments.axes import along_axes
 from frictrack.diagnose.experiments.beside import checks
 from frictrack.diagnose.experiments.expected import Duel, Explanation, explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
-from frictrack.diagnose.experiments.words import because, unparted
+from frictrack.diagnose.experiments.words import because, told_apart, unparted
 from frictrack.errors import FrictrackError
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.solve import Solution
@@ -83,6 +83,7 @@ class Offer:
             "expected_delta_bic": self.least(),
             "expected_if_true": each,
             "groups": _groups(told, pairs),
+            "tells": told_apart(_groups(told, pairs)),
             "kind": self.kind,
             "key": self.key,
         }
@@ -200,6 +201,7 @@ def _hopeless(pair: tuple[str, str], among: Sequence[Explanation]) -> dict[str, 
         "expected_delta_bic": 0.0,
         "expected_if_true": {},
         "groups": [list(pair)],
+        "tells": "",
         "kind": "none",
         "key": "none",
     }

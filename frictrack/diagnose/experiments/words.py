@@ -60,3 +60,11 @@ def unparted(names: Sequence[str], confirm: Sequence[str]) -> str:
     means = MEANS.get(kinds) or "; ".join(c.rstrip(".").replace("`", "") for c in confirm if c)
     said = UNPARTED.format(named)
     return f"{said}; {means}" if means else said
+
+
+def told_apart(groups: Sequence[Sequence[str]]) -> str:
+    """Which causes are told from which: "a, b and c apart", or "a from b or c" where some stay together."""
+    if all(len(group) == 1 for group in groups):
+        *most, last = (group[0] for group in groups)
+        return f"{', '.join(most)} and {last} apart"
+    return " from ".join(" or ".join(group) for group in groups)
