@@ -16,7 +16,7 @@ from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.growth import settled, simulated, without
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.trial import Trial, bare, tried
+from frictrack.fit.simulated.trial import Trial, bare, deepened, tried
 from frictrack.fit.simulated.turns import known
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.records import Array
@@ -72,7 +72,7 @@ def one_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     data = draws.series.own[:, 0]
     tell("refining what stands out")
     trials = [tried(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
-    found = _simulated(draws.law, solution, trials, tests.p)
+    found = _simulated(draws.law, solution, deepened(draws.law, trials), tests.p)
     return Round(solution, draws, tests, found, barred)
 
 
@@ -176,7 +176,7 @@ def _alternatives(rest: Solution, own: Sequence[Effect], old: Tried) -> list[Tri
         e = old.effect if effect.kind == old.effect.kind else effect
         scans = [scan(law, f, series) for f in families(law, known(rest, e))]
         trials.append(tried(law, e, scans, data))
-    return _simulated(law, rest, trials, dict.fromkeys((t.effect.name for t in trials), old.p))
+    return _simulated(law, rest, deepened(law, trials), dict.fromkeys((t.effect.name for t in trials), old.p))
 
 
 def finished(best: Tried) -> Tried:

@@ -13,7 +13,7 @@ from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
-from frictrack.fit.simulated.trial import Trial, tried
+from frictrack.fit.simulated.trial import Trial, deepened, tried
 from frictrack.fit.simulated.turns import follows, in_turn, known, untied
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.models import Model
@@ -76,7 +76,8 @@ def _grown(solution: Solution, effect: Effect) -> Solution:
     if not made:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
     series = one_series(law)
-    return simulated(law, tried(law, effect, [scan(law, f, series) for f in made], series.own[:, 0]))
+    trial = tried(law, effect, [scan(law, f, series) for f in made], series.own[:, 0])
+    return simulated(law, deepened(law, [trial])[0])
 
 
 def simulated(law: Beside, trial: Trial) -> Solution:

@@ -24,7 +24,8 @@ TIE_ALPHA = 0.01  # one amplitude for all runs is kept unless it is worse at thi
 PICKS = 4  # places of one scan that are tried
 APART = 3  # steps of the grid within which a second pick is the same one
 WORTH = 0.5  # of the best rise that a place must promise
-POOR = 1.2  # chi-squared per frame beyond which something stands wrong
+POOR = 0.02  # beyond chance, of chi-squared, for something to stand wrong
+DEEPENED = 4  # trials that are looked at more closely then
 ROUGH, LAST = 4, 25  # steps of a refinement: of every place, and of the best two
 CLOSE, ENOUGH = 1e-3, 1e-6  # share of the misfit that a step must promise
 
@@ -93,27 +94,35 @@ def _best(law: Beside, effect: Effect, starts: Iterable[Start]) -> Trial:
         found.append((problem, problem.refine(problem.at(p), steps=ROUGH, enough=CLOSE)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = min((_finished(problem, state) for problem, state in found[:2]), key=lambda pair: pair[1].misfit)
-    if has_own_scan(effect):
-        best = _events(law, effect, *best)
-    elif best[1].misfit > POOR * best[0].along.size:  # the law beside it may stand where it stood without it
-        problem, state = best
-        best = _finished(problem, Search(problem.along, problem.tau).exchanged(problem, state, ""))
     return _trial(effect, *best)
 
 
-def _events(law: Beside, effect: Effect, problem: Projected, state: State) -> tuple[Projected, State]:
-    """Events of single runs beside each other: each was found where all the others were missing."""
-    search = Search(problem.along, problem.tau)
-    state = search.exchanged(problem, state, effect.name)
-    old = problem.layout
+def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:
+    """Where no trial leaves the noise, the best of them with all that scans quickly put where it belongs beside them.
+
+    The law may stand where it stood without the effect, and events of single runs were found one by one.
+    """
+    frames = sum(len(b.data) for b in law.blocks)
+    if not trials or min(t.misfit for t in trials) < frames * (1 + POOR) + 3 * np.sqrt(2 * frames):
+        return trials
+    order = sorted(trials, key=lambda t: t.misfit)
+    return [_deepened(law, t) for t in order[:DEEPENED]] + order[DEEPENED:]
+
+
+def _deepened(law: Beside, trial: Trial) -> Trial:
+    problem = _projected(law, trial.layout)
+    search, state = Search(problem.along, problem.tau), problem.at(trial.p)
+    if not has_own_scan(trial.effect):
+        return _trial(trial.effect, *_finished(problem, search.exchanged(problem, state, "")))
+    state = search.exchanged(problem, state, trial.effect.name)
     idle = search.idle(state, PULSE_PRICE * np.log(law.solution.problem.n_frames))
-    gone = {pair for pair in idle if pair[0] == effect.name}
+    gone = {pair for pair in idle if pair[0] == trial.effect.name}
     if gone:
-        p = dict(zip(old.names, problem.along.law(state.numbers, state.coefficients), strict=True))
-        layout = replace(old, absent=old.absent | gone)
+        p = dict(zip(trial.layout.names, problem.along.law(state.numbers, state.coefficients), strict=True))
+        layout = replace(trial.layout, absent=trial.layout.absent | gone)
         problem = _projected(law, layout)
         state = problem.at(np.array([p[name] for name in layout.names]))
-    return _finished(problem, state)
+    return _trial(trial.effect, *_finished(problem, state))
 
 
 def _finished(problem: Projected, state: State) -> tuple[Projected, State]:
