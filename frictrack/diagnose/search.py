@@ -16,6 +16,7 @@ from frictrack.diagnose.limits import detection_limit
 from frictrack.diagnose.repeats import Repeats
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
+from frictrack.diagnose.sampled import sampled
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.where import where_it_fails
@@ -145,8 +146,7 @@ def diagnose(
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
-    if fit.measured:
-        start, _ = series.weighed(fit.solution)
+    start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
     felt = None if fit.measured else sensed(start, fit.runs, beside or {})
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[Tried] = []
@@ -170,6 +170,7 @@ def diagnose(
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     concluded = _conclude(fit, first, last, found)
+    concluded = replace(concluded, remarks=[*concluded.remarks, *filter(None, [left_out])])
     if concluded.verdict == "complete":
         return concluded
     seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside)

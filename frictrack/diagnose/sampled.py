@@ -1,0 +1,37 @@
+"""A long record, cut into very many segments, is diagnosed on some of them, spread evenly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.solve import Solution, settle_scatter
+
+MOST = 32  # pieces that are looked at, unless there are more runs
+
+
+def sampled(solution: Solution) -> tuple[Solution, str]:
+    """The law refined on so many pieces as a search can look at, and in words what was left out; "" where nothing."""
+    pieces = solution.problem.pieces
+    if len(pieces) <= MOST:
+        return solution, ""
+    kept = _spread(pieces)
+    problem = solution.problem.over(solution.problem.layout, [pieces[i] for i in kept])
+    starts = [solution.starts[i] for i in kept]
+    some = settle_scatter(problem, solution.p, starts, solution.tau or 0.03)
+    return some, (
+        f"a long record: {len(kept)} of its {len(pieces)} segments were looked at, spread evenly; "
+        "what happens once in between is not seen"
+    )
+
+
+def _spread(pieces: Sequence[Piece]) -> list[int]:
+    """Places of pieces spread evenly over every run, at least one of each."""
+    out: list[int] = []
+    for run in sorted({p.run for p in pieces}):
+        own = [i for i, p in enumerate(pieces) if p.run == run]
+        count = max(MOST * len(own) // len(pieces), 1)
+        out += [own[int(k)] for k in np.linspace(0, len(own) - 1, count).round()]
+    return out
