@@ -25,7 +25,8 @@ PICKS = 4  # places of one scan that are tried
 APART = 3  # steps of the grid within which a second pick is the same one
 WORTH = 0.5  # of the best rise that a place must promise
 POOR = 0.02  # beyond chance, of chi-squared, for something to stand wrong
-DEEPENED = 4  # trials that are looked at more closely then
+STRONG = 2.0  # chi-squared per frame of a law that may stand far from the true one
+DEEPENED = 4  # trials whose events are found again then
 ROUGH, LAST = 4, 25  # steps of a refinement: of every place, and of the best two
 CLOSE, ENOUGH = 1e-3, 1e-6  # share of the misfit that a step must promise
 
@@ -98,31 +99,38 @@ def _best(law: Beside, effect: Effect, starts: Iterable[Start]) -> Trial:
 
 
 def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:
-    """Where no trial leaves the noise, the best of them with all that scans quickly put where it belongs beside them.
+    """Where no trial leaves the noise, or much is missing, each with all that scans quickly where it belongs beside it.
 
-    The law may stand where it stood without the effect, and events of single runs were found one by one.
+    The law may stand where it stood without the effect. Events of single runs were found one by one: the best of these
+    are found again beside each other.
     """
     frames = sum(len(b.data) for b in law.blocks)
-    if not trials or min(t.misfit for t in trials) < frames * (1 + POOR) + 3 * np.sqrt(2 * frames):
+    enough = frames * (1 + POOR) + 3 * np.sqrt(2 * frames)
+    if not trials or (bare(law) < STRONG * frames and min(t.misfit for t in trials) < enough):
         return trials
-    order = sorted(trials, key=lambda t: t.misfit)
-    return [_deepened(law, t) for t in order[:DEEPENED]] + order[DEEPENED:]
+    order = sorted((t if t.misfit < enough else _exchanged(law, t, "") for t in trials), key=lambda t: t.misfit)
+    near = [_events(law, t) if t.misfit > enough and has_own_scan(t.effect) else t for t in order[:DEEPENED]]
+    return near + order[DEEPENED:]
 
 
-def _deepened(law: Beside, trial: Trial) -> Trial:
+def _exchanged(law: Beside, trial: Trial, effect: str) -> Trial:
     problem = _projected(law, trial.layout)
-    search, state = Search(problem.along, problem.tau), problem.at(trial.p)
-    if not has_own_scan(trial.effect):
-        return _trial(trial.effect, *_finished(problem, search.exchanged(problem, state, "")))
-    state = search.exchanged(problem, state, trial.effect.name)
-    idle = search.idle(state, PULSE_PRICE * np.log(law.solution.problem.n_frames))
-    gone = {pair for pair in idle if pair[0] == trial.effect.name}
-    if gone:
-        p = dict(zip(trial.layout.names, problem.along.law(state.numbers, state.coefficients), strict=True))
-        layout = replace(trial.layout, absent=trial.layout.absent | gone)
-        problem = _projected(law, layout)
-        state = problem.at(np.array([p[name] for name in layout.names]))
+    state = Search(problem.along, problem.tau).exchanged(problem, problem.at(trial.p), effect)
     return _trial(trial.effect, *_finished(problem, state))
+
+
+def _events(law: Beside, trial: Trial) -> Trial:
+    """Events of single runs beside each other, those that gain less than their price left out."""
+    found = _exchanged(law, trial, trial.effect.name)
+    problem = _projected(law, found.layout)
+    search, price = Search(problem.along, problem.tau), PULSE_PRICE * np.log(law.solution.problem.n_frames)
+    gone = {pair for pair in search.idle(problem.at(found.p), price) if pair[0] == trial.effect.name}
+    if not gone:
+        return found
+    p = dict(zip(found.layout.names, found.p, strict=True))
+    layout = replace(found.layout, absent=found.layout.absent | gone)
+    problem = _projected(law, layout)
+    return _trial(trial.effect, *_finished(problem, problem.at(np.array([p[name] for name in layout.names]))))
 
 
 def _finished(problem: Projected, state: State) -> tuple[Projected, State]:
