@@ -24,6 +24,7 @@ SIZES = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-s
 JITTER = 1e-8
 ABSORBED = 0.02  # share of a curve that must remain beside the law for it to be told
 PLACES = 81  # of the curve
+OTHER = 1.2  # ratio of loads beyond which runs differ in their load
 CYCLES = 2  # times that a motion must turn back to have a phase
 
 
@@ -63,9 +64,9 @@ def axes(left: Reduced) -> list[Axis]:
     named: dict[str, Callable[[Path], Array]] = {"x": lambda p: p.x, "t": lambda p: p.t, "v": lambda p: p.speed}
     if min(_turns(left, run) for run in set(left.runs)) >= CYCLES:
         named["phase"] = _phase_of(left)
-    loads = {round(p.load, 1) for p in left.paths}
+    loads = [p.load for p in left.paths]
     one_way = np.ptp(left.gathered(lambda p: p.s)) == 0
-    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if len(loads) > 1 else [])
+    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if max(loads) > OTHER * min(loads) else [])
     return [Axis(name, of, factor) for name, of in named.items() for factor in factors]
 
 

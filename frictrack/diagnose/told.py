@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.axes import OTHER
 from frictrack.diagnose.terms import AXES, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
 from frictrack.fit.simulated.solve import Solution
 
@@ -40,12 +41,12 @@ def told(found: Formula, solution: Solution) -> dict[str, Any]:
         terms.append(
             (replace(term, numbers=tuple(own[q] for q in letters_of(term))), [own[c] for c in coefficients_of(term)])
         )
-    loads = {round(p.path.load, 1) for p in solution.problem.pieces}
+    loads = [p.path.load for p in solution.problem.pieces]
     added = [
         n for n in found.solution.problem.model.names if n not in solution.problem.model and not n.startswith(NAME)
     ]
     return {
-        "formula": _words(terms, with_load=len(loads) > 1),
+        "formula": _words(terms, with_load=max(loads) > OTHER * min(loads)),
         "axis": found.terms[0].axis,
         "share": found.share,
         "delta_bic": found.delta_bic,

@@ -220,7 +220,8 @@ class Search:
 
     @staticmethod
     def _nearest(grid: Grid, state: State, where: list[int]) -> int:
-        away = (grid.values - state.numbers[where]) / np.maximum(np.ptp(grid.values, axis=0), 1e-300)
+        reach = np.ptp(grid.values, axis=0)
+        away = (grid.values - state.numbers[where]) / np.where(reach > 0, reach, 1.0)
         return int(np.argmin(np.sum(away**2, axis=1)))
 
     def _stands(self, item: Item, state: State, found: Scan, g: int) -> bool:
