@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.stats import chi2
 
+from frictrack.diagnose.limits import noncentrality
+from frictrack.diagnose.tests import ALPHA
 from frictrack.effects import Span
 from frictrack.plan.library import Cause, library
 from frictrack.plan.reduced import Reduced, nothing, rival, total
@@ -17,7 +21,8 @@ from frictrack.records import Array
 PARTED = 10.0  # expected chi-squared from which two effects are told apart
 MOST = 8  # runs
 LITTLE = 0.5  # of a pair that a run must bring nearer where it parts none
-REFERENCE = "reference"
+FORMS = 1000  # independent forms that a search of the library looks at, about
+FREEDOM = 2  # coefficients of a form
 SHAKE = "camera_shake"
 
 Progress = Callable[[int, int, str], None]
@@ -65,6 +70,7 @@ class Step:
     entry: Entry | None  # None: the reference
     evidence: Array
     parted: list[tuple[str, str]]
+    shown: list[str]  # effects that are seen from here on
     left: int
 
 
@@ -127,22 +133,25 @@ def choose(stand: Stand, tell: Progress = lambda done, total, what: None) -> Cho
     evidence = tables.evidence(chosen, reference=False)
     before = len(_open(evidence))
     steps: list[Step] = []
-    while len(steps) < MOST and _open(evidence):
+    while len(steps) < MOST and _score(evidence)[0]:
         tell(len(steps), MOST, "choosing runs")
         offers = [(i, tables.evidence([*chosen, i], reference=reference)) for i in rest]
         if chosen and not reference:
             offers.append((-1, tables.evidence(chosen, reference=True)))
         best, found = min(offers, key=lambda o: _score(o[1]))
-        if len(_open(found)) >= len(_open(evidence)) and _score(found)[1] > _score(evidence)[1] - LITTLE:
+        if _score(found)[0] >= _score(evidence)[0] and _score(found)[1] > _score(evidence)[1] - LITTLE:
             break
         new = sorted(_open(evidence) - _open(found))
         names = tables.names
         entry = tables.runs[best].entry if best >= 0 else None
-        steps.append(Step(entry, found, [(names[a], names[b]) for a, b in new], len(_open(found))))
+        shown = [names[k] for k in sorted(_unseen(evidence) - _unseen(found))]
+        steps.append(Step(entry, found, [(names[a], names[b]) for a, b in new], shown, len(_open(found))))
         evidence, reference = found, reference or best < 0
         if best >= 0:
             chosen.append(best)
             rest.remove(best)
+    while steps and not steps[-1].parted and not steps[-1].shown:  # it only came near
+        steps.pop()
     tell(MOST, MOST, "planned")
     return Chosen(stand, tables, steps, left_out, before)
 
@@ -153,11 +162,23 @@ def _open(evidence: Array) -> set[tuple[int, int]]:
     return {(int(a), int(b)) for a, b in np.argwhere(square < PARTED) if a < b}
 
 
+def _unseen(evidence: Array) -> set[int]:
+    """Causes that are not seen at all."""
+    return {int(k) for k in np.flatnonzero(evidence[:, -1] < threshold())}
+
+
+@cache
+def threshold() -> float:
+    """Expected rise of chi-squared that is called missing in 95 of 100 repeats, for a search of the whole library."""
+    return noncentrality(float(chi2.isf(ALPHA / 2 / FORMS, FREEDOM)), FREEDOM)
+
+
 def _score(evidence: Array) -> tuple[int, float]:
-    """Pairs left, and how far these are from being parted."""
+    """Pairs left and causes unseen, and how far these are from being parted and seen."""
     square = np.minimum(evidence[:, :-1], evidence[:, :-1].T)
     short = np.maximum(PARTED - square, 0.0) / PARTED
-    return len(_open(evidence)), float(np.sum(np.triu(short, 1)))
+    dark = np.maximum(threshold() - evidence[:, -1], 0.0) / threshold()
+    return len(_open(evidence)) + len(_unseen(evidence)), float(np.sum(np.triu(short, 1)) + np.sum(dark))
 
 
 def pairs(evidence: Array) -> Iterator[tuple[int, int]]:

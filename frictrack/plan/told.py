@@ -5,19 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from frictrack.diagnose.experiments.beside import DIRECT
 from frictrack.diagnose.experiments.words import MEANS
-from frictrack.diagnose.limits import noncentrality
-from frictrack.diagnose.tests import ALPHA
 from frictrack.effects import Effect
-from frictrack.plan.choose import PARTED, Chosen, Step, pairs
+from frictrack.plan.choose import PARTED, Chosen, Step, pairs, threshold
 from frictrack.plan.library import FRAMES, PICTURE, SHARE
 from frictrack.records import Array
 
-FORMS = 1000  # independent forms that a search of the library looks at, about
-FREEDOM = 2  # coefficients of a form
 ALIKE = 1.0  # expected chi-squared below which two traces are one
 ABSORBED = 1e-6  # of what a cause leaves in the picture: less is rounding
 REFERENCE = "a mark at rest in every picture, given as `reference`"
@@ -67,6 +62,7 @@ def _run(chosen: Chosen, step: Step) -> dict[str, Any]:
         "fps": None if film is None else chosen.stand.fps * film.rate,
         "separates": [list(pair) for pair in step.parted],
         "adds": len(step.parted),
+        "shows": step.shown,
         "pairs_left": step.left,
     }
 
@@ -99,11 +95,6 @@ def _settles(effect: Effect) -> str:
     check = DIRECT.get(effect.kind)
     words = check.words if check else effect.confirm.split(":")[0].rstrip(".")
     return words[:1].lower() + words[1:]
-
-
-def threshold() -> float:
-    """Expected rise of chi-squared that is called missing in 95 of 100 repeats, for a search of the whole library."""
-    return noncentrality(float(chi2.isf(ALPHA / 2 / FORMS, FREEDOM)), FREEDOM)
 
 
 def _limit(chosen: Chosen, k: int) -> dict[str, Any]:

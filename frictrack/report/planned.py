@@ -63,10 +63,11 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> Table:
             str(run["adds"]),
             str(run["pairs_left"]),
             _some(run["separates"]),
+            ", ".join(run["shows"]),
         )
         for k, run in enumerate(runs, 1)
     ]
-    return table(("", "run", "pairs parted", "pairs left", "for example"), rows, (2, 3))
+    return table(("", "run", "pairs parted", "pairs left", "for example", "now seen"), rows, (2, 3))
 
 
 def _some(pairs: Sequence[Sequence[str]], most: int = 3) -> str:
