@@ -69,14 +69,13 @@ def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
     said = session.diagnose(seed)
     seconds = time.process_time() - begin
     named = tuple(said["missing"])
-    first = said["candidates"][0] if named else None
     fit: Fit = session.tried.fit(session.tried.current()[0])
     smear = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
     out = replace(
         blank,
         verdict=said["verdict"],
         named=named,
-        group=(first["effect"], *first["indistinguishable_from"]) if first else (),
+        group=_group(said),
         alike=alike(truth, fit.solution) if _compared(truth) else {},
         noted=_noted(session),
         overlap=overlap(truth, said["fails_at"], smear),
@@ -84,6 +83,15 @@ def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         seconds=seconds,
     )
     return _added(session, truth, said, out) if named else _as_it_is(session, said, out)
+
+
+def _group(said: dict[str, Any]) -> tuple[str, ...]:
+    """What is named first, and what the diagnosis cannot tell from it."""
+    if not said["missing"]:
+        return ()
+    first = said["missing"][0]
+    rivals = [c["indistinguishable_from"] for c in said["candidates"] if c["effect"] == first]
+    return (first, *(rivals[0] if rivals else ()))
 
 
 def _compared(truth: Truth) -> bool:

@@ -111,6 +111,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "in_group": _share(one, in_group),
             "first_where_alone": _share([r for r in one if len(_set(r)) == 1], first),
             "missed": _share(one, lambda r: r.verdict == "complete"),
+            "more_than_hidden": _share(one, lambda r: len(r.named) > 1),
             "median_group": _median([len(r.group) for r in one if r.group]),
             "median_set": _median([len(_set(r)) for r in one]),
         },

@@ -15,6 +15,7 @@ SHARES = (  # words, and where they stand
     ("one hidden: first, or in its group", ("one", "in_group")),
     ("one hidden: first where nothing is like it", ("one", "first_where_alone")),
     ("one hidden: missed", ("one", "missed")),
+    ("one hidden: more than one named", ("one", "more_than_hidden")),
     ("nothing hidden: false alarms", ("none", "false_alarms")),
     ("two hidden: both found", ("two", "both")),
     ("not in the library: unexplained, or reproduced", ("foreign", "unexplained_or_reproduced")),
