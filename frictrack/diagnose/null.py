@@ -82,7 +82,7 @@ def ensemble(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -
 
 def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
     """White noise (N, D) of every run over its own estimated level, starts removed, in place."""
-    rng.standard_normal(out.shape, dtype=np.float32, out=out) if out.flags.c_contiguous else _draw(rng, out)
+    out[...] = rng.standard_normal(out.shape, dtype=np.float32)
     for run in law.runs:
         mine = [i for i, s in enumerate(law.strips) if s.run == run]
         squares = [_third_differences(law.strips[i].response, out[law.rows[i]]) for i in mine]
@@ -105,10 +105,6 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     waves[1 : 1 + len(k)] = size * rng.standard_normal((len(k), shape[1]), dtype=np.float32)
     errors: Short = idct(waves, axis=0, norm="ortho")
     return errors
-
-
-def _draw(rng: np.random.Generator, out: Short) -> None:
-    out[...] = rng.standard_normal(out.shape, dtype=np.float32)
 
 
 def _third_differences(response: Response, e: Short) -> tuple[Array, int]:

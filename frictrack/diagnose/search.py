@@ -333,8 +333,23 @@ def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str
     return limits, curves
 
 
+def _untried(barred: dict[str, str]) -> list[str]:
+    """Why effects could not be tried, those for the same reason together: one sentence, or none."""
+    alike: dict[str, list[str]] = {}
+    for name, why in barred.items():
+        alike.setdefault(why.removeprefix(f"{name} "), []).append(name)
+    said = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in alike.items()]
+    return [f"not tried: {'; '.join(said)}"] if said else []
+
+
+def _plural(why: str, count: int) -> str:
+    """The reason of one effect as that of several: needs, need; follows, follow."""
+    verb, _, rest = why.partition(" ")
+    return why if count == 1 else f"{verb.removesuffix('s')} {rest}"
+
+
 def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
-    out = [f"not tried: {'; '.join(barred.values())}"] if barred else []
+    out = _untried(barred)
     if fit.measured:
         return out + series.remarks(fit.solution, fit.runs, series.weighed(fit.solution)[1])
     if len(fit.runs) == 1:
