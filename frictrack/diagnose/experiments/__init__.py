@@ -107,13 +107,15 @@ def next_experiment(
     means.
     """
     among = list(explanations)[:MOST]
-    if len(among) < 2 or any(is_series(e.solution.problem) or _turns(e) for e in among):
+    if len(among) < 2 or any(is_series(e.solution.problem) for e in among):
         return []
     names = [e.effect for e in among]
-    offers = [offer for offer in (*films(among, tell, keys), *beside(among)) if offer.parted()]
+    offers = [
+        offer for offer in (*(films(among, tell, keys) if _coast(among) else ()), *beside(among)) if offer.parted()
+    ]
     out = [offer.summary(names) for offer in _ordered(offers)[:SHOWN]]
     left = [pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.parted() for o in offers)]
-    return out + [_hopeless(pair, among) for pair in left]
+    return out + [_hopeless(pair, among) for pair in left if _coast(among)]
 
 
 def for_unexplained(solution: Solution, tell: Progress = lambda what: None) -> list[dict[str, Any]]:
@@ -187,8 +189,9 @@ def beside(among: Sequence[Explanation]) -> Iterator[Offer]:
     yield from made.values()
 
 
-def _turns(told: Explanation) -> bool:
-    return any(p.turns for p in told.solution.problem.pieces)
+def _coast(among: Sequence[Explanation]) -> bool:
+    """Whether the runs are followed in one piece, so that others like them can be foretold."""
+    return not any(p.turns or p.cut for e in among for p in e.solution.problem.pieces)
 
 
 def _hopeless(pair: tuple[str, str], among: Sequence[Explanation]) -> dict[str, Any]:
