@@ -17,11 +17,16 @@ import numpy as np
 from frictrack.compare.beside import Beside, beside, traces
 from frictrack.compare.chance import Chance
 from frictrack.compare.looks import Bump, Looks, Nodes, chances, families, limits, looks_of, nodes, norms, over
-from frictrack.fit.simulated.solve import Solution
+from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.records import Array
 
 ALPHA = 0.01  # of the whole search for local forces
 ROUNDS = 4
+STRONG = 1.5  # reduced chi-squared from which a law is fitted again beside what it misses
+REFITS, REFIT_STEPS = 2, 6
 SHARE = 0.02  # of what all bumps explain that each must carry
 PREFERRED = 10.0  # of chi-squared by which one place for all runs must gain more than a moment of one run
 BRIEFER = 6.6  # of chi-squared that a longer moment must gain over a briefer one
@@ -73,18 +78,47 @@ def opened(law: Beside) -> Local:
 
 
 def local_forces(solution: Solution) -> Local:
-    """Search a fitted law's residual for local forces."""
-    found = opened(beside(solution))
+    """Search a fitted law's residual for local forces.
+
+    Where a law misses much it has bent too far to be linear: it is fitted again beside the forces found, once or twice.
+    """
+    found = _searched(opened(beside(solution)))
+    for _ in range(REFITS):
+        much = float(found.law.r @ found.law.r) > STRONG * len(found.law.r)
+        if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
+            break
+        found = _searched(_refitted(found, solution.problem))
+    return found
+
+
+def _searched(found: Local) -> Local:
+    """More bumps as long as something stands out."""
     for _ in range(ROUNDS):
         starts, rest = _stand_out(found)
         found = replace(found, rest=rest)
         if not starts:
-            break
+            return found
         tried = [_fitted(replace(found, bumps=[*found.bumps, *more])) for more in starts]
         found = _pruned(min(tried, key=lambda f: float(f.left.r @ f.left.r)))
-    else:
-        found = replace(found, rest=_stand_out(found)[1])
-    return found
+    return replace(found, rest=_stand_out(found)[1])
+
+
+def _refitted(found: Local, bare: Problem) -> Local:
+    """The same bumps beside the law as it is when it knows them; what they leave is put back into its residual."""
+    solution = found.law.solution
+    pieces = []
+    for i, (piece, at) in enumerate(zip(bare.pieces, found.nodes, strict=True)):
+        force = np.sum([b.size * at.force(b) for b in found.bumps if b.piece in (None, i)], axis=0)
+        pieces.append(replace(piece, known=piece.known - force / piece.mass))
+    problem = bare.over(bare.layout, pieces)
+    try:
+        law = beside(refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=REFIT_STEPS))
+    except FrictrackError:  # a law so wild that its motion cannot be integrated
+        return found
+    fresh = opened(law)
+    trace = bump_columns(fresh, found.bumps, moved=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
+    law = replace(law, r=law.r + trace - law.u @ (law.u.T @ trace))
+    return _pruned(_fitted(replace(fresh, law=law, left=law, bumps=found.bumps)))
 
 
 def _stand_out(found: Local) -> tuple[list[list[Bump]], float]:

@@ -65,7 +65,19 @@ def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
                 share = float(sizes[k] * (made[rows, k] @ found.law.r[rows])) / total
                 inside = _inside(found, bump, i, _smear(runs, found.law.responses[i]) if brief else 0.0)
                 spans.append(Span(i, np.flatnonzero(inside), share, found.p(found.bumps[k])))
-    return spans
+    return _joined(spans)
+
+
+def _joined(spans: Sequence[Span]) -> list[Span]:
+    """Spans of one piece that overlap as one."""
+    out: list[Span] = []
+    for s in sorted((s for s in spans if len(s.rows)), key=lambda s: (s.piece, s.rows[0])):
+        last = out[-1] if out else None
+        if last is not None and last.piece == s.piece and s.rows[0] <= last.rows[-1]:
+            out[-1] = Span(s.piece, np.union1d(last.rows, s.rows), last.share + s.share, min(last.p, s.p))
+        else:
+            out.append(s)
+    return out
 
 
 def misfit(law: Beside) -> float:

@@ -1,0 +1,223 @@
+"""Where a law fails, the force it lacks and whether that repeats, against runs whose missing force is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, FPS, MASS, Spec, measured, study
+
+from frictrack import models, plots
+from frictrack.compare import failing_spans
+from frictrack.compare.chance import Chance, arc
+from frictrack.compare.deconvolve import deconvolved, hats, matern
+from frictrack.compare.local import local_forces
+from frictrack.diagnose.repeats import Axis, repeats, told
+from frictrack.diagnose.where import common, figures_of
+from frictrack.fit import fit
+from frictrack.plots import style
+
+DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}
+LAW = "coulomb,viscous"
+PATCH = {"F": 2.0, "x_c": 0.2, "w": 0.008}
+BLOW = {"J": 0.02, "width": 4e-4}
+FOUR = (Spec(3.6, 1, 0.11), Spec(4.4, 2, 0.1), Spec(5.0, 1, 0.09), Spec(-5.6, 1, 0.12))
+MOMENTS = (0.031, 0.062, 0.045, 0.052)  # s, of a blow in each run
+
+
+def lacking(effect, values, specs=FOUR, sigma=5e-6, seed=1):
+    return study(models.of(LAW.split(",")) + effect, DRY | {effect: values}, specs=specs, sigma=sigma,
+                 rng=np.random.default_rng(seed))[0]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def patched():
+    runs = lacking("patch", PATCH)
+    return runs, fit(LAW, runs).solution
+
+
+@pytest.fixture(scope="module")
+def blown():
+    """Runs that are each struck once, at a moment of their own."""
+    runs = []
+    for i, (spec, when) in enumerate(zip(FOUR, MOMENTS, strict=True)):
+        own = BLOW | {"J": np.sign(spec.speed) * BLOW["J"], "time": when}
+        one = lacking("collision", own, specs=(spec,), seed=10 + i)[0]
+        runs.append(replace(one, name=f"r{i}"))
+    return runs, fit(LAW, runs).solution
+
+
+def overlap(spans, runs, acts):
+    """F1 in frames of the named spans against where a force acts, `acts(run) -> (n,)`."""
+    hit = said = true = 0
+    for run in runs:
+        t, mask = run.displacement.t, acts(run)
+        named = np.zeros(len(t), bool)
+        for s in (s for s in spans if s["run"] == run.name):
+            named |= (t >= s["t"][0]) & (t <= s["t"][1])
+        hit, said, true = hit + np.sum(named & mask), said + np.sum(named), true + np.sum(mask)
+    return 2 * hit / (said + true)
+
+
+def on_patch(run):
+    return np.abs(run.motion.x - PATCH["x_c"]) <= 2 * PATCH["w"]
+
+
+def test_a_curve_of_looks_has_the_length_of_its_angle():
+    turn = np.linspace(0, 1.2, 300)
+    assert arc([(3 * np.stack([np.cos(turn), np.sin(turn)]), 1.0)], np.full(300, 3.0)) == pytest.approx(1.2, rel=1e-3)
+    assert arc([(np.eye(2), 1.0)], np.array([1.0, 0.0])) == 0.0
+
+
+def test_the_bound_on_chance_is_one_and_a_close_one():
+    """Noise seen through a sliding Gaussian window: how often its highest look passes a level, against the bound."""
+    rng, n, width = np.random.default_rng(3), 400, 6.0
+    looks = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / width) ** 2) / 2)
+    norm = np.linalg.norm(looks, axis=0)
+    chance = Chance(arc([(looks, 1.0)], norm), 1, 1e6)
+    highest = np.max(np.abs(looks.T @ rng.standard_normal((n, 4000))) / norm[:, None], axis=0)
+    for level in (3.0, 3.5, 4.0):
+        seen = np.mean(highest > level)
+        assert seen < 1.1 * chance(level) + 2 * np.sqrt(seen / 4000)
+        assert chance(level) < 2 * seen + 0.002
+
+
+def test_an_estimated_noise_makes_a_high_look_less_sure():
+    assert Chance(100.0, 3, 50.0)(5.0) > 10 * Chance(100.0, 3, 1e6)(5.0)
+
+
+def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched):
+    runs, solution = patched
+    spans = failing_spans(solution, runs)
+    assert overlap(spans, runs, on_patch) > 0.9
+    assert {s["run"] for s in spans} == {r.name for r in runs if np.sum(on_patch(r)) > 5}
+    assert all(s["p"] < 0.01 for s in spans)
+    assert 0.8 < sum(s["share_of_error"] for s in spans) <= 1.2
+
+
+def test_one_common_place_is_found_and_not_a_moment_of_each_run(patched):
+    found = local_forces(patched[1])
+    assert [b.at_place for b in found.bumps] == [True]
+    assert found.bumps[0].centre == pytest.approx(PATCH["x_c"], abs=0.3 * PATCH["w"])
+    assert found.complete
+
+
+def test_a_blow_is_named_as_far_as_the_low_pass_smears_it(blown):
+    runs, solution = blown
+    spans = sorted(failing_spans(solution, runs), key=lambda s: s["run"])
+    assert [s["run"] for s in spans] == [r.name for r in runs]
+    for run, s, when in zip(runs, spans, MOMENTS, strict=True):
+        smear = 0.5 / run.motion.cutoff
+        low, high = (max(when - smear, run.displacement.t[0]), min(when + smear, run.displacement.t[-1]))
+        assert s["t"] == pytest.approx([low, high], abs=0.25 * smear + 2e-3)
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    rng = np.random.default_rng(7)
+    named = [failing_spans(fit(LAW, runs).solution, runs) for runs in
+             (study(LAW, DRY, specs=FOUR[:2], sigma=1e-5, rng=rng)[0] for _ in range(4))]  # fmt: skip
+    assert named == [[], [], [], []]
+
+
+def test_the_missing_force_lies_within_its_band(patched):
+    runs, solution = patched
+    pieces, _ = deconvolved(solution)
+    z, size = [], []
+    for p in pieces:
+        true = np.sign(p.v) * PATCH["F"] * (runs[p.run].mass / MASS) * np.exp(
+            -(((p.x - PATCH["x_c"]) / PATCH["w"]) ** 2) / 2)  # fmt: skip
+        z.append((p.F - true) / p.sigma_F)
+        size.append(np.abs(p.F - true).max() / np.abs(true).max())
+    assert np.mean(np.abs(np.concatenate(z)) < 2) > 0.9
+    assert np.median(size) < 0.35
+
+
+def test_the_missing_force_of_a_line_is_told_with_its_phase():
+    vibration = {"amplitude": 1.0, "frequency": 61.3, "phase": 0.7}
+    solution = fit(LAW, lacking("vibration", vibration)).solution
+    pieces, line = deconvolved(solution)
+    assert line.frequency == pytest.approx(61.3, abs=1.5)
+    assert line.p < 1e-6
+    size = np.sqrt(2 * np.mean(np.concatenate([p.F for p in pieces]) ** 2))
+    assert size == pytest.approx(1.0, abs=0.3)
+    curve = figures_of(pieces, line)["common_phase"]  # one period: up first, then down
+    assert curve["F"][np.argmin(np.abs(curve["at"] - 0.25))] > 0.5
+    assert curve["F"][np.argmin(np.abs(curve["at"] - 0.75))] < -0.5
+    assert repeats(solution, np.random.default_rng(0)).best.axis == "phase"
+
+
+def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
+    found = repeats(patched[1], np.random.default_rng(0))
+    assert found.best.axis == "x"
+    assert found.best.of == 4
+    assert found.words.startswith("The failure repeats at the same place in ")
+    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of"}
+    assert {a["axis"] for a in found.summary()} == {"x", "t", "v", "phase"}
+
+
+def test_blows_at_moments_of_their_own_do_not_repeat(blown):
+    found = repeats(blown[1], np.random.default_rng(0))
+    assert found.best is None
+    assert found.words.startswith("The failure does not repeat from run to run")
+
+
+def test_one_run_cannot_tell_whether_a_failure_repeats():
+    runs = lacking("patch", PATCH, specs=FOUR[:1])
+    found = repeats(fit(LAW, runs).solution, np.random.default_rng(0))
+    assert found.summary() == []
+    assert found.words.startswith("One run cannot tell")
+
+
+def test_words_say_which_axes_these_runs_hardly_part():
+    axes = [Axis("x", 0.8, 0.005, 5, 6), Axis("t", 0.75, 0.005, 4, 6), Axis("v", 0.1, 0.5, 0, 6)]
+    assert told(axes) == (
+        "The failure repeats at the same place in 5 of 6 runs: it belongs to the course. "
+        "These runs hardly tell this from the same time since release; another speed would."
+    )
+
+
+def test_spans_of_a_measured_friction_force():
+    t = np.arange(600) / FPS
+    x = 3 * t - 10 * t**2
+    v = 3 - 20 * t
+    rng = np.random.default_rng(2)
+    force = 8 + 1.2 * v + 0.8 * np.exp(-(((x - 0.2) / 0.01) ** 2) / 2) + 0.05 * rng.standard_normal(len(t))
+    runs = [measured(t, x, sigma=1e-6, friction_N=force)]
+    spans = failing_spans(fit(LAW, runs).solution, runs)
+    assert len(spans) == 1
+    assert spans[0]["x"] == pytest.approx([0.18, 0.22], abs=0.006)
+
+
+def test_linear_interpolation_between_knots_holds_its_ends():
+    knots = np.array([0.0, 1.0, 3.0])
+    made = hats(np.array([-1.0, 0.5, 2.0, 9.0]), knots)
+    np.testing.assert_allclose(made @ np.array([2.0, 4.0, 8.0]), [2.0, 3.0, 6.0, 8.0])
+    assert np.all(np.linalg.eigvalsh(matern(np.linspace(0, 1, 30), 0.2)) > 0)
+
+
+def test_the_common_curve_is_the_mean_of_runs_and_its_band_knows_their_scatter():
+    axis = np.tile(np.linspace(0.0, 1.0, 400), 3)
+    run = np.repeat([0.0, 1.0, 2.0], 400)
+    shape = np.sin(2 * np.pi * axis)
+    alike = common(run, axis, shape, np.full(1200, 0.01))
+    np.testing.assert_allclose(alike["F"][5:-5], np.sin(2 * np.pi * alike["at"][5:-5]), atol=0.02)
+    apart = common(run, axis, shape + run - 1, np.full(1200, 0.01))
+    assert np.median(apart["sigma_F"]) == pytest.approx(1 / np.sqrt(3), rel=0.1)  # a spread of one, over three runs
+    half = common(run[:400], axis[:400] / 2, shape[:400], np.full(400, 0.01))
+    assert half["at"][-1] == 0.5
+
+
+def test_every_span_is_marked_in_its_runs_colour(patched):
+    runs, solution = patched
+    pieces, line = deconvolved(solution)
+    spans = failing_spans(solution, runs)
+    looks = style.run_looks(runs)
+    found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4}]
+    figure = plots.missing_force(figures_of(pieces, line), spans, looks, found)
+    assert figure.get_suptitle() == "The force that the model misses repeats with place in 3 of 4 runs"
+    place = next(ax for ax in figure.axes if "displacement x" in ax.get_xlabel())
+    bars = {tuple(np.round(b.get_xdata(), 3)): b.get_color() for b in place.lines if b.get_linewidth() == 3.0}
+    for s in spans:
+        ends = next(e for e, c in bars.items() if c == looks[s["run"]]["color"])
+        assert ends == pytest.approx(s["x"], abs=0.003)
