@@ -14,6 +14,7 @@ import numpy as np
 from scipy.fft import idct
 
 from frictrack.fit.simulated.beside import Beside, beside
+from frictrack.fit.simulated.pieces import Rows
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.scan import Series, Short
 from frictrack.fit.simulated.solve import Solution
@@ -114,7 +115,7 @@ def _third_differences(response: Response, e: Short) -> tuple[Array, int]:
     return np.asarray(np.einsum("nd,nd->d", d, d), dtype=np.float64), int(np.sum(whole))
 
 
-def _neighbours(frames: Array) -> Mask:
+def _neighbours(frames: Rows) -> Mask:
     """Which third differences have four neighbouring frames."""
     step = int(np.median(np.diff(frames)))  # of a series of which only every so many frames count
     return np.asarray(frames[3:] - frames[:-3] == 3 * step)

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Effect, Path
@@ -170,7 +171,7 @@ class Beside:
         """The pieces as data that forces along the measured motion explain."""
         return [s.block() for s in self.strips]
 
-    def coordinates(self, series: Array) -> Array:
+    def coordinates(self, series: Array | NDArray[np.float32]) -> Array:
         """Coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
         parts = [s.basis[:, s.starts :].T @ series[rows] for s, rows in zip(self.strips, self.rows, strict=True)]
         return np.asarray(np.concatenate(parts), dtype=np.float64)
