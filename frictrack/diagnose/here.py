@@ -27,7 +27,7 @@ def words(effect: Effect, solution: Solution | None = None) -> dict[str, str]:
     own = OWN.get(effect.kind)
     parts = [own(seen) if own else "", seen.strongest()]
     said = "; ".join(part for part in parts if part)
-    return told | {"here": f"{said[:1].upper()}{said[1:]}."}
+    return told | ({"here": f"{said[:1].upper()}{said[1:]}."} if said else {})
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,8 @@ class Seen:
         piece = response.piece
         k = next(n for n, r in enumerate(self.solution.responses) if r is response)
         size = abs(float(self.blocks[k][i]))
+        if size == 0:
+            return ""
         x, v = _motion(response)
         if self.effect.acts_on == "force":
             whole = abs(self._total(response)[i])
