@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from frictrack.compare.beside import Beside, traces
@@ -13,6 +14,7 @@ from frictrack.fit.simulated.problem import Response
 from frictrack.records import Array
 
 PERIODS = 3.0
+FINER = 12  # looks between two frequencies of the scan
 EVERY = 2  # of the library's frequencies, a quarter of a Rayleigh cell apart
 
 
@@ -71,7 +73,10 @@ def strongest_line(law: Beside) -> Line | None:
                 gram += np.einsum("nfi,nfj->fij", cube, cube) - np.einsum("pfi,pfj->fij", on, on)
                 data += (law.r[rows] @ made).reshape(len(f), 2)
         gain += np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
-    return _at(law, float(f[int(np.argmax(gain))]), len(f))
+    best, step = float(f[int(np.argmax(gain))]), float(f[1] - f[0]) if len(f) > 1 else 0.0
+    around = (max(best - step, 0.5 * best), best + step)
+    found = minimize_scalar(lambda at: -_at(law, float(at), 1).gain, bounds=around, options={"maxiter": FINER})
+    return _at(law, float(found.x), len(f))
 
 
 def line_at(law: Beside, frequency: float) -> Line:

@@ -133,12 +133,12 @@ def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) ->
     if len(runs) < 2:
         return Repeats(words="One run cannot tell whether a failure repeats: film another one, best at another speed.")
     apart = _apart(law, runs, _drawn(law, rng, draws))
-    found, curves = [], {}
+    found, curves, excess = [], {}, _excess(apart)
     for axis in KNOTS:
         made, curves[axis] = _smooth([_fold(apart, axis, dry) for dry in (True, False)])
         if axis == "x":
             made = _better(made, _wave(apart))
-        found.append(_judged(axis, made, _excess(apart)))
+        found.append(_judged(axis, made, excess))
     found.append(_phase(law, runs, rng, draws))
     found.sort(key=lambda a: (not a.holds, -a.share))
     return Repeats(found, told(found), curves)
@@ -163,14 +163,14 @@ def _apart(law: Beside, runs: Sequence[int], series: Array) -> _Runs:
 
 
 def _excess(apart: _Runs) -> Array:
-    """Misfit of every run beyond its noise under the law of the other runs, at least its uncertainty, (R,)."""
+    """Misfit of every run beyond its noise under the law of the other runs, at least its uncertainty, (R, D)."""
     gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
     fold = _Fold(np.empty(0), gram, data)
-    left, frames = np.zeros(apart.count), np.zeros(apart.count)
+    left, frames = np.zeros((apart.count, data.shape[2])), np.zeros((apart.count, 1))
     for run, series, own in zip(apart.run, apart.series, apart.own, strict=True):
-        left[run] += float(series[:, 0] @ series[:, 0])
+        left[run] += np.einsum("nd,nd->d", series, series)
         frames[run] += len(series) - own.shape[1]
-    left -= _gains(fold, _held(fold), 0)[:, 0]
+    left -= _gains(fold, _held(fold), 0)
     return np.asarray(np.maximum(left - frames, np.sqrt(2 * frames)))
 
 
@@ -245,9 +245,9 @@ def _better(one: Array, other: Array) -> Array:
 
 def _judged(axis: str, gains: Array, excess: Array) -> Axis:
     """Share of the misfit that is foretold, its p among the draws, and in how many runs."""
-    share = gains.sum(axis=0) / excess.sum()
+    share = gains.sum(axis=0) / excess.sum(axis=0)
     p = float((1 + np.sum(share[1:] >= share[0])) / len(share))
-    runs = int(np.sum(gains[:, 0] > FORETOLD * excess))
+    runs = int(np.sum(gains[:, 0] > FORETOLD * excess[:, 0]))
     return Axis(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
