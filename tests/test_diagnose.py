@@ -177,6 +177,28 @@ def test_structure_that_no_effect_explains_is_shown_and_not_named():
         assert np.shape(found.unexplained["curve"])[1] == 2
 
 
+def test_two_effects_are_found_one_after_the_other_and_nothing_more():
+    law = {name: BASE[name] for name in LAW} | {"texture": HIDDEN["texture"], "drag": {"c": 0.3}}
+    rng = np.random.default_rng(4)
+    runs = study(models.of(law), law, specs=FOUR, sigma=1e-5, scatter=0.03, rng=rng)[0]
+    found = diagnose(fit(LAW, runs))
+    assert sorted(found.missing) == ["drag", "texture"]
+    assert {c.effect for c in found.candidates[:2]} == {"drag", "texture"}
+    assert all(c.p == 0.001 for c in found.candidates[:2])
+
+
+def test_an_effect_of_your_own_is_tried_and_named():
+    magnet = effects.formula(
+        "magnet", "F*exp(-((x - x_c)/w)**2)", units={"F": "N", "x_c": "m", "w": "m"}, bounds={"w": (0.005, 0.05)}
+    )
+    law = {name: BASE[name] for name in LAW} | {"magnet": {"F": 1.5, "x_c": 0.12, "w": 0.012}}
+    rng = np.random.default_rng(5)
+    runs = study(models.of([*LAW, magnet]), law, specs=FOUR, sigma=1e-5, scatter=0.03, rng=rng)[0]
+    found = diagnose(fit(LAW, runs), own=[magnet])
+    assert found.best.effect == "magnet"
+    assert "magnet" in found.detection_limits
+
+
 @pytest.mark.slow
 def test_twenty_studies_with_nothing_hidden_are_complete():
     complete = sum(diagnose(fit(LAW, runs_with(seed=100 + s))).verdict == "complete" for s in range(20))

@@ -1,0 +1,123 @@
+"""What a candidate stands beside: responses of many forces at once, laws along the measured motion, held-out errors.
+
+The truth here is the one-by-one way: the exact linear response, least squares with the column written out, a law
+simulated and refined, and a refit without the frames that are held out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, HIDDEN, Spec, study
+
+from frictrack import effects, models
+from frictrack.fit import fit
+from frictrack.fit.heldout import UNSEEN, heldout_rms
+from frictrack.fit.simulated.beside import beside
+from frictrack.fit.simulated.growth import grow, simulated
+from frictrack.fit.simulated.scan import families, one_series, scan
+from frictrack.fit.simulated.solve import refine
+from frictrack.fit.simulated.traced import traced
+from frictrack.fit.simulated.trial import bare, tried
+from frictrack.simulate.rows import Rows
+
+LAW = ["coulomb", "stribeck", "viscous"]
+SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.06), Spec(-4.0, 1, 0.06))
+
+
+def solved(*hidden, sigma=1e-5, seed=2):
+    law = {name: BASE[name] for name in LAW} | {name: HIDDEN[name] for name in hidden}
+    runs, _ = study(models.of(law), law, specs=SPECS, sigma=sigma, scatter=0.02, rng=np.random.default_rng(seed))
+    return fit(LAW, runs).solution
+
+
+@pytest.fixture(scope="module")
+def complete():
+    return solved()
+
+
+@pytest.fixture(scope="module")
+def lacks_texture():
+    return solved("texture", sigma=2e-6)
+
+
+class TestRows:
+    @pytest.mark.parametrize(("frequency", "accuracy"), [(20.0, 1e-5), (100.0, 1e-4), (400.0, 3e-3)])
+    def test_a_force_moves_the_mass_as_the_exact_response_says(self, complete, frequency, accuracy):
+        response = complete.responses[1]
+        panels, many = response.linear.panels, Rows(response.linear)
+        exact = response.linear.respond(np.sin(2 * np.pi * frequency * panels.t + 0.4)[:, None], np.zeros((2, 1)))[1]
+        x = many(np.sin(2 * np.pi * frequency * panels.edges + 0.4)[None])[0]
+        starts = many.starts.T
+        left = [y - starts @ np.linalg.lstsq(starts, y, rcond=None)[0] for y in (x, exact[:, 0, 0])]
+        assert np.linalg.norm(left[0] - left[1]) < accuracy * np.linalg.norm(left[1])
+
+    def test_where_sums_would_lose_digits_the_panels_are_chained(self, complete):
+        response = complete.responses[0]
+        many = Rows(response.linear)
+        g = np.cos(3e2 * response.linear.panels.edges)[None]
+        swift = many(g)
+        many.stiff = True
+        np.testing.assert_allclose(many(g), swift, atol=1e-3 * np.abs(swift).max())
+
+
+class TestTraced:
+    def test_a_law_that_lacks_nothing_is_seen_as_it_is(self, complete):
+        for a, b in zip(complete.responses, traced(complete).responses, strict=True):
+            np.testing.assert_allclose(b.r, a.r, atol=1e-5)
+
+    def test_the_law_along_the_measured_motion_has_the_misfit_of_the_simulated_one(self, lacks_texture):
+        law = beside(lacks_texture)
+        assert bare(law) == pytest.approx(lacks_texture.objective, rel=0.01)
+        series, texture = one_series(law), effects.get("texture")
+        scans = [scan(law, f, series) for f in families(law, texture)]
+        trial = tried(law, texture, scans, series.own[:, 0])
+        grown = simulated(law, trial)
+        assert lacks_texture.objective > 3 * grown.objective
+        assert trial.misfit == pytest.approx(grown.objective, abs=2.0)
+        there = dict(zip(trial.layout.names, trial.p, strict=True))
+        assert there["texture.period"] == pytest.approx(HIDDEN["texture"]["period"], rel=0.01)
+        assert there["texture.amplitude"] == pytest.approx(HIDDEN["texture"]["amplitude"], rel=0.1)
+
+
+class TestScan:
+    @pytest.mark.parametrize("name", ["drag", "vibration", "patch", "camera_shake", "friction_lag"])
+    def test_gains_are_those_of_least_squares_with_the_columns_written_out(self, complete, name):
+        law = beside(complete)
+        family = families(law, effects.get(name))[0]
+        found = scan(law, family, one_series(law))
+        g = len(found.rises) // 3
+        rows = np.zeros((len(law.basis.u), family.size))
+        for i, block in zip(family.members, family.block, strict=True):
+            strip = law.strips[i]
+            raw = family.raw(strip, family.values[g : g + 1])[0]
+            mine = slice(block * family.k, (block + 1) * family.k)
+            rows[law.rows[i], mine] = strip.unstarted(strip.weighed(raw, family.effect.acts_on == "measurement")).T
+        data, u = law.solution.unlevelled(), law.basis.u
+        shrink = law.basis.shrink(law.solution.tau)
+        metric = np.eye(len(u)) - u @ shrink @ u.T  # what the law, its levels held, leaves of data
+        gain = data @ metric @ rows @ np.linalg.pinv(rows.T @ metric @ rows, rcond=1e-9) @ rows.T @ metric @ data
+        assert found.rises[g] == pytest.approx(gain, rel=0.02, abs=0.02)
+
+
+class TestHeldOut:
+    def test_one_step_says_what_a_refit_would(self, lacks_texture):
+        grown = grow(lacks_texture, effects.get("texture"))
+        for solution, accuracy in ((grown, 0.002), (lacks_texture, 0.02)):
+            problem, odd = solution.problem, []
+            pieces = []
+            for p in problem.pieces:
+                hidden = np.arange(len(p.t)) % 2 == 1
+                pieces.append(replace(p, sigma=np.where(hidden, UNSEEN, 1.0) * p.sigma))
+            refitted = refine(problem.over(problem.layout, pieces), solution.p, solution.starts, tau=solution.tau)
+            odd = np.concatenate([(r.piece.y - r.model_y)[1::2] for r in refitted.responses])
+            assert heldout_rms(solution, "frames")[0] == pytest.approx(np.sqrt(np.mean(odd**2)), rel=accuracy)
+
+    def test_the_right_effect_brings_it_down_to_the_noise(self, lacks_texture):
+        before, how = heldout_rms(lacks_texture)
+        after, _ = heldout_rms(grow(lacks_texture, effects.get("texture")), how)
+        assert how in ("run", "frames")
+        assert before > 1.5 * after
+        assert after == pytest.approx(2e-6, rel=0.1)
