@@ -21,8 +21,9 @@ from scipy.fft import dct, idct
 
 from frictrack.compare.beside import Beside, beside, traces
 from frictrack.compare.deconvolve import hats, matern
-from frictrack.compare.lines import scanned, seen, waves
+from frictrack.compare.lines import waves
 from frictrack.compare.looks import Nodes, course, nodes
+from frictrack.diagnose.phases import FORETOLD, in_phase
 from frictrack.effects.texture import periods
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
@@ -33,7 +34,6 @@ REACHES = (2.0, 6.0, 20.0)  # of a curve, in knots
 SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
 ALPHA = 0.01
 LAW = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
-FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
 SAME = 0.1  # of the misfit, within which two axes are as good
 
 WHERE = {
@@ -139,7 +139,8 @@ def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) ->
         if axis == "x":
             made = _better(made, _wave(apart))
         found.append(_judged(axis, made, excess))
-    found.append(_phase(law, runs, rng, draws))
+    phase = in_phase(law, runs, rng, draws)
+    found.append(Axis("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency))
     found.sort(key=lambda a: (not a.holds, -a.share))
     return Repeats(found, told(found), curves)
 
@@ -318,84 +319,6 @@ def _curve(fold: _Fold, held: Array) -> dict[str, Array]:
     inverse = np.linalg.inv(fold.gram.sum(axis=0) + held)
     force, k = inverse @ fold.data.sum(axis=0)[:, 0], len(fold.knots)
     return {"at": fold.knots, "F": force[:k], "sigma_F": np.sqrt(np.maximum(np.diag(inverse)[:k], 0.0))}
-
-
-def _phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: int) -> Axis:
-    """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
-
-    Foretold are the odd frames; they stand for all.
-    """
-    f, excess = scanned(law), _beyond(law, runs)
-    halves = [_halves(law, run, f) for run in runs]
-    gains, total = _waved(halves)
-    best = int(np.argmax(total))
-    null = []
-    for _ in range(draws):
-        shifts = rng.integers(0, len(f), len(halves))
-        moved = [_rolled(h, int(by)) for h, by in zip(halves, shifts, strict=True)]
-        drawn, total = _waved(moved)
-        null.append(float(drawn[:, int(np.argmax(total))].sum()))
-    mine = float(gains[:, best].sum())
-    p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
-    share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
-    return Axis("phase", share, p, int(np.sum(gains[:, best] > FORETOLD * excess)), len(runs), float(f[best]))
-
-
-_Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G, 2, 2), data (G, 2), (G, 2)
-
-
-def _beyond(law: Beside, runs: Sequence[int]) -> Array:
-    """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
-    out = np.zeros((len(runs), 2))
-    for rows, response in zip(law.rows, law.responses, strict=True):
-        r = law.r[rows]
-        out[runs.index(response.piece.run)] += float(r @ r), len(r) - float(np.sum(law.u[rows] ** 2))
-    return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
-
-
-def _rolled(h: _Halves, by: int) -> _Halves:
-    """The same run with its frequencies shifted."""
-    return np.roll(h[0], by, 0), np.roll(h[1], by, 0), np.roll(h[2], by, 0), np.roll(h[3], by, 0)
-
-
-def _halves(law: Beside, run: int, f: Array) -> _Halves:
-    out: list[Array] = [
-        np.zeros((len(f), 2, 2)),
-        np.zeros((len(f), 2, 2)),
-        np.zeros((len(f), 2)),
-        np.zeros((len(f), 2)),
-    ]
-    for rows, response in zip(law.rows, law.responses, strict=True):
-        if response.piece.run == run:
-            made = seen(response, f)
-            made -= law.u[rows] @ (law.u[rows].T @ made)
-            cube = made.reshape(len(made), len(f), 2)
-            for k in (0, 1):
-                out[k] += np.einsum("nfi,nfj->fij", cube[k::2], cube[k::2])
-                out[2 + k] += np.einsum("nfi,n->fi", cube[k::2], law.r[rows][k::2])
-    return out[0], out[1], out[2], out[3]
-
-
-def _waved(halves: Sequence[_Halves]) -> tuple[Array, Array]:
-    """Fall of every run's chi-squared with the amplitude of the others (R, G), and what free amplitudes gain (G,)."""
-    own, inverses = [], []
-    total = np.zeros(len(halves[0][0]))
-    for even, odd, b_even, b_odd in halves:
-        inverse = np.linalg.pinv(even + odd, rcond=1e-6, hermitian=True)
-        wave = np.einsum("fij,fj->fi", inverse, b_even + b_odd)
-        own.append(wave)
-        inverses.append(np.einsum("fii->f", inverse))
-        total += np.einsum("fi,fi->f", wave, b_even + b_odd)
-    power = np.array([np.sum(w**2, axis=1) - i for w, i in zip(own, inverses, strict=True)])
-    weight = 1 / np.maximum(np.array(inverses), 1e-300) ** 2
-    gains = np.zeros_like(power)
-    for k, (even, odd, b_even, b_odd) in enumerate(halves):
-        others = np.arange(len(halves)) != k
-        a = np.sqrt(np.maximum(np.sum((weight * power)[others], axis=0) / np.sum(weight[others], axis=0), 0.0))
-        way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
-        way *= (a / np.maximum(np.linalg.norm(way, axis=1), 1e-300))[:, None]
-        gains[k] = 2 * (2 * np.sum(way * b_odd, axis=1) - np.einsum("fi,fij,fj->f", way, odd, way))
-    return gains, total
 
 
 def told(axes: Sequence[Axis]) -> str:

@@ -1,0 +1,101 @@
+"""Whether a failure repeats with one frequency: its size common to all runs, every run at a phase of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.compare.beside import Beside
+from frictrack.compare.lines import scanned, seen
+from frictrack.records import Array
+
+FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
+
+_Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G, 2, 2), data (G, 2), (G, 2)
+
+
+@dataclass(frozen=True)
+class InPhase:
+    """Share of the misfit that the other runs foretell, its p, in how many runs, and the frequency, Hz."""
+
+    share: float
+    p: float
+    runs: int
+    frequency: float
+
+
+def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: int) -> InPhase:
+    """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
+
+    Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
+    """
+    f, excess = scanned(law), _beyond(law, runs)
+    halves = [_halves(law, run, f) for run in runs]
+    gains, total = _waved(halves)
+    best = int(np.argmax(total))
+    null = []
+    for _ in range(draws):
+        shifts = rng.integers(0, len(f), len(halves))
+        moved = [_rolled(h, int(by)) for h, by in zip(halves, shifts, strict=True)]
+        drawn, total = _waved(moved)
+        null.append(float(drawn[:, int(np.argmax(total))].sum()))
+    mine = float(gains[:, best].sum())
+    p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
+    share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
+    return InPhase(share, p, int(np.sum(gains[:, best] > FORETOLD * excess)), float(f[best]))
+
+
+def _beyond(law: Beside, runs: Sequence[int]) -> Array:
+    """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
+    out = np.zeros((len(runs), 2))
+    for rows, response in zip(law.rows, law.responses, strict=True):
+        r = law.r[rows]
+        out[runs.index(response.piece.run)] += float(r @ r), len(r) - float(np.sum(law.u[rows] ** 2))
+    return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
+
+
+def _rolled(h: _Halves, by: int) -> _Halves:
+    """The same run with its frequencies shifted."""
+    return np.roll(h[0], by, 0), np.roll(h[1], by, 0), np.roll(h[2], by, 0), np.roll(h[3], by, 0)
+
+
+def _halves(law: Beside, run: int, f: Array) -> _Halves:
+    out: list[Array] = [
+        np.zeros((len(f), 2, 2)),
+        np.zeros((len(f), 2, 2)),
+        np.zeros((len(f), 2)),
+        np.zeros((len(f), 2)),
+    ]
+    for rows, response in zip(law.rows, law.responses, strict=True):
+        if response.piece.run == run:
+            made = seen(response, f)
+            made -= law.u[rows] @ (law.u[rows].T @ made)
+            cube = made.reshape(len(made), len(f), 2)
+            for k in (0, 1):
+                out[k] += np.einsum("nfi,nfj->fij", cube[k::2], cube[k::2])
+                out[2 + k] += np.einsum("nfi,n->fi", cube[k::2], law.r[rows][k::2])
+    return out[0], out[1], out[2], out[3]
+
+
+def _waved(halves: Sequence[_Halves]) -> tuple[Array, Array]:
+    """Fall of every run's chi-squared with the amplitude of the others (R, G), and what free amplitudes gain (G,)."""
+    own, inverses = [], []
+    total = np.zeros(len(halves[0][0]))
+    for even, odd, b_even, b_odd in halves:
+        inverse = np.linalg.pinv(even + odd, rcond=1e-6, hermitian=True)
+        wave = np.einsum("fij,fj->fi", inverse, b_even + b_odd)
+        own.append(wave)
+        inverses.append(np.einsum("fii->f", inverse))
+        total += np.einsum("fi,fi->f", wave, b_even + b_odd)
+    power = np.array([np.sum(w**2, axis=1) - i for w, i in zip(own, inverses, strict=True)])
+    weight = 1 / np.maximum(np.array(inverses), 1e-300) ** 2
+    gains = np.zeros_like(power)
+    for k, (even, odd, b_even, b_odd) in enumerate(halves):
+        others = np.arange(len(halves)) != k
+        a = np.sqrt(np.maximum(np.sum((weight * power)[others], axis=0) / np.sum(weight[others], axis=0), 0.0))
+        way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
+        way *= (a / np.maximum(np.linalg.norm(way, axis=1), 1e-300))[:, None]
+        gains[k] = 2 * (2 * np.sum(way * b_odd, axis=1) - np.einsum("fi,fij,fj->f", way, odd, way))
+    return gains, total
