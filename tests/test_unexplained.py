@@ -1,0 +1,194 @@
+"""Causes that the library does not know: over which axis they repeat, and the formula that they are.
+
+The motions are integrated by scipy; nothing of frictrack's laws or integrator is in them.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+
+import numpy as np
+import pytest
+from runs import MASS, measured
+from scipy.integrate import solve_ivp
+
+from frictrack.diagnose.axes import axes, smooth_forces
+from frictrack.diagnose.formulas import formulas
+from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.shapes import SHAPES
+from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.effects.settings import definitions, read
+from frictrack.fit import fit
+from frictrack.fit.simulated.solve import refine
+
+LAW = ["coulomb", "viscous"]
+PLAN = ((3.4, 1), (4.0, 1), (6.0, 1), (4.5, 2), (-4.0, 1), (-5.5, 1))  # start speed m/s, mass over the reference
+FRAMES, FPS = 280, 4000.0  # before the slowest stops
+
+CAUSES = {  # what is hidden: axis, force at x, v, t, s and load
+    "magnet": ("x", lambda x, v, t, s, load: 1.5 * ((x - 0.3) / 0.03) / (1 + ((x - 0.3) / 0.03) ** 2) ** 2),
+    "joint": ("x", lambda x, v, t, s, load: 0.4 * load * s * np.tanh((x - 0.31) / 4e-3)),
+    "saw": ("x", lambda x, v, t, s, load: 0.8 * load * s * (2 * ((x / 0.07) % 1.0) - 1)),
+    "rate_and_state": ("v", lambda x, v, t, s, load: 0.5 * load * s * np.log((abs(v) + 1e-3) / 0.01)),
+    "flash_weakening": ("v", lambda x, v, t, s, load: 4.0 * load * s / (1 + abs(v) / 1.2)),
+    "speed_resonance": ("v", lambda x, v, t, s, load: 0.7 * load * s * np.exp(-(((abs(v) - 3) / 0.45) ** 2) / 2)),
+    "chirp": ("t", lambda x, v, t, s, load: 0.8 * np.sin(2 * np.pi * 35 * (1 + 4 * t) * t)),
+}
+# shapes that are the cause, or cannot be told from it by such runs
+EQUAL = {
+    "magnet": {"pair"},
+    "joint": {"step"},
+    "saw": {"teeth"},
+    "rate_and_state": {"logarithm", "decay", "fraction", "root"},
+    "flash_weakening": {"fraction", "decay"},
+    "speed_resonance": {"bump"},
+    "chirp": {"chirp"},
+}
+LOOKS = {  # a piece of text by which a shape is known in a formula
+    "pair": "^2)^2",
+    "step": "tanh(",
+    "teeth": "atan(",
+    "logarithm": "log(1 + |v|",
+    "decay": "exp(-|v|",
+    "fraction": "1/(1 + |v|/",
+    "root": "sqrt(",
+    "bump": "exp(-((|v|",
+    "chirp": "1/s^2 t) t",
+}
+
+
+def slides(cause, *, sigma=1e-5, seed=0, plan=PLAN):
+    """Runs under Coulomb and viscous friction, 2 % scatter of the level, and one cause more."""
+    rng = np.random.default_rng(seed)
+    hidden = CAUSES[cause][1] if cause else lambda *_: 0.0
+    out = []
+    for i, (speed, load) in enumerate(plan):
+        level, s = load * (1 + 0.02 * rng.standard_normal()), np.sign(speed)
+
+        def moves(t, z, level=level, s=s, load=load):
+            return [z[1], -(8.0 * level * s + 1.2 * z[1] + hidden(z[0], z[1], t, s, level)) / (MASS * load)]
+
+        t = np.arange(FRAMES) / FPS
+        start = [0.05 if s > 0 else 0.6, speed]
+        x = solve_ivp(moves, (0, t[-1]), start, t_eval=t, rtol=1e-10, atol=1e-12, max_step=2.5e-4).y[0]
+        out.append(measured(t, x, sigma=sigma, mass=MASS * load, name=f"r{i}", rng=rng))
+    return out
+
+
+@pytest.fixture(scope="module")
+def fits():
+    return {cause: fit(LAW, slides(cause)) for cause in CAUSES}
+
+
+@pytest.fixture(scope="module")
+def firsts(fits):
+    """The first formula of a cause, looked for once."""
+    return cache(lambda cause: formulas(fits[cause].solution)[0])
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_the_axis_of_a_cause_outside_the_library_is_found(fits, cause):
+    best, second, *_ = smooth_forces(reduced(fits[cause].solution))
+    assert best.axis.name == CAUSES[cause][0]
+    assert best.share > 0.9
+    assert best.gain > second.gain
+
+
+def test_the_curve_is_the_force_within_its_band(fits):
+    smooth = smooth_forces(reduced(fits["magnet"].solution))[0]
+    assert smooth.axis.factor == ""  # it pulls whichever way the mass goes
+    truth = CAUSES["magnet"][1](smooth.at, 0, 0, 0, 0)
+    away = smooth.force - truth
+    assert np.mean(np.abs(away - away.mean()) < 3 * smooth.sigma + 0.05) > 0.75
+    assert np.corrcoef(smooth.force, truth)[0, 1] > 0.9  # what the law takes up itself is not told
+
+
+def test_pure_noise_has_no_axis():
+    smooth = smooth_forces(reduced(fit(LAW, slides(None)).solution))
+    assert smooth[0].gain < 12  # of six to nine axes; a cause has hundreds
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, cause):
+    first = firsts(cause)
+    assert any(LOOKS[shape] in first["formula"] for shape in EQUAL[cause]), first["formula"]
+    assert first["axis"] == CAUSES[cause][0]
+    assert first["delta_bic"] > 50
+    assert first["share"] > 0.9
+    assert 0.9 < first["reduced_chi2"] < 1.1
+
+
+def test_numbers_are_those_of_the_cause(firsts):
+    magnet = firsts("magnet")["formula"]
+    size, place, width = (float(magnet.split(part)[i].split()[0]) for part, i in ((" N ", 0), ("(x - ", 1), (")/", 1)))
+    assert size == pytest.approx(1.5, rel=0.05)
+    assert place == pytest.approx(0.3, abs=1e-3)
+    assert width == pytest.approx(0.03, rel=0.05)
+    chirp = firsts("chirp")["formula"]
+    start, rate = (float(chirp.split("(2 pi (")[1].split()[i]) for i in (0, 3))
+    assert start == pytest.approx(35.0, abs=1.0)
+    assert rate == pytest.approx(140.0, abs=10.0)
+
+
+@pytest.mark.parametrize("cause", ["magnet", "flash_weakening"])
+def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, firsts, cause):
+    first = firsts(cause)
+    tables = [read(table) for table in tomllib.loads(first["toml"])["effect"]]
+    (effect,) = definitions(tables)
+    assert effect.name == "unexplained"
+    before = fits[cause]
+    after = fit(before.model + effect, before.runs)
+    assert before.reduced_chi2 > 1.15
+    assert after.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    assert after.errors["heldout_rms_um"] == pytest.approx(10.0, rel=0.06)
+
+
+def test_the_json_has_what_the_report_shows(fits):
+    found = unexplained_force(fits["joint"].solution)
+    assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
+    assert np.shape(found["curve"]) == (len(found["band"]), 2)
+    assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
+
+
+def test_fewer_numbers_say_the_same_as_all_frames(fits):
+    """The traces of a force in few numbers against the motion itself, moved by that force."""
+    solution = fits["magnet"].solution
+    left = reduced(solution)
+    push = [1e-3 * np.sin(2 * np.pi * p.x / 0.1)[:, None] for p in left.paths]
+    told = left.trace(push)[:, 0]
+    whole = []
+    for r in solution.responses:
+        g = -1e-3 * np.sin(2 * np.pi * r.motion.x / 0.1)[:, None] / r.piece.mass
+        moved = r.linear.respond(g, np.zeros((2, 1)))[1][r.piece.at, 0, 0] / r.piece.sigma
+        whole.append(moved - r.q @ (r.q.T @ moved))
+    basis = solution.basis
+    full = np.concatenate(whole)
+    full = full @ full - (basis.u.T @ full) @ basis.shrink(solution.tau) @ (basis.u.T @ full)
+    assert told @ told == pytest.approx(full, rel=0.01)
+
+
+def test_shapes_are_written_as_they_are_evaluated():
+    u = np.linspace(0.1, 2.0, 7)
+    by_name = {s.name: s for s in SHAPES}
+    assert by_name["logarithm"].evaluated(u, [0.3])[0] == pytest.approx(np.log(1 + u / 0.3))
+    assert by_name["pair"].evaluated(u, [1.0, 0.5])[0] == pytest.approx((u - 1) / 0.5 / (1 + ((u - 1) / 0.5) ** 2) ** 2)
+    grid = by_name["wave"].on_grid(u, [(1.0,), (2.5,)])
+    assert grid[1][:, 1] == pytest.approx(np.cos(5 * np.pi * u))
+
+
+def test_one_direction_alone_has_no_second_factor():
+    left = reduced(fit(LAW, slides("joint", plan=PLAN[:3])).solution)
+    assert {axis.factor for axis in axes(left)} == {"L * s"}
+
+
+def test_the_law_is_taken_out_of_every_trace(fits):
+    """What the law could make by itself leaves nothing beside it."""
+    solution = fits["joint"].solution
+    left = reduced(solution)
+    assert np.linalg.norm(left.trace([np.sign(p.v)[:, None] * p.load for p in left.paths])) < 1e-2 * np.linalg.norm(
+        np.concatenate([m @ (np.sign(p.v) * p.load) for m, p in zip(left.maps, left.paths, strict=True)])
+    )
+    assert refine(solution.problem, solution.p, solution.starts, tau=solution.tau).chi2 == pytest.approx(
+        solution.chi2, rel=1e-3
+    )
