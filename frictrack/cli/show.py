@@ -138,10 +138,12 @@ def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     """Spans of time, place and velocity with their share of the error."""
     if not spans:
         return
-    table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the error")
+    table = _table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
     for s in spans:
         ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
-        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %")
+        p = s.get("p")
+        sure = "-" if p is None else "< 1e-6" if p < 1e-6 else number(p, 1)
+        table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", sure)
     out.print(table)
 
 
@@ -160,6 +162,9 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     chi2, p, noise = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit", "noise_um"))
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
     evidence(out, result.get("evidence") or [])
+    fails_at(out, result.get("fails_at") or [])
+    if result.get("repeats_words"):
+        out.print(escape(result["repeats_words"]))
     if result["candidates"]:
         out.print(candidates(result["candidates"]))
     unexplained(out, result.get("unexplained"))
