@@ -31,7 +31,7 @@ STRETCH = 2.0  # largest factor by which a surrogate is stretched
 SURE = 0.01  # p below which a likeness is no chance
 KNOWN = 0.8  # share of frames in which a series must be known
 SILENT, ALIKE = 0.25, 0.3  # share of the residual's motion: an accelerometer sees less, or differs from all by less
-CLEAR = 6.0  # chi-squared per frequency, smoothed, from which something is seen
+CLEAR = 15.0  # chi-squared per frequency, of three together, from which something is surely seen
 WORTH = 0.1  # weight of a frequency at which the sensor tells something
 STANDARD = 5.0  # deviations by which it must tell all of it from none
 

@@ -1,0 +1,84 @@
+"""Measurements made by others: what a diagnosis names in them.
+
+The tribometer's strokes stand in tests/data/tribometer (MIT, see there); the EMPS extract with its citation in
+tests/data (Janot, Gautier, Brunot 2019).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from frictrack.diagnose import diagnose
+from frictrack.fit import fit
+from frictrack.fit.series import weighed
+from frictrack.motion import differentiate, low_pass
+from frictrack.records import Displacement, Run
+from frictrack.study import read_table
+
+DATA = Path(__file__).parent / "data"
+COLUMNS = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
+RATE = 200.0  # Hz, of the EMPS extract
+
+
+@pytest.fixture(scope="module")
+def strokes():
+    table = read_table(DATA / "tribometer" / "strokes.txt", COLUMNS)
+    nan = np.full(len(table.t), np.nan)
+    seen = Displacement(table.t, table.x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
+    motion = differentiate(low_pass(seen, method="kalman"))
+    return Run(seen, motion, friction_N=table.friction, name="strokes", normal_load=5.0)
+
+
+def test_the_tribometer_names_memory_and_no_velocity_term(strokes):
+    found = diagnose(fit("coulomb,viscous", [strokes]))
+    assert found.missing[0] == "presliding"
+    assert not {"stribeck", "drag", "viscous_modulation"} & set(found.missing)
+    best = found.best
+    assert best.effect == "presliding"
+    assert best.p == 0.001
+    assert best.heldout_after < 0.3 * best.heldout_before
+    assert any("is taken as noise" in remark for remark in found.remarks)
+
+
+def test_the_noise_of_the_tribometer_is_what_its_law_leaves(strokes):
+    solution = fit("coulomb,viscous", [strokes]).solution
+    counted, noise = weighed(solution)
+    left = np.concatenate([r.r * r.piece.sigma for r in solution.responses])
+    assert noise.rms == pytest.approx(float(np.std(left)), rel=0.02)
+    assert noise.alike > 20
+    assert counted.problem.n_frames < len(left) / 4
+    # frames in steps that are alike count as one: chi-squared is about the number of independent ones
+    assert counted.chi2 == pytest.approx(len(left) / noise.alike, rel=0.2)
+
+
+def test_white_noise_of_a_cell_stays_what_its_differences_say():
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) / 1000.0
+    v = 0.3 * np.cos(2 * np.pi * 1.5 * t)
+    nan = np.full(len(t), np.nan)
+    seen = Displacement(t, np.cumsum(v) / 1000, nan, nan, np.full(len(t), 1e-6), nan, np.ones(len(t), bool))
+    force = 8 * np.sign(v) + 2 * v + 0.05 * rng.standard_normal(len(t))
+    run = Run(seen, differentiate(low_pass(seen, method="kalman")), friction_N=force)
+    _, noise = weighed(fit("coulomb,viscous", [run]).solution)
+    assert noise.rms == pytest.approx(0.05, rel=0.1)
+    assert noise.alike == 1.0
+
+
+@pytest.fixture(scope="module")
+def carriage():
+    """Six seconds of the EMPS at 200 Hz, driven to and fro."""
+    q, drive = np.loadtxt(DATA / "emps_200Hz.csv", delimiter=",").T
+    n = int(6 * RATE)
+    t, nan = np.arange(n) / RATE, np.full(n, np.nan)
+    seen = Displacement(t, q[:n], nan, nan, nan, nan, np.ones(n, bool))
+    return Run(seen, differentiate(low_pass(seen, method="kalman")), drive=drive[:n], name="carriage")
+
+
+@pytest.mark.slow
+def test_the_carriage_names_friction_that_depends_on_the_direction(carriage):
+    found = diagnose(fit("coulomb,viscous", [carriage]))
+    assert found.missing[0] == "asymmetry"
+    assert found.best.p == 0.001
