@@ -109,7 +109,9 @@ def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:
     if not trials or (bare(law) < STRONG * frames and min(t.misfit for t in trials) < enough):
         return trials
     order = sorted((t if t.misfit < enough else _exchanged(law, t, "") for t in trials), key=lambda t: t.misfit)
-    near = [_events(law, t) if t.misfit > enough and has_own_scan(t.effect) else t for t in order[:DEEPENED]]
+    if order[0].misfit < enough:
+        return order
+    near = [_events(law, t) if has_own_scan(t.effect) else t for t in order[:DEEPENED]]
     return near + order[DEEPENED:]
 
 
