@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from frictrack.compare.beside import Beside, beside, place, traces
 from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, solved
@@ -23,6 +24,8 @@ from frictrack.records import Array, Mask, Run, stretches
 REACH = 2.0  # widths on either side that a Gaussian force spans
 TAIL = float(np.exp(-(REACH**2) / 2))  # of a force's largest value, the same for any shape
 RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the shortest to count as resolved
+STANDS_OUT = 3.0  # standard deviations of a measured force beyond which a frame fails
+FOOT = 0.35  # of the largest residual: less is the law bending to make up for the failure elsewhere
 GAP = 12  # frames between two stretches that are one
 WIDTHS, CENTRES = 25, 9  # tried for the span of a local force
 
@@ -55,6 +58,8 @@ def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
     found = local_forces(solution)
     if not found.bumps:
         return []
+    if not found.complete and isinstance(solution.problem.pieces[0], SeriesPiece):
+        return _plain_to_see(found)
     made = bump_columns(found, found.bumps)[:, :, 0]
     sizes, _ = solved(found.law, made)
     total = misfit(found.law)
@@ -66,6 +71,18 @@ def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
                 inside = _inside(found, bump, i, _smear(runs, found.law.responses[i]) if brief else 0.0)
                 spans.append(Span(i, np.flatnonzero(inside), share, found.p(found.bumps[k])))
     return _joined(spans)
+
+
+def _plain_to_see(found: Local) -> list[Span]:
+    """Where friction itself was measured and fails all over: stretches in which the residual stands out as it is."""
+    spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
+    for i, response in enumerate(found.law.responses):
+        size = np.abs(response.r)
+        for s in stretches(_bridged(size > max(STANDS_OUT, FOOT * float(size.max())))):
+            p = min(1.0, 2 * len(size) * float(norm.sf(size[s].max())))
+            if p < ALPHA:
+                spans.append(Span(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
+    return spans
 
 
 def _joined(spans: Sequence[Span]) -> list[Span]:
@@ -216,8 +233,8 @@ def _part(law: Beside, i: int, rows: Rows, solution: Solution, name: str) -> Arr
 def _stands_out(law: Beside, made: Array) -> Array:
     """By how many standard deviations each of the columns (N + m, k) stands out by itself beside the law."""
     clean = made - law.u @ (law.u.T @ made)
-    norm = np.linalg.norm(clean, axis=0)
-    return np.divide(clean.T @ law.r, norm, out=np.zeros(len(norm)), where=norm > 0)
+    size = np.linalg.norm(clean, axis=0)
+    return np.divide(clean.T @ law.r, size, out=np.zeros(len(size)), where=size > 0)
 
 
 def _widened(t: Array, acts: Mask, by: float) -> Mask:
