@@ -63,7 +63,7 @@ def shake(reference: Track, least: float = 0.0) -> Shake:
     movement, variance, left_in = np.zeros(at.shape), np.zeros(2), 0.0
     if np.count_nonzero(reference.found) >= LEAST:
         for axis in range(2):
-            told, error = _told(at[:, axis], reference.t, stated[axis])
+            told, error = above_noise(at[:, axis], reference.t, stated[axis])
             if np.std(told) >= least:
                 movement[:, axis], variance[axis] = told, error
             else:
@@ -111,10 +111,10 @@ def _bridged(at: Array, found: Mask) -> Array:
     return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
 
 
-def _told(x: Array, t: Array, stated: float) -> tuple[Array, float]:
-    """Movement along one axis as far as it is more than noise, px, and its variance, px^2.
+def above_noise(x: Array, t: Array, stated: float = 0.0) -> tuple[Array, float]:
+    """What of a series x (n,) about zero is more than its white noise, and the variance of what is told.
 
-    The noise is at least a quarter of the variance that the tracker states, or a film without noise would shake.
+    The noise is at least a quarter of the `stated` variance, or a film without noise would shake.
     """
     window = np.hanning(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2

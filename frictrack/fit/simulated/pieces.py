@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
@@ -251,7 +252,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Pie
         path=path,
         mass=mass,
         way=begin.way,
-        angle=_bridged(times, run.displacement.angle, t),
+        angle=_turned(times, run.displacement.angle, t),
         systematic=run.displacement.systematic,
     )
 
@@ -277,7 +278,7 @@ def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
         drive_at=drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
         gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
-        angle=_bridged(times, run.displacement.angle, nodes),
+        angle=_turned(times, run.displacement.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,
         travelled=float(begin.slid[row]),
@@ -295,10 +296,17 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
     return at
 
 
-def _bridged(times: Array, series: Array, t: Array) -> Array | None:
-    """A series at other times, its gaps bridged linearly; None where most of it is unknown."""
-    known = np.isfinite(series)
-    return np.interp(t, times[known], series[known]) if np.mean(known) > KNOWN else None
+def _turned(times: Array, angle: Array, t: Array) -> Array | None:
+    """The angle of the target at other times, as far as it stands out of its noise; None where most of it is unknown.
+
+    One frame's pixels give place and angle together: with its noise the angle would follow that of the place.
+    """
+    known = np.isfinite(angle)
+    if np.mean(known) <= KNOWN:
+        return None
+    bridged = np.interp(times, times[known], angle[known])
+    middle = float(np.mean(bridged))
+    return np.interp(t, times, middle + above_noise(bridged - middle, times)[0])
 
 
 def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
