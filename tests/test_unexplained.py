@@ -100,8 +100,8 @@ def test_the_curve_is_the_force_within_its_band(fits):
     assert smooth.axis.factor == ""  # it pulls whichever way the mass goes
     truth = CAUSES["magnet"][1](smooth.at, 0, 0, 0, 0)
     away = smooth.force - truth
-    assert np.mean(np.abs(away - away.mean()) < 3 * smooth.sigma + 0.05) > 0.75
-    assert np.corrcoef(smooth.force, truth)[0, 1] > 0.9  # what the law takes up itself is not told
+    assert np.mean(np.abs(away - away.mean()) < 3 * smooth.sigma + 0.05) > 0.95
+    assert np.corrcoef(smooth.force, truth)[0, 1] > 0.8  # the law takes up what is slow
 
 
 def test_pure_noise_has_no_axis():

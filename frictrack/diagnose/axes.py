@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import eigh
 
 from frictrack.diagnose.reduced import CUBIC, Reduced
 from frictrack.effects import Path
@@ -22,7 +21,6 @@ SPLINES = 60  # over an axis
 LENGTHS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # of the axis, over which a force is alike
 SIZES = np.geomspace(1e-3, 1e3, 61)  # of the process, over what a unit of chi-squared asks for
 JITTER = 1e-8
-ABSORBED = 0.02  # share of a curve that must remain beside the law for it to be told
 PLACES = 81  # of the curve
 OTHER = 1.2  # ratio of loads beyond which runs differ in their load
 CYCLES = 2  # times that a motion must turn back to have a phase
@@ -92,15 +90,13 @@ def _smooth(left: Reduced, axis: Axis) -> Smooth:
     design = BSpline.design_matrix(np.clip(u, low, high), knots, CUBIC).toarray()
     factor = left.gathered(axis.times)
     seen = left.trace(left.cut(design * factor[:, None]))
-    whole = np.concatenate([m @ c for m, c in zip(left.maps, left.cut(design * factor[:, None]), strict=True)])
     gram, pull = seen.T @ seen, seen.T @ left.left
     grid = np.linspace(low, high, PLACES)
     tried = [_likeliest(gram, pull, _root(knots, span * length)) for length in LENGTHS]
     best = int(np.argmax([t[0] for t in tried]))
     gain, mean, root = tried[best]
     spread = root @ root.T
-    told = _told(gram, whole.T @ whole)
-    show = BSpline.design_matrix(grid, knots, CUBIC).toarray() @ told
+    show = BSpline.design_matrix(grid, knots, CUBIC).toarray()
     return Smooth(
         axis=axis,
         gain=gain,
@@ -134,14 +130,6 @@ def _likeliest(gram: Array, pull: Array, root: Array) -> tuple[float, Array, Arr
     shrunk = sizes[best] / (1 + sizes[best] * values)
     basis = root @ vectors
     return float(gains[best]), basis @ (shrunk * g), basis * np.sqrt(shrunk)
-
-
-def _told(gram: Array, whole: Array) -> Array:
-    """Projection (m, m) of spline coefficients beside those curves that the law takes up anyway."""
-    ridge = 1e-9 * float(np.trace(whole)) / len(whole) * np.eye(len(whole))
-    shares, vectors = eigh(gram, whole + ridge)
-    gone = vectors[:, (shares < ABSORBED) & (np.einsum("ik,ij,jk->k", vectors, whole, vectors) > 0.5)]
-    return np.asarray(np.eye(len(whole)) - gone @ (gone.T @ (whole + ridge)))
 
 
 def _share(left: Reduced, fitted: Array) -> float:
