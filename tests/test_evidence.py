@@ -1,7 +1,7 @@
 """What moves in step with the residual is told first: vertical motion, another target, an accelerometer.
 
 The motions are integrated by scipy under Coulomb and viscous friction with a mass whose load swings, which is shaken,
-or whose picture shakes.
+which meets a patch, or whose picture shakes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from runs import measured
 from scipy.integrate import solve_ivp
 
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.evidence import curves_of, evidence
+from frictrack.diagnose.evidence import Known, curves_of, evidence
 from frictrack.fit import fit
 
 LAW = ["coulomb", "viscous"]
@@ -30,21 +30,24 @@ def slides(cause, *, seed=0, speeds=SPEEDS, bounce=True):
     for i, speed in enumerate(speeds):
         s, (phase, other) = np.sign(speed), rng.uniform(-np.pi, np.pi, 2)
 
-        def a(t, v, s=s, phase=phase, other=other):
+        def a(t, x, v, s=s, phase=phase, other=other):
             load = MASS * (9.81 + LIFT * np.sin(W * t + phase) * (cause == "load"))
             push = 0.8 * np.sin(W * t + other) * (cause == "vibration")
-            return -(s * MU * load + 1.2 * v + push) / MASS
+            patch = 0.6 * np.exp(-(((x - 0.3) / 0.012) ** 2) / 2) * (cause == "patch")
+            return -(s * (MU * load + patch) + 1.2 * v + push) / MASS
 
         t = np.arange(360) / 4000.0
         start = [0.0 if s > 0 else 0.6, speed]
-        solved = solve_ivp(lambda t, z, a=a: [z[1], a(t, z[1])], (0, t[-1]), start, t_eval=t, rtol=1e-10, max_step=5e-4)
+        solved = solve_ivp(
+            lambda t, z, a=a: [z[1], a(t, z[0], z[1])], (0, t[-1]), start, t_eval=t, rtol=1e-10, max_step=5e-4
+        )
         x = solved.y[0] + 3e-5 * np.sin(W * t + other) * (cause == "shake")
         run = measured(t, x, sigma=1e-5, mass=MASS, name=f"r{i}", rng=rng)
         lift = -LIFT / W**2 * np.sin(W * t + phase) + 1e-5 * rng.standard_normal(len(t))
         if bounce:
             run = replace(run, displacement=replace(run.displacement, y=lift))
         runs.append(run)
-        felt[run.name] = {"accelerometer": a(t, solved.y[1]) + 0.3 + 0.5 * rng.standard_normal(len(t))}
+        felt[run.name] = {"accelerometer": a(t, *solved.y) + 0.3 + 0.5 * rng.standard_normal(len(t))}
     return runs, felt
 
 
@@ -76,6 +79,31 @@ def test_vertical_motion_that_has_nothing_to_do_with_the_residual_is_no_evidence
         runs = [replace(r, displacement=replace(r.displacement, y=y)) for r, y in zip(runs, odd, strict=True)]
         found += seen(runs)
     assert len(found) <= 1  # p of 0.01 each
+
+
+def test_vertical_motion_that_drifts_with_the_place_is_no_evidence_of_a_patch():
+    """A rail that is not level under a path that has a patch: both repeat with the place, and are smooth."""
+    found = []
+    for seed, length in enumerate((0.02, 0.03, 0.05, 0.08)):
+        runs, _ = slides("patch", bounce=False)
+        rng = np.random.default_rng(seed)
+        places = [r.displacement.x for r in runs]
+        drifts = [3e-4 * np.sin(x / length + seed) + 1e-5 * rng.standard_normal(len(x)) for x in places]
+        found += seen(
+            [replace(r, displacement=replace(r.displacement, y=y)) for r, y in zip(runs, drifts, strict=True)]
+        )
+    assert found == []
+
+
+def test_what_tells_less_than_the_best_candidate_is_evidence_only_beside_it():
+    """A candidate that explains all of it leaves nothing to the witness."""
+    runs, _ = slides("load")
+    fitted = fit(LAW, runs).solution
+    (first,) = seen(runs)
+    assert evidence(fitted, runs, np.random.default_rng(0), None, Known(3 * fitted.chi2)) == []
+    (beside,) = evidence(fitted, runs, np.random.default_rng(0), None, Known(3 * fitted.chi2, fitted, ["patch"]))
+    assert beside.share == first.share
+    assert "of what is left beside patch" in beside.words
 
 
 def test_another_target_in_step_is_told_by_its_name():

@@ -3,8 +3,9 @@
 The vertical motion of the mass, the motion of another target (a beam), and an accelerometer are held against the
 residual displacement, where the noise is white, beside the law. A series u enters as a force, m u'' and m u', resisting
 motion (a changing load) or plainly (a push), and as a shift of the picture, u and u': the first derivative of each
-makes up for a lag. Whether the likeness is chance is told by the same series stretched in time and shifted round in
-every run (surrogates: Schreiber & Schmitz 2000, Physica D 142), which keep what the series looks like and nothing else.
+makes up for a lag. Whether the likeness is chance is told by random paths through the same octaves (`wander`), in the
+manner of surrogate data (Schreiber & Schmitz 2000, Physica D 142). What tells much less than the best candidate of the
+library is a likeness and no evidence, unless it tells more beside all that was found.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from scipy.stats import norm
 
 from frictrack.diagnose.reduced import Reduced, reduced
 from frictrack.diagnose.rivals import SAME
+from frictrack.diagnose.wander import Moves, chance, untrended
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 
-DRAWS = 499
-STRETCH = 2.0  # largest factor by which a surrogate is stretched
+AS_MUCH = 0.9  # of the worth of the best candidate: what a witness must tell
+UNKNOWNS = 2  # of a series that acts in one way
 SURE = 0.01  # p below which a likeness is no chance
 KNOWN = 0.8  # share of frames in which a series must be known
 SILENT, ALIKE = 0.25, 0.3  # share of the residual's motion: an accelerometer sees less, or differs from all by less
@@ -62,18 +64,44 @@ class Evidence:
         return {key: value for key, value in vars(self).items() if key != "curve"}
 
 
+@dataclass(frozen=True)
+class Known:
+    """What a diagnosis found by itself: worth of its best candidate (delta BIC), and the law with all that it found."""
+
+    worth: float = 0.0
+    law: Solution | None = None
+    names: Sequence[str] = ()
+
+
 def evidence(
-    solution: Solution, runs: Sequence[Run], rng: np.random.Generator, beside: Beside | None = None
+    solution: Solution,
+    runs: Sequence[Run],
+    rng: np.random.Generator,
+    beside: Beside | None = None,
+    known: Known | None = None,
 ) -> list[Evidence]:
-    """What was seen in step with what a fitted law leaves, the largest share first."""
-    found = []
+    """What was seen in step with what a fitted law leaves, the largest share first.
+
+    It tells about as much as the best candidate does, or tells more beside all that was found.
+    """
+    known = known or Known()
+    found, more = [], []
     for kind, name, series in _witnesses(runs, beside or {}):
-        seen = _in_step(solution, runs, series, rng)
-        if seen is not None and seen.p <= SURE:
-            run = runs[solution.responses[seen.piece].piece.run].name
-            found.append(replace(_told(kind, name, seen), curve=seen.curve, shown=run))
+        if seen := _sure(solution, runs, series, rng, AS_MUCH * known.worth):
+            found.append(_told(kind, name, seen, "the model leaves"))
+        elif known.law is not None and (seen := _sure(known.law, runs, series, rng, SAME)):
+            more.append(_told(kind, name, seen, f"is left beside {' and '.join(known.names)}"))
     felt = sensed(solution, runs, beside or {})
-    return sorted([*found, *([felt] if felt else [])], key=lambda e: -e.share)
+    found += [felt] if felt else []
+    return [*sorted(found, key=lambda e: -e.share), *sorted(more, key=lambda e: -e.share)]
+
+
+def _sure(
+    solution: Solution, runs: Sequence[Run], series: Sequence[Array], rng: np.random.Generator, least: float
+) -> _Seen | None:
+    """How a series goes with what a law leaves, where it is no chance and worth so much."""
+    seen = _in_step(solution, runs, series, rng, least)
+    return seen if seen is not None and seen.p <= SURE else None
 
 
 def curves_of(found: Sequence[Evidence]) -> dict[str, dict[str, Array]]:
@@ -101,36 +129,40 @@ class _Seen:
     way: str
     size: float  # of the load: N per kg and m/s^2
     frequency: float  # Hz, where it moves most
-    piece: int  # the one in which it shows best
+    shown: str  # the run in which it shows best
     curve: dict[str, Array]
 
 
 def _in_step(
-    solution: Solution, runs: Sequence[Run], series: Sequence[Array], rng: np.random.Generator
+    solution: Solution, runs: Sequence[Run], series: Sequence[Array], rng: np.random.Generator, least: float
 ) -> _Seen | None:
-    """The best of all ways in which a series may act, and its chance among surrogates."""
+    """The best of all ways in which a series may act, and its chance; None where it is worth less than `least`."""
     smooth = [_smoothed(r, runs[r.piece.run], series[r.piece.run]) for r in solution.responses]
-    if all(s is None for s in smooth):
+    there = [s for s in smooth if s is not None]
+    if not there:
         return None
     left = reduced(solution)
-    own = {way: _gain(left, _traces(left, solution, smooth, None)[way]) for way in WAYS}
-    best = max(gain for gain, _ in own.values())
-    way = next(w for w in WAYS if own[w][0] > best - SAME)
-    stretches = np.exp(rng.uniform(-np.log(STRETCH), np.log(STRETCH), DRAWS))
-    null = []
-    for stretch in stretches:
-        traces = _traces(left, solution, smooth, (float(stretch), rng.uniform(size=len(runs))))
-        null.append(max(_gain(left, columns)[0] for columns in traces.values()))
-    gain, coefficients = own[way]
-    piece, curve = _curve(left, solution, _traces(left, solution, smooth, None)[way] @ coefficients)
-    chance = float((1 + np.sum(np.array(null) >= best)) / (DRAWS + 1))
+
+    def columns(paths: Sequence[Array | None]) -> dict[str, Array]:
+        return _traces(left, solution, paths)
+
+    own = {
+        way: made[:, :, 0] for way, made in columns([None if s is None else s.u[:, :, None] for s in smooth]).items()
+    }
+    gained = {way: _gain(left, made) for way, made in own.items()}
+    best = max(gain for gain, _ in gained.values())
+    if best - UNKNOWNS * np.log(left.n_frames) < least:
+        return None
+    way = next(w for w in WAYS if gained[w][0] > best - SAME)
+    gain, coefficients = gained[way]
+    piece, curve = _curve(left, solution, own[way] @ coefficients)
     return _Seen(
         share=float(np.clip(gain / max(left.excess, gain, 1e-300), 0.0, 1.0)),
-        p=chance,
+        p=chance(best, smooth, columns, left.left, rng),
         way=way,
         size=float(coefficients[0]),
-        frequency=_loudest([s for s in smooth if s is not None]),
-        piece=piece,
+        frequency=_loudest(there),
+        shown=runs[solution.responses[piece].piece.run].name,
         curve=curve,
     )
 
@@ -145,24 +177,8 @@ def _curve(left: Reduced, solution: Solution, told: Array) -> tuple[int, dict[st
     return k, {"t": piece.t, "left": back @ np.split(left.left, ends)[k], "told": back @ parts[k]}
 
 
-@dataclass(frozen=True)
-class _Moves:
-    """A series along one piece, smoothed: times, and the series with two derivatives, (n, 3); no trend, no mean."""
-
-    t: Array
-    u: Array
-
-    def at(self, moved: tuple[float, float] | None) -> Array:
-        """At its own times (n, 3), or as a surrogate: stretched, and shifted round by a share of its length."""
-        if moved is None:
-            return self.u
-        length = self.t[-1] - self.t[0]
-        there = self.t[0] + ((self.t - self.t[0]) * moved[0] + moved[1] * length) % length
-        return np.stack([np.interp(there, self.t, column) for column in self.u.T], axis=1)
-
-
-def _smoothed(response: Response, run: Run, series: Array) -> _Moves | None:
-    """The series of a run along one of its pieces, with derivatives; None where most of it is unknown or still."""
+def _smoothed(response: Response, run: Run, series: Array) -> Moves | None:
+    """The series of a run along one of its pieces, with derivatives; None where most of it is unknown."""
     rows, n = response.piece.frames, len(series)
     u = np.asarray(series, dtype=float)
     known = np.isfinite(u)
@@ -173,30 +189,23 @@ def _smoothed(response: Response, run: Run, series: Array) -> _Moves | None:
     seen = Displacement(t, np.where(known, u, np.nan), nan, nan, noise, nan, known)
     motion = differentiate(low_pass(seen, method="kalman"))
     both = np.stack([motion.x, motion.v, motion.a], axis=1)[rows]
-    trend = np.polynomial.Polynomial.fit(response.piece.t, both[:, 0], 1)
-    both[:, 0] -= trend(response.piece.t)
-    both[:, 1] -= trend.deriv()(response.piece.t)
-    return _Moves(response.piece.t, both)
+    return Moves(response.piece.t, response.model_y, untrended(response.piece.t, both))
 
 
-def _traces(
-    left: Reduced, solution: Solution, smooth: Sequence[_Moves | None], moved: tuple[float, Array] | None
-) -> dict[str, Array]:
-    """What the series leaves in each of its ways beside the law, (M, 2); `moved`: stretch, and shift of every run."""
+def _traces(left: Reduced, solution: Solution, series: Sequence[Array | None]) -> dict[str, Array]:
+    """What series (n_i, 3, D) along every piece leave in each of their ways beside the law, (M, 2, D)."""
+    count = next(u.shape[2] for u in series if u is not None)
     parts: dict[str, list[Array]] = {way: [] for way in WAYS}
-    for i, (response, u) in enumerate(zip(solution.responses, smooth, strict=True)):
-        piece, path = response.piece, left.paths[i]
-        count = len(left.maps[i])
+    for i, (response, u) in enumerate(zip(solution.responses, series, strict=True)):
         if u is None:
-            for way in WAYS:
-                parts[way].append(np.zeros((count, 2)))
+            for blocks in parts.values():
+                blocks.append(np.zeros((len(left.maps[i]), 2 * count)))
             continue
-        here = u.at(None if moved is None else (moved[0], float(moved[1][piece.run])))
-        force = piece.mass * here[left.rows[i]][:, :0:-1]
-        parts["load"].append(left.maps[i] @ (path.s[:, None] * force))
+        force = response.piece.mass * u[left.rows[i], :0:-1].reshape(-1, 2 * count)
+        parts["load"].append(left.maps[i] @ (left.paths[i].s[:, None] * force))
         parts["push"].append(left.maps[i] @ force)
-        parts["picture"].append(left.shifts[i] @ here[:, :2])
-    return {way: left.beside(np.concatenate(blocks)) for way, blocks in parts.items()}
+        parts["picture"].append(left.shifts[i] @ u[:, :2].reshape(-1, 2 * count))
+    return {way: left.beside(np.concatenate(blocks)).reshape(-1, 2, count) for way, blocks in parts.items()}
 
 
 def _gain(left: Reduced, columns: Array) -> tuple[float, Array]:
@@ -207,21 +216,29 @@ def _gain(left: Reduced, columns: Array) -> tuple[float, Array]:
     return float(left.left @ left.left - np.sum((left.left - columns / norm_ @ solved) ** 2)), solved / norm_
 
 
-def _loudest(series: Sequence[_Moves]) -> float:
+def _loudest(series: Sequence[Moves]) -> float:
     """Frequency at which a series moves most, Hz, of the run in which it moves most."""
     best = max(series, key=lambda m: float(np.sum(m.u[:, 0] ** 2)))
     power = np.abs(np.fft.rfft(best.u[:, 0])) ** 2
     return float(np.fft.rfftfreq(len(best.u), float(np.median(np.diff(best.t))))[int(np.argmax(power))])
 
 
-def _told(kind: str, name: str, seen: _Seen) -> Evidence:
-    words = f"{name} goes with {100 * seen.share:.0f} % of what the model leaves (p = {seen.p:.2g}): {WAYS[seen.way]}"
+def _told(kind: str, name: str, seen: _Seen, what: str) -> Evidence:
+    words = f"{name} goes with {100 * seen.share:.0f} % of what {what} (p = {seen.p:.2g}): {WAYS[seen.way]}"
     if seen.way == "load" and kind == "vertical":
         words += f", by {abs(seen.size):.2g} of its vertical inertia; measured_load takes it into the law"
     if np.isfinite(seen.frequency) and seen.frequency > 0:
         words += f"; it moves most near {seen.frequency:.3g} Hz"
-    acts_on = "measurement" if seen.way == "picture" else "force"
-    return Evidence(kind, words, seen.share, seen.p, acts_on, name="" if kind == "vertical" else name)
+    return Evidence(
+        kind=kind,
+        words=words,
+        share=seen.share,
+        p=seen.p,
+        acts_on="measurement" if seen.way == "picture" else "force",
+        name="" if kind == "vertical" else name,
+        curve=seen.curve,
+        shown=seen.shown,
+    )
 
 
 def sensed(solution: Solution, runs: Sequence[Run], beside: Beside) -> Evidence | None:

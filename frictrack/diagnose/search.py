@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
-from frictrack.diagnose.evidence import Beside, Evidence, curves_of, evidence, sensed
+from frictrack.diagnose.evidence import Beside, Evidence, Known, curves_of, evidence, sensed
 from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
@@ -30,6 +30,7 @@ from frictrack.fit.simulated.growth import settled
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.sure.estimate import Estimates, estimates
 from frictrack.records import Array
+from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
 MOST_ROUNDS = 6  # of adding and looking again
@@ -125,6 +126,7 @@ class Diagnosis:
         }
 
 
+@one_thread()
 def diagnose(
     fit: Fit,
     *,
@@ -173,7 +175,8 @@ def diagnose(
     concluded = replace(concluded, remarks=[*concluded.remarks, *filter(None, [left_out])])
     if concluded.verdict == "complete":
         return concluded
-    seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside)
+    known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
+    seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside, known)
     where = where_it_fails(start, np.random.default_rng(seed))
     figures = concluded.figures | where.figures | curves_of(seen)
     return replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)

@@ -6,8 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from frictrack.flow.films import BACKWARD
 from frictrack.flow.stages import RunWork
 from frictrack.records import Array, Run, Track
+
+FEWEST = 8  # frames from which it is told what rides on the mass
+HALF = 0.5  # of the way of the mass: what goes farther with it rides on it
+ALIKE = 0.02  # of its motion that may be another one
 
 
 def seen_beside(works: Sequence[RunWork]) -> dict[str, dict[str, Array]]:
@@ -23,7 +28,8 @@ def seen_beside(works: Sequence[RunWork]) -> dict[str, dict[str, Array]]:
             continue
         found: dict[str, Array] = {}
         for name, track in (work.get("tracks") if "tracks" in work.stages else {}).items():
-            found |= _of_target(name, track, record)
+            if name != BACKWARD:  # the mass once more
+                found |= _of_target(name, track, record)
         felt = work.get("sensors").a
         if felt is not None and len(felt) == len(record.displacement):
             found["accelerometer"] = felt
@@ -32,11 +38,24 @@ def seen_beside(works: Sequence[RunWork]) -> dict[str, dict[str, Array]]:
 
 
 def _of_target(name: str, track: Track, record: Run) -> dict[str, Array]:
-    """Both directions of a target's picture, m (px where no scale is known)."""
+    """Both directions of a target's picture, m (px where no scale is known); nothing of what rides on the mass."""
     if len(track) != len(record.displacement) or not np.any(track.found):
         return {}
     pitch = record.pixel_pitch or 1.0
+    if _rides(np.stack([pitch * track.x_px, pitch * track.y_px], axis=1), record.displacement.x):
+        return {}
     return {
         f"the {name}, right": pitch * (track.x_px - np.nanmean(track.x_px)),
         f"the {name}, up": -pitch * (track.y_px - np.nanmean(track.y_px)),
     }
+
+
+def _rides(place: Array, x: Array) -> bool:
+    """Whether what is seen at `place` (n, 2) goes along with the mass at x (n,): its motion is that of the mass."""
+    known = np.isfinite(x) & np.all(np.isfinite(place), axis=1)
+    if np.count_nonzero(known) < FEWEST:
+        return False
+    moved, own = place[known] - place[known].mean(axis=0), x[known] - x[known].mean()
+    along = own @ moved / max(float(own @ own), 1e-300)  # of the way of the mass, in both directions
+    left = moved - own[:, None] * along
+    return bool(np.linalg.norm(along) > HALF and np.sum(left**2) < ALIKE * np.sum(moved**2))
