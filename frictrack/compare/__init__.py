@@ -11,6 +11,7 @@ from frictrack.compare.spans import failing_spans
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.groups import GroupFits
+from frictrack.threads import one_thread
 
 __all__ = [
     "Comparison",
@@ -36,6 +37,7 @@ class Comparison:
         return {"models": self.models, "fails_at": self.fails_at}
 
 
+@one_thread()
 def compare(fits: Fit | Sequence[Fit]) -> Comparison:
     """Errors of every model tried, and where the last one fails."""
     tried = [fits] if isinstance(fits, Fit) else list(fits)

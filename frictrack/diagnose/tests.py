@@ -18,6 +18,7 @@ from frictrack.fit.simulated.trial import PULSE_PRICE
 from frictrack.fit.simulated.turns import follows, known
 from frictrack.models import Model
 from frictrack.records import Array
+from frictrack.threads import side_by_side
 
 ALPHA = 0.01  # half for lack of fit, half for candidates
 COMMON = 0.99  # quantile of its own null at which every candidate is put on the common scale
@@ -90,7 +91,8 @@ def _may_repeat(effect: Effect) -> bool:
 
 def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:
     """Test the fitted model for lack of fit and for every effect of the library."""
-    scanned = [s for s in (_scan(solution, draws, e) for e in library) if s is not None]
+    made = side_by_side(lambda e: _scan(solution, draws, e), library)
+    scanned = [s for s in made if s is not None]
     tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
     p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}
     return Tests(

@@ -40,6 +40,7 @@ from frictrack.fit.unknowns.mass import MASS, friction_law, guessed, in_units, i
 from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run
+from frictrack.threads import one_thread
 
 __all__ = [
     "Bootstrap",
@@ -60,6 +61,7 @@ __all__ = [
 Progress = Callable[[int, int, str], None]
 
 
+@one_thread()
 def fit(  # noqa: PLR0913 - one door with named settings, all but two of them optional
     model: Model | str | Sequence[str],
     runs: Sequence[Run],
@@ -228,6 +230,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
     }
 
 
+@one_thread()
 def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
     """The fit that `state` was taken from, on the same runs."""
     if "groups" in saved:

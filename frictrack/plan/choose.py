@@ -17,6 +17,7 @@ from frictrack.plan.reduced import Reduced, nothing, rival, total
 from frictrack.plan.stand import Entry, Stand, menu
 from frictrack.plan.traces import Filmed, amplitude, film_all, trace
 from frictrack.records import Array
+from frictrack.threads import one_thread
 
 PARTED = 10.0  # expected chi-squared from which two effects are told apart
 MOST = 8  # runs
@@ -123,6 +124,7 @@ def _span(stand: Stand, runs: list[Filmed]) -> Span:
     )
 
 
+@one_thread()
 def choose(stand: Stand, tell: Progress = lambda done, total, what: None) -> Chosen:
     """Greedy choice from the menu until no pair is left, nothing helps, or there are `MOST` runs."""
     tables, left_out = tabled(stand, tell)

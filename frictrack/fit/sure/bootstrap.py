@@ -24,6 +24,7 @@ from frictrack.fit.sure.covariance import batches_of, plain_covariance
 from frictrack.fit.sure.quoted import quoted, shown
 from frictrack.fit.unknowns.scatter import MIN_RUNS
 from frictrack.records import Array
+from frictrack.threads import one_thread
 
 if TYPE_CHECKING:
     from frictrack.fit.result import Fit
@@ -104,6 +105,7 @@ class Bootstrap:
         }
 
 
+@one_thread()
 def bootstrap(  # noqa: PLR0913 - named settings, all optional
     result: Fit,
     draws: int = 200,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from frictrack.errors import FrictrackError
 from frictrack.fit.sure.bootstrap import Bootstrap, bootstrap
 from frictrack.fit.sure.profile import Profile, profile
+from frictrack.threads import one_thread
 
 if TYPE_CHECKING:
     from frictrack.fit.result import Fit
@@ -40,6 +41,7 @@ class Certainty:
         return out
 
 
+@one_thread()
 def certainty(
     result: Fit,
     *,

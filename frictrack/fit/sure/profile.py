@@ -23,6 +23,7 @@ from frictrack.fit.sure.covariance import plain_covariance
 from frictrack.fit.sure.held import Held, pivot_of
 from frictrack.fit.sure.quoted import Quantity, quantity
 from frictrack.records import Array
+from frictrack.threads import one_thread
 
 if TYPE_CHECKING:
     from frictrack.fit.result import Fit
@@ -84,6 +85,7 @@ class Profile:
         }
 
 
+@one_thread()
 def profile(result: Fit, address: str, *, level: float = 0.95) -> Profile:
     """The profile of one parameter of a fit, or of the difference of two (``"stribeck.F_s - coulomb.F_c"``).
 

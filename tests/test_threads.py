@@ -1,0 +1,81 @@
+"""One thread of linear algebra inside, what the process had outside, and work dealt out in order."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import frictrack as ft
+from frictrack.threads import one_thread, side_by_side
+
+
+def counts() -> set[int]:
+    np.linalg.norm(np.eye(2) @ np.eye(2))
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    with threadpool_limits(2, user_api="blas"):
+        yield
+
+
+def test_one_thread_inside_and_what_was_there_before_outside() -> None:
+    with one_thread():
+        assert counts() == {1}
+        with one_thread():
+            assert counts() == {1}
+        assert counts() == {1}
+    assert counts() == {2}
+
+
+def test_threads_come_back_after_an_error() -> None:
+    with pytest.raises(ft.FrictrackError), one_thread():
+        raise ft.FrictrackError("expected nothing")
+    assert counts() == {2}
+
+
+def test_callers_that_overlap_leave_what_was_there_before() -> None:
+    inside, out = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with one_thread():
+            inside.set()
+            out.wait(10)
+
+    with one_thread():
+        thread = threading.Thread(target=other)
+        thread.start()
+        inside.wait(10)
+    assert counts() == {1}  # the other one still needs it
+    out.set()
+    thread.join()
+    assert counts() == {2}
+
+
+@pytest.mark.parametrize("told", ["1", "2", None])
+def test_work_comes_back_in_order(monkeypatch: pytest.MonkeyPatch, told: str | None) -> None:
+    if told is None:
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    else:
+        monkeypatch.setenv("OMP_NUM_THREADS", told)
+    names: set[int] = set()
+
+    def square(i: int) -> int:
+        names.add(threading.get_ident())
+        return i * i
+
+    assert side_by_side(square, range(50)) == [i * i for i in range(50)]
+    if told == "1":
+        assert names == {threading.get_ident()}
+
+
+def test_an_error_in_dealt_out_work_comes_out() -> None:
+    def fails(i: int) -> int:
+        raise ft.FrictrackError(f"no {i}")
+
+    with pytest.raises(ft.FrictrackError, match="no 0"):
+        side_by_side(fails, range(3))
