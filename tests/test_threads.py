@@ -38,24 +38,6 @@ def test_threads_come_back_after_an_error() -> None:
     assert counts() == {2}
 
 
-def test_callers_that_overlap_leave_what_was_there_before() -> None:
-    inside, out = threading.Event(), threading.Event()
-
-    def other() -> None:
-        with one_thread():
-            inside.set()
-            out.wait(10)
-
-    with one_thread():
-        thread = threading.Thread(target=other)
-        thread.start()
-        inside.wait(10)
-    assert counts() == {1}  # the other one still needs it
-    out.set()
-    thread.join()
-    assert counts() == {2}
-
-
 @pytest.mark.parametrize("told", ["1", "2", None])
 def test_work_comes_back_in_order(monkeypatch: pytest.MonkeyPatch, told: str | None) -> None:
     if told is None:
