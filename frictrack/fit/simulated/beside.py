@@ -21,7 +21,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.along.blocks import Block
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.traced import traced
+from frictrack.fit.simulated.traced import is_traced, traced
 from frictrack.fit.unknowns.scatter import Basis
 from frictrack.models import Model, Values
 from frictrack.records import Array
@@ -35,14 +35,15 @@ LEAST = 1e-9  # singular value, over the largest, of a direction in which a piec
 class Strip:
     """One piece: rows of forces along its path (k, m) to whitened rows (k, n) at the frames.
 
-    `path` is the motion about which the law is linearised, at the edges of the panels; `basis` (n, L) orthonormal: the
-    start's two columns first.
+    `path` is the motion about which the law is linearised, at the edges of the panels, its level one where laws are
+    `traced`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns first.
     """
 
     problem: Problem
     response: Response
     values: Values
     level: float
+    shown: float  # the level of `path`
     path: Path
     basis: Array
     starts: int
@@ -106,13 +107,15 @@ class Strip:
     def block(self) -> Block:
         """The piece as data that forces along its path explain, linear in them; its level is one there."""
         model, response = self.problem.model, self.response
-        forces = model.force(self.path, self.values)[None]
+        flat = replace(self.path, load=self.path.load / self.shown)
+        path = replace(flat, load=flat.load * self.level)
+        forces = model.force(path, self.values)[None]
         seen = self.weighed(forces, False)
         for name, columns in model.measurement_columns(self.path, self.values).items():
             seen = seen + self.weighed((columns @ model.coefficients(name, self.values))[None], True)
         return Block(
             run=self.run,
-            path=replace(self.path, load=self.path.load / self.level),
+            path=flat,
             data=response.r + self.unstarted(seen)[0],
             forward=lambda rows: _each(rows, lambda flat: self.unstarted(self.weighed(flat, False))),
             picture=lambda rows: _each(rows, lambda flat: self.unstarted(self.weighed(flat, True))),
@@ -196,14 +199,15 @@ def beside(solution: Solution) -> Beside:
 def _strip(solution: Solution, response: Response) -> Strip:
     problem, piece, motion = solution.problem, response.piece, response.motion
     values, level = problem.layout.values(solution.p, piece.run)
+    shown = 1.0 if is_traced(problem) else level
     u, size, _ = np.linalg.svd(response.jac / np.maximum(np.linalg.norm(response.jac, axis=0), 1e-300), False)
     own = u[:, size > LEAST * max(float(size[0]), 1e-300)]
     basis = np.concatenate([response.q, own], axis=1)
     if not problem.simulates:
-        path, rows = piece.along(motion.x, motion.v, level), None
+        path, rows = piece.along(motion.x, motion.v, shown), None
     else:
-        path, rows = _edge_path(response, level), Rows(_linear(problem, solution.p, response))
-    return Strip(problem, response, values, level, path, basis, response.q.shape[1], rows)
+        path, rows = _edge_path(response, shown), Rows(_linear(problem, solution.p, response))
+    return Strip(problem, response, values, level, shown, path, basis, response.q.shape[1], rows)
 
 
 def _linear(problem: Problem, p: Array, response: Response) -> Linear:

@@ -4,6 +4,10 @@ A law that lacks a strong effect moves elsewhere than the mass did: there a text
 linear in an effect is so no more. The motion that was measured is the law's own plus its residual, smoothed: where
 nothing is missing that is the law's own motion, near stops as well. One Newton step from there is the law's motion to
 second order in what the smoothing leaves (Eilers 2003, Anal. Chem. 75: the smoother).
+
+Level times coefficient is no linear law. Its sensitivities are those at levels of one, where a departure from one is
+the departure of the force, whatever the coefficient: levels that stand far from one because an effect is missing are
+then as near to the truth as others.
 """
 
 from __future__ import annotations
@@ -26,16 +30,23 @@ STRENGTHS = np.geomspace(10.0, 1e9, 17)  # of the smoothing: its bandwidth from 
 def traced(solution: Solution) -> Solution:
     """The same law linearised about the measured motion; about its own where it remembers or friction was measured."""
     problem = solution.problem
-    if not problem.simulates or problem.model.memory:
+    if not is_traced(problem):
         return solution
     return replace(solution, responses=[_traced(problem, solution.p, r) for r in solution.responses])
 
 
+def is_traced(problem: Problem) -> bool:
+    """Whether laws of a problem are linearised about the measured motion, at levels of one."""
+    return problem.simulates and not problem.model.memory
+
+
 def _traced(problem: Problem, p: Array, response: Response) -> Response:
-    piece, motion = response.piece, response.motion
+    piece, motion, linear = response.piece, response.motion, response.linear
+    level = np.array(p)
+    level[problem.layout.levels] = 1.0
     t, away = smoothed(piece, response.r_full * piece.sigma)
     if not away.any():
-        return response
+        return problem.seen(piece, level, (motion, linear), motion.x_edge[piece.at])
     bend = CubicSpline(t, away)
     nodes, edges = piece.panels.t, piece.panels.edges
     x, v = motion.x + bend(nodes), motion.v + bend(nodes, 1)
@@ -44,7 +55,7 @@ def _traced(problem: Problem, p: Array, response: Response) -> Response:
     about = Motion6(piece.panels, x, v, accelerated, motion.x_edge + bend(edges), motion.v_edge + bend(edges, 1))
     back = np.array([[-float(bend(edges[0]))], [-float(bend(edges[0], 1))]])
     _, moved = linear.respond((own - accelerated)[:, None], back)
-    return problem.seen(piece, p, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])
+    return problem.seen(piece, level, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])
 
 
 def smoothed(piece: Piece, residual: Array) -> tuple[Array, Array]:
