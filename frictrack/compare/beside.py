@@ -75,7 +75,7 @@ def traces(response: Response, force: Array) -> Array:
     if isinstance(linear, Remembering):
         still = np.zeros(len(piece.panels.t))
         linear = Linear(piece.panels, still, still)
-    _, edges = linear.respond(-force / piece.mass, np.zeros((2, force.shape[1])))
+    edges = linear.moved(-force / piece.mass)
     moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0] / piece.sigma[:, None]
     left: Array = moved - response.q @ (response.q.T @ moved)
     return left

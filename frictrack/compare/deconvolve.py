@@ -71,24 +71,34 @@ class _Process:
     on_law: list[Array]
     data: list[Array]
 
-    def solved(self, size: float) -> tuple[float, list[Array], list[Array]]:
-        """Logarithm of the restricted likelihood, means and variances (n,) of the force for a size."""
+    def likelihood(self, size: float) -> float:
+        """Logarithm of the restricted likelihood of a size."""
+        kept, inner, _, pull = self._beside(size)
+        told = sum(float(b @ (k * b)) for k, b in zip(kept, self.data, strict=True))
+        told += float(pull @ np.linalg.solve(inner, pull))
+        spread = sum(float(np.sum(np.log1p(size**2 * s))) for s in self.seen) + float(np.linalg.slogdet(inner)[1])
+        return (told - spread) / 2
+
+    def solved(self, size: float) -> tuple[list[Array], list[Array]]:
+        """Means and variances (n,) of the force for a size."""
+        kept, _, inverse, pull = self._beside(size)
+        back = inverse @ pull
+        means, variances = [], []
+        for shape, k, w, b in zip(self.shape, kept, self.on_law, self.data, strict=True):
+            means.append(shape @ (k * (b + w @ back)))
+            bent = shape @ (k[:, None] * w)
+            variances.append(shape**2 @ k + np.einsum("np,np->n", bent @ inverse, bent))
+        return means, variances
+
+    def _beside(self, size: float) -> tuple[list[Array], Array, Array, Array]:
+        """What is kept of every part (K,), of the law beside the force (P', P'), its inverse, its pull (P',)."""
         kept = [size**2 / (1 + size**2 * s) for s in self.seen]
         inner = np.eye(self.on_law[0].shape[1])
         pull = np.zeros(len(inner))
         for k, w, b in zip(kept, self.on_law, self.data, strict=True):
             inner -= (w * k[:, None]).T @ w
             pull += w.T @ (k * b)
-        inverse = np.linalg.inv(inner)
-        back = inverse @ pull
-        told = sum(float(b @ (k * b)) for k, b in zip(kept, self.data, strict=True)) + float(pull @ back)
-        spread = sum(float(np.sum(np.log1p(size**2 * s))) for s in self.seen) + float(np.linalg.slogdet(inner)[1])
-        means, variances = [], []
-        for shape, k, w, b in zip(self.shape, kept, self.on_law, self.data, strict=True):
-            means.append(shape @ (k * (b + w @ back)))
-            bent = shape @ (k[:, None] * w)
-            variances.append(shape**2 @ k + np.einsum("np,pq,nq->n", bent, inverse, bent))
-        return (told - spread) / 2, means, variances
+        return kept, inner, np.asarray(np.linalg.inv(inner), dtype=np.float64), pull
 
 
 def deconvolved(solution: Solution) -> tuple[list[Deconvolved], Line | None]:
@@ -128,17 +138,18 @@ def _averaged(law: Beside) -> tuple[list[Array], list[Array]]:
     made = [_seen(law, i, k) for i, k in enumerate(knots)]
     step = max(float(k[1] - k[0]) for k in knots)
     longest = max(float(k[-1] - k[0]) for k in knots)
-    solved = []
+    tried = []
     for reach in np.geomspace(2 * step, max(longest / 4, 3 * step), REACHES):
         process = _process(law, knots, made, float(reach))
         top = max(float(s.max()) for s in process.seen)
-        solved += [process.solved(float(size)) for size in SIZES / np.sqrt(max(top, 1e-300))]
-    weight = np.exp(np.array([s[0] for s in solved]) - max(s[0] for s in solved))
+        sizes = (SIZES / np.sqrt(max(top, 1e-300))).tolist()
+        tried += [(process.likelihood(size), process, size) for size in sizes]
+    weight = np.exp(np.array([t[0] for t in tried]) - max(t[0] for t in tried))
     weight[weight < LIGHT] = 0.0
     weight /= weight.sum()
-    kept = [(w, s) for w, s in zip(weight, solved, strict=True) if w > 0]
-    means = [np.sum([w * s[1][i] for w, s in kept], axis=0) for i in range(len(knots))]
-    squares = [np.sum([w * (s[2][i] + s[1][i] ** 2) for w, s in kept], axis=0) for i in range(len(knots))]
+    kept = [(w, process.solved(size)) for w, (_, process, size) in zip(weight, tried, strict=True) if w > 0]
+    means = [np.sum([w * m[i] for w, (m, _) in kept], axis=0) for i in range(len(knots))]
+    squares = [np.sum([w * (v[i] + m[i] ** 2) for w, (m, v) in kept], axis=0) for i in range(len(knots))]
     return means, [np.maximum(q - m**2, 0.0) for q, m in zip(squares, means, strict=True)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -87,6 +88,16 @@ class Looks:
     common: list[Array]
     common_bumps: list[Bump]
 
+    @cached_property
+    def own_squares(self) -> list[Array]:
+        """Squared traces of the moments of every piece, (k_i,)."""
+        return [np.einsum("nk,nk->k", c, c) for c in self.own]
+
+    @cached_property
+    def common_squares(self) -> Array:
+        """Squared traces of the places, (k,)."""
+        return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.common], axis=0))
+
 
 def looks_of(law: Beside, at: Sequence[Nodes]) -> Looks:
     """All bumps of the search, and what each would leave in the runs."""
@@ -144,17 +155,15 @@ def limits(responses: Sequence[Response], bump: Bump) -> tuple[float, float]:
 
 def norms(law: Beside, looks: Looks) -> tuple[list[Array], Array]:
     """Norms of all traces beside the law; 0 where the law takes up nearly all of one."""
-    own = []
-    common, whole = np.zeros(len(looks.common_bumps)), np.zeros(len(looks.common_bumps))
-    on_common = np.zeros((law.u.shape[1], len(looks.common_bumps)))
-    for i, rows in enumerate(law.rows):
-        full = np.einsum("nk,nk->k", looks.own[i], looks.own[i])
-        left = full - np.sum((law.u[rows].T @ looks.own[i]) ** 2, axis=0)
-        own.append(np.where(left > SEEN * full, np.sqrt(np.maximum(left, 0)), 0.0))
-        whole += np.einsum("nk,nk->k", looks.common[i], looks.common[i])
-        on_common += law.u[rows].T @ looks.common[i]
-    common = whole - np.sum(on_common**2, axis=0)
-    return own, np.where(common > SEEN * whole, np.sqrt(np.maximum(common, 0)), 0.0)
+    own = [_norm(full, law.u[rows].T @ c) for rows, c, full in zip(law.rows, looks.own, looks.own_squares, strict=True)]
+    on_common = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, looks.common, strict=True)], axis=0)
+    return own, _norm(looks.common_squares, on_common)
+
+
+def _norm(squares: Array, on_law: Array) -> Array:
+    """Norms (k,) of traces of these squares beside the law on which they have components (P', k)."""
+    left = squares - np.sum(on_law**2, axis=0)
+    return np.where(left > SEEN * squares, np.sqrt(np.maximum(left, 0)), 0.0)
 
 
 def chances(law: Beside, looks: Looks) -> tuple[Chance, list[Chance]]:

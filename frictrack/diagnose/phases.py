@@ -32,14 +32,13 @@ def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: 
     Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
     """
     f, excess = scanned(law), _beyond(law, runs)
-    halves = [_halves(law, run, f) for run in runs]
-    gains, total = _waved(halves)
+    told = np.array([_told(*_halves(law, run, f)) for run in runs])
+    gains, total = _waved(told)
     best = int(np.argmax(total))
     null = []
     for _ in range(draws):
-        shifts = rng.integers(0, len(f), len(halves))
-        moved = [_rolled(h, int(by)) for h, by in zip(halves, shifts, strict=True)]
-        drawn, total = _waved(moved)
+        shifts = rng.integers(0, len(f), len(told))
+        drawn, total = _waved(np.array([np.roll(t, int(by), -1) for t, by in zip(told, shifts, strict=True)]))
         null.append(float(drawn[:, int(np.argmax(total))].sum()))
     mine = float(gains[:, best].sum())
     p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
@@ -54,11 +53,6 @@ def _beyond(law: Beside, runs: Sequence[int]) -> Array:
         r = law.r[rows]
         out[runs.index(response.piece.run)] += float(r @ r), len(r) - float(np.sum(law.u[rows] ** 2))
     return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
-
-
-def _rolled(h: _Halves, by: int) -> _Halves:
-    """The same run with its frequencies shifted."""
-    return np.roll(h[0], by, 0), np.roll(h[1], by, 0), np.roll(h[2], by, 0), np.roll(h[3], by, 0)
 
 
 def _halves(law: Beside, run: int, f: Array) -> _Halves:
@@ -79,23 +73,28 @@ def _halves(law: Beside, run: int, f: Array) -> _Halves:
     return out[0], out[1], out[2], out[3]
 
 
-def _waved(halves: Sequence[_Halves]) -> tuple[Array, Array]:
-    """Fall of every run's chi-squared with the amplitude of the others (R, G), and what free amplitudes gain (G,)."""
-    own, inverses = [], []
-    total = np.zeros(len(halves[0][0]))
-    for even, odd, b_even, b_odd in halves:
-        inverse = np.linalg.pinv(even + odd, rcond=1e-6, hermitian=True)
-        wave = np.einsum("fij,fj->fi", inverse, b_even + b_odd)
-        own.append(wave)
-        inverses.append(np.einsum("fii->f", inverse))
-        total += np.einsum("fi,fi->f", wave, b_even + b_odd)
-    power = np.array([np.sum(w**2, axis=1) - i for w, i in zip(own, inverses, strict=True)])
-    weight = 1 / np.maximum(np.array(inverses), 1e-300) ** 2
-    gains = np.zeros_like(power)
-    for k, (even, odd, b_even, b_odd) in enumerate(halves):
-        others = np.arange(len(halves)) != k
-        a = np.sqrt(np.maximum(np.sum((weight * power)[others], axis=0) / np.sum(weight[others], axis=0), 0.0))
-        way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
-        way *= (a / np.maximum(np.linalg.norm(way, axis=1), 1e-300))[:, None]
-        gains[k] = 2 * (2 * np.sum(way * b_odd, axis=1) - np.einsum("fi,fij,fj->f", way, odd, way))
-    return gains, total
+def _told(even: Array, odd: Array, b_even: Array, b_odd: Array) -> Array:
+    """What one run tells of every frequency, (5, G).
+
+    What its own wave gains, the wave's power less the noise's, that noise; and of a wave of size one with the phase of
+    the even frames its product with the odd frames and its square there.
+    """
+    inverse = np.linalg.pinv(even + odd, rcond=1e-6, hermitian=True)
+    wave = np.einsum("fij,fj->fi", inverse, b_even + b_odd)
+    gain, noise = np.sum(wave * (b_even + b_odd), axis=1), np.einsum("fii->f", inverse)
+    way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
+    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
+    seen = np.sum(way * b_odd, axis=1), np.einsum("fi,fij,fj->f", way, odd, way)
+    return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, *seen])
+
+
+def _waved(told: Array) -> tuple[Array, Array]:
+    """Fall of every run's chi-squared with the amplitude of the others (R, G), and what free amplitudes gain (G,).
+
+    `told` (R, 5, G) as `_told` has it.
+    """
+    gain, power, noise, product, square = told.transpose(1, 0, 2)
+    weight = 1 / np.maximum(noise, 1e-300) ** 2
+    others = (weight * power).sum(axis=0) - weight * power
+    size = np.sqrt(np.maximum(others / np.maximum(weight.sum(axis=0) - weight, 1e-300), 0.0))
+    return 2 * (2 * size * product - size**2 * square), gain.sum(axis=0)

@@ -97,6 +97,15 @@ class _Fold:
 
 
 @dataclass(frozen=True)
+class _Waved:
+    """What runs see of G waves: Gram matrices (..., G, 2, 2) and with the law (..., G, 2, S), data (..., G, 2, D)."""
+
+    pairs: Array
+    cross: Array
+    data: Array
+
+
+@dataclass(frozen=True)
 class _Runs:
     """Residuals and shared law of every run, beside what belongs to the run alone (its level, its own phases).
 
@@ -124,6 +133,19 @@ class _Runs:
             gram[run] += both.T @ both
             data[run] += both.T @ self.series[i]
         return gram, data
+
+    def waved(self, columns: Sequence[Array]) -> _Waved:
+        """The same of columns (n_i, 2 G) of which only pairs stand beside each other."""
+        g, s, d = columns[0].shape[1] // 2, self.shared[0].shape[1], self.series[0].shape[1]
+        out = _Waved(*(np.zeros((self.count, g, 2, k)) for k in (2, s, d)))
+        for i, run in enumerate(self.run):
+            clean = columns[i] - self.own[i] @ (self.own[i].T @ columns[i])
+            cube = clean.reshape(-1, g, 2)
+            for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                out.pairs[run, :, a, b] += np.einsum("nf,nf->f", cube[:, :, a], cube[:, :, b])
+            out.cross[run] += (clean.T @ self.shared[i]).reshape(g, 2, s)
+            out.data[run] += (clean.T @ self.series[i]).reshape(g, 2, d)
+        return out
 
 
 def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Repeats:
@@ -256,40 +278,37 @@ def _wave(apart: _Runs) -> Array:
     """Fall of every run's chi-squared (R, D) with a dry force that waves over the place, all told by the other runs."""
     f = 1 / periods(apart.law.solution.problem.layout.span)
     made = [traces(r, waves(n.x, f) * n.dry[:, None]) for r, n in zip(apart.law.responses, apart.at, strict=True)]
-    gram, data = apart.seen(made)
-    fold = _Fold(np.empty(2 * len(f)), gram, data)
-    held, k = _held(fold), 2 * len(f)
-    law, out = slice(k, None), np.zeros((apart.count, data.shape[2]))
+    runs = apart.waved(made)
+    gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
+    whole = _Waved(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))
+    held, out = _held(_Fold(np.empty(0), gram, data)), np.zeros((apart.count, data.shape[2]))
     for run in range(apart.count):
-        others, seen = gram.sum(axis=0) - gram[run] + held, data.sum(axis=0) - data[run]
-        inverse = np.linalg.pinv(others[law, law], rcond=1e-10, hermitian=True)
-        bent = inverse @ others[law, :k]  # what the law takes up of every column, (S, K)
-        pairs = _pairs(others[:k, :k] - others[:k, law] @ bent)
-        left = (seen[:k] - bent.T @ seen[law]).reshape(len(f), 2, -1)
+        law, seen = gram.sum(axis=0) - gram[run] + held, data.sum(axis=0) - data[run]
+        cross = whole.cross - runs.cross[run]
+        inverse = np.linalg.pinv(law, rcond=1e-10, hermitian=True)
+        bent = np.einsum("st,git->sgi", inverse, cross)  # what the law takes up of every column, (S, G, 2)
+        pairs = whole.pairs - runs.pairs[run] - np.einsum("gis,sgj->gij", cross, bent)
+        left = whole.data - runs.data[run] - np.einsum("sgi,sd->gid", bent, seen)
         size = np.linalg.pinv(pairs, rcond=1e-6, hermitian=True) @ left
         best = np.argmax(np.sum(size * left, axis=1), axis=0)
-        out[run] = _told_by(gram[run], data[run], inverse @ seen[law], bent, size, best)
+        mine = _Waved(runs.pairs[run], runs.cross[run], runs.data[run])
+        out[run] = _told_by(mine, (gram[run], data[run]), (inverse @ seen, bent), size, best)
     return out
 
 
-def _pairs(gram: Array) -> Array:
-    """The 2 x 2 blocks on the diagonal of a matrix (2 G, 2 G): (G, 2, 2)."""
-    at = np.arange(len(gram) // 2) * 2
-    return np.stack([np.stack([gram[at + i, at + j] for j in (0, 1)], axis=1) for i in (0, 1)], axis=1)
+def _told_by(mine: _Waved, own: tuple[Array, Array], law: tuple[Array, Array], size: Array, best: Array) -> Array:
+    """Fall of one run's chi-squared (D,) with the wave that is best for the other runs, each draw its own.
 
-
-def _told_by(gram: Array, data: Array, law: Array, bent: Array, size: Array, best: Array) -> Array:
-    """Fall of one run's chi-squared (D,) with the wave that is best for the other runs, each draw its own."""
-    k, each = bent.shape[1], np.arange(data.shape[1])
+    `own` are the Gram matrix and data of its law, `law` the coefficients of the other runs' and what it takes up.
+    """
+    (gram, data), (before, bent) = own, law
+    each = np.arange(data.shape[1])
     c = size[best, :, each]  # (D, 2)
-    columns = 2 * best[:, None] + np.arange(2)
-    moved = law - np.einsum("sdi,di->sd", bent[:, columns], c)
-    before = 2 * np.sum(law * data[k:], axis=0) - np.einsum("sd,sd->d", law, gram[k:, k:] @ law)
-    after = 2 * np.sum(moved * data[k:], axis=0) - np.einsum("sd,sd->d", moved, gram[k:, k:] @ moved)
-    after += 2 * np.sum(c * data[columns, each[:, None]], axis=1)
-    after -= np.einsum("di,dij,dj->d", c, gram[columns[:, :, None], columns[:, None, :]], c)
-    after -= 2 * np.einsum("di,dis,sd->d", c, gram[:, k:][columns], moved)
-    return np.asarray(after - before)
+    moved = before - np.einsum("sdi,di->sd", bent[:, best], c)
+    fall = _fall(gram, data, moved) - _fall(gram, data, before)
+    fall += 2 * np.einsum("di,di->d", c, mine.data[best, :, each])
+    fall -= np.einsum("di,dij,dj->d", c, mine.pairs[best], c)
+    return np.asarray(fall - 2 * np.einsum("di,dis,sd->d", c, mine.cross[best], moved))
 
 
 def _gains(fold: _Fold, held: Array, knots: int) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -106,7 +107,7 @@ class Linear:
         self.across[:, 1, 1] += 1
         self._band = _chain(self.across)
 
-    @property
+    @cached_property
     def pushed(self) -> Array:
         """State at the end of every panel per unit of acceleration at its nodes, (p, 2, 3)."""
         return np.asarray(self._end @ self._inverse)
@@ -122,6 +123,11 @@ class Linear:
         u = self._inverse @ g.reshape(-1, 3, k)
         edges = self.chained(start, self._end @ u)
         return (u + self._start @ edges[:-1]).reshape(-1, k), edges
+
+    def moved(self, g: Array) -> Array:
+        """Edge states alone, (p + 1, 2, k), from rest for inputs g (3 p, k)."""
+        k = g.shape[1]
+        return self.chained(np.zeros((2, k)), self.pushed @ g.reshape(-1, 3, k))
 
     def chained(self, start: Array, kicks: Array) -> Array:
         """Edge states (p + 1, 2, k) from a start (2, k) and what every panel adds at its end, (p, 2, k)."""

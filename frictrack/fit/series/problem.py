@@ -47,7 +47,11 @@ class Seen(Linear):
 
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """The forces (n, k) behind accelerations g (n, k), twice: as nodes, and as edge states (n, 2, k)."""
-        return g, np.stack([-g, np.zeros_like(g)], axis=1)
+        return g, self.moved(g)
+
+    def moved(self, g: Array) -> Array:
+        """The edge states alone."""
+        return np.stack([-g, np.zeros_like(g)], axis=1)
 
 
 @dataclass(frozen=True)
