@@ -21,6 +21,7 @@ from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import refine
 from frictrack.fit.simulated.traced import traced
 from frictrack.fit.simulated.trial import bare, tried
+from frictrack.fit.unknowns.scatter import basis_of
 from frictrack.simulate.rows import Rows
 
 LAW = ["coulomb", "stribeck", "viscous"]
@@ -121,3 +122,23 @@ class TestHeldOut:
         assert how in ("run", "frames")
         assert before > 1.5 * after
         assert after == pytest.approx(2e-6, rel=0.1)
+
+
+def test_a_common_level_follows_what_no_data_see() -> None:
+    """Coulomb friction times its level: only the products are seen, and the mean of the levels is a matter of words."""
+    rng = np.random.default_rng(4)
+    runs, frames, tau, shift = 7, 40, 0.05, 3.0
+    member = np.repeat(np.arange(runs), frames)
+    ways = np.where(np.arange(runs) < 5, 1.0, -1.0)
+    deep = rng.uniform(0.5, 2.0, runs)[member]  # runs are not equally telling
+    levels = (member[:, None] == np.arange(runs)) * deep[:, None] * 50.0
+    jac = np.column_stack([levels.sum(axis=1), levels])
+    basis = basis_of(jac, list(range(1, runs + 1)))
+    assert basis.n_levels == runs - 1
+    slope = levels @ ways
+    data = shift * slope + levels @ (tau * rng.standard_normal(runs)) + rng.standard_normal(len(member))
+    beside = np.eye(len(member)) - basis.u @ basis.shrink(tau) @ basis.u.T
+    found = (slope @ beside @ data) / (slope @ beside @ slope)
+    covariance = np.eye(len(member)) + tau**2 * levels @ levels.T  # generalised least squares, written out
+    both, inverse = np.column_stack([jac[:, 0], slope]), np.linalg.inv(covariance)
+    assert found == pytest.approx(np.linalg.solve(both.T @ inverse @ both, both.T @ inverse @ data)[1], rel=1e-6)

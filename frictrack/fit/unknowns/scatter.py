@@ -23,7 +23,8 @@ TAU = (1e-4, 0.5)  # where the relative spread of the level is looked for
 class Basis:
     """A linearised model J (N, P): its orthonormal basis and the prior on the friction levels in it.
 
-    Directions that the data do not see at all are dropped. `prior` is the level rows seen from the basis.
+    Directions that the data do not see at all are dropped, the levels following along them. `prior` is the level rows
+    seen from the basis; `n_levels` how many of their directions are left.
     """
 
     u: Array  # (N, P')
@@ -73,11 +74,23 @@ def basis_of(jac: Array, levels: list[int], known: Array | None = None) -> Basis
     keep = s > 1e-9 * s[0]
     back = vt[keep].T / s[keep] / norm[:, None]  # unknowns per unit of basis coordinate
     random = len(levels) >= MIN_RUNS
-    seen = back[levels]
+    seen, unseen = back[levels], (vt[~keep].T / norm[:, None])[levels]
     if not random and levels:
-        seen = seen.mean(axis=0, keepdims=True)
+        seen, unseen = seen.mean(axis=0, keepdims=True), unseen.mean(axis=0, keepdims=True)
+    seen, gone = _followed(seen, unseen)
     held = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
-    return Basis(u[:, keep], seen.T @ seen, len(levels), random, held)
+    return Basis(u[:, keep], seen.T @ seen, len(levels) - gone, random, held)
+
+
+def _followed(seen: Array, unseen: Array) -> tuple[Array, int]:
+    """Levels per unit of the basis (m, P') where directions that no data see bring them as near to one as they can.
+
+    `unseen` (m, d) are levels per unit of such directions: all levels up and Coulomb friction down is one. Also how
+    many of the levels' directions they take.
+    """
+    u, size, _ = np.linalg.svd(unseen, full_matrices=False)
+    taken = u[:, size > 1e-9 * max(float(np.abs(seen).max(initial=0.0)), 1e-300)]
+    return seen - taken @ (taken.T @ seen), taken.shape[1]
 
 
 def restraint_rows(layout: Layout, tau: float, p: Array | None = None) -> Array:
