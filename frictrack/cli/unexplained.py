@@ -20,7 +20,8 @@ def unexplained(out: Console, left: dict[str, Any] | None) -> None:
     """The axis, the formulas, and what to paste into the study file."""
     if not left:
         return
-    out.print(f"what no effect explains repeats best along {AXES.get(left['axis'], left['axis'])}")
+    said = f"what no effect explains repeats best along {AXES.get(left['axis'], left['axis'])}"
+    out.print(escape(left.get("words") or said))
     for f in left["formulas"]:
         beside = f" beside {', '.join(f['beside'])}" if f.get("beside") else ""
         out.print(f"  {escape(f['formula'])}{beside}  ({100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g})")

@@ -29,7 +29,7 @@ from frictrack.fit.simulated.turns import in_turn
 from frictrack.models import Model
 from frictrack.records import Array
 
-ABSORBED = 1e-4  # share of a column's square that must remain beside the law
+ABSORBED, ROUND = 3.0, 1e-8  # share of a column's square that must remain beside the law: over the law's own, and least
 LARGEST = 1e9  # of a column: beyond it a shape has no value
 STEP = 1e-5  # relative, of a difference
 TRIALS = 25  # of the numbers of a form
@@ -82,9 +82,14 @@ def _rivals(judge: _Judge, tried: Sequence[Formula], law: Model | None) -> list[
         best = judge.reseated(best, law)
     left = reduced(best.solution, NAME)
     terms = _terms(left, FITTED, (best.terms[0].along.name,))
-    near = [t for t in terms if _worth(terms[0], left) - _worth(t, left) < NEAR and t.shape != best.terms[0].shape]
+    near = [t for t in terms if _worth(terms[0], left) - _worth(t, left) < NEAR]
     found = [best, *(f for t in near if (f := judge.exchanged(best, t)) is not None)]
-    return sorted(found, key=lambda f: -f.delta_bic)
+    order = sorted(found, key=lambda f: -f.delta_bic)
+    return list({_kind(f.terms[0]): f for f in reversed(order)}.values())[::-1]
+
+
+def _kind(term: Term) -> tuple[str, str, str]:
+    return term.shape.name, term.axis, term.factor
 
 
 @dataclass(frozen=True)
@@ -196,7 +201,8 @@ def _gains(left: Reduced, shape: Shape, points: Sequence[tuple[float, ...]], alo
     unit = (beside / norm).reshape(len(beside), -1, k).transpose(1, 0, 2)
     values, vectors = np.linalg.eigh(unit.transpose(0, 2, 1) @ unit)
     turned = np.einsum("gij,gi->gj", vectors, pull)
-    gains: Array = np.sum(np.where(values > ABSORBED, turned**2 / np.maximum(values, ABSORBED), 0.0), axis=1)
+    least = max(ABSORBED * left.blur, ROUND)
+    gains: Array = np.sum(np.where(values > least, turned**2 / np.maximum(values, least), 0.0), axis=1)
     return gains
 
 

@@ -9,7 +9,7 @@ held by their scatter, are taken out of all of it at once (Golub & Pereyra 1973)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -47,6 +47,7 @@ class Reduced:
     left: Array
     n_frames: int
     excess: float  # chi-squared above its expectation
+    blur: float = 0.0  # share of its square that the law's own force leaves of itself, told in so few numbers
 
     def beside(self, rows: Array) -> Array:
         """Numbers (M, k) with what the law takes of them taken out."""
@@ -87,7 +88,7 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
     chi2 = float(data @ data - on_basis @ basis.shrink(solution.tau) @ on_basis)
     free = len(data) - 2 * len(responses) - basis.u.shape[1]
     whole = np.concatenate(left)
-    return Reduced(
+    found = Reduced(
         paths=[path for _, path, *_ in parts],
         maps=[m for _, _, m, _ in parts],
         rows=[rows for *_, rows in parts],
@@ -99,6 +100,22 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
         n_frames=solution.problem.n_frames,
         excess=chi2 - free,
     )
+    return replace(found, blur=_blur(found, solution, without))
+
+
+def _blur(left: Reduced, solution: Solution, without: str) -> float:
+    """The largest share of the square of a column of the law that is left of it beside the law."""
+    layout = solution.problem.layout
+    made = [
+        layout.model.force_columns(p, layout.values(solution.p, r)[0])
+        for p, r in zip(left.paths, left.runs, strict=True)
+    ]
+    shares = [0.0]
+    for name in made[0].keys() - {without}:
+        rows = np.concatenate([m @ own[name] for m, own in zip(left.maps, made, strict=True)])
+        whole = np.sum(rows**2, axis=0)
+        shares += (np.sum(left.beside(rows) ** 2, axis=0)[whole > 0] / whole[whole > 0]).tolist()
+    return max(shares)
 
 
 def _root(on_law: Array, shrink: Array) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from frictrack.diagnose.evidence import Beside, Evidence, Known, curves_of, evid
 from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
+from frictrack.diagnose.plainer import plainer
 from frictrack.diagnose.repeats import Repeats
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
@@ -179,7 +180,21 @@ def diagnose(
     seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside, known)
     where = where_it_fails(start, np.random.default_rng(seed))
     figures = concluded.figures | where.figures | curves_of(seen)
-    return replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
+    concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
+    return concluded if fit.measured or not found else _against_formulas(concluded, start, last.solution)
+
+
+def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
+    """The verdict after a look at forces of one variable, where effects were found that may only imitate one."""
+    if concluded.verdict == "unexplained":
+        return concluded
+    plain = plainer(start, law, concluded.repeats)
+    if plain is None:
+        return concluded
+    if not plain["decisive"]:
+        return replace(concluded, unexplained=plain)
+    next_experiment = for_unexplained(start)
+    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain, next_experiment=next_experiment)
 
 
 def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:

@@ -18,7 +18,8 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
     `factor` is what multiplies the curve along a run, as a study file writes it. `beside` is the law with what was
     found so far: the curve is what that leaves; the formulas stand beside the law itself where they can.
     """
-    best = smooth_forces(reduced(beside or solution))[0]
+    smooth = smooth_forces(reduced(beside or solution))
+    best = smooth[0]
     return {
         "axis": best.axis.name,
         "factor": best.axis.factor,
@@ -26,5 +27,6 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
         "band": best.sigma.tolist(),
         "share": best.share,
         "delta_bic": best.gain,
+        "axes": len(smooth),
         "formulas": formulas(solution, beside),
     }

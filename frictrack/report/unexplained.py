@@ -43,4 +43,11 @@ def unexplained(diagnosis: Mapping[str, Any], draw: Draw) -> dict[str, Any] | No
         for f in left["formulas"]
     ]
     toml = left["formulas"][0].get("toml", "") if rows else ""
-    return {"picture": draw(plots.unexplained(left)), "formulas": rows, "toml": toml}
+    words = left.get("words", "")
+    return {
+        "picture": draw(plots.unexplained(left)),
+        "formulas": rows,
+        "toml": toml,
+        "title": "A force of one variable" if words else "What no effect explains",
+        "words": words[:1].upper() + words[1:],
+    }

@@ -276,11 +276,14 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
     yield Markup("The model fails: {}reduced chi-squared is {}.").format(
         _residual(model), number(diagnosis["reduced_chi2"])
     )
+    left = diagnosis.get("unexplained")
+    if left and left.get("words"):
+        yield Markup("It is none of the library's effects: {}.").format(left["words"])
+        return
     if diagnosis["missing"]:
         yield Markup("Adding <b>{}</b> helps, but structure remains.").format(listed(diagnosis["missing"]))
     elif not any(passes(c) for c in diagnosis["candidates"]):
         yield Markup("No effect of the library passes.")
-    left = diagnosis.get("unexplained")
     if left:
         axis = {"x": "place", "t": "time", "v": "velocity"}.get(left["axis"], left["axis"])
         yield Markup("What is left repeats best along {}.").format(axis)

@@ -1,0 +1,69 @@
+"""Whether a force of one variable with few numbers, the same in all runs, explains as much as what was found.
+
+Effects with numbers of their own in every run can imitate much. Where such were found though the failure repeats along
+one axis, or where a smooth force over one axis is likelier than all that was found, formulas are sought. The library
+wins ties: only a formula that is decisively better, its search paid for, says that the cause is none of the library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from frictrack.diagnose.axes import smooth_forces
+from frictrack.diagnose.formulas import EQUAL
+from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.repeats import Repeats
+from frictrack.diagnose.rivals import SAME, information
+from frictrack.diagnose.shapes import SHAPES
+from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.fit.simulated.solve import Solution
+
+AXES = {"x": "place", "t": "time", "v": "velocity"}
+
+
+def plainer(start: Solution, found: Solution, repeats: Repeats) -> dict[str, Any] | None:
+    """A plain force that explains as much as the effects found beyond the law of `start`, or None.
+
+    As `unexplained_force`, with `words`, and `decisive` where it explains more, its search paid for.
+    """
+    worth = information(start) - information(found)
+    if not _asked(start, found, repeats, worth):
+        return None
+    told = unexplained_force(start)
+    if not told["formulas"]:
+        return None
+    first = told["formulas"][0]
+    ahead = first["delta_bic"] - worth
+    added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
+    if ahead < -EQUAL or first["unknowns"] >= added:
+        return None
+    decisive = ahead > SAME + _sought(told["axes"])
+    return told | {"decisive": decisive, "words": _words(first, added, decisive=decisive)}
+
+
+def _asked(start: Solution, found: Solution, repeats: Repeats, worth: float) -> bool:
+    """Whether a formula is worth a search."""
+    own = {s.effect for s in found.problem.layout.slots if s.run is not None}
+    several = len({p.run for p in start.problem.pieces}) > 1
+    imitated = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
+    along = repeats.best
+    if imitated and along is not None and along.axis in AXES:
+        return True
+    return smooth_forces(reduced(start))[0].gain > worth + SAME
+
+
+def _sought(axes: int) -> float:
+    """What the best of so many forms gains by having been sought."""
+    return 2 * float(np.log(len(SHAPES) * max(axes, 1)))
+
+
+def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
+    much, than = ("more", "than") if decisive else ("as much", "as")
+    count = "one number" if first["unknowns"] == 1 else f"{first['unknowns']} numbers"
+    return (
+        f"a force of {AXES[first['axis']]} alone explains {much} with {count}, the same in all runs, "
+        f"{than} what was found with {added}: {first['formula']}"
+    )
