@@ -248,3 +248,12 @@ def test_empty_section_is_refused():
         FrictrackError, match=r"at least 8 free frames but got 0 \(3 s to 4 s as given\); give the free"
     ):
         free_section(run)
+
+
+def test_a_frame_that_was_lost_or_doubled_is_no_impact():
+    t, x, _ = coasting(6.0, 0.18)
+    for way in (0, 2):  # the same frame once more, or one left out
+        shown = np.interp(t + np.where(t > 0.1, (way - 1) / FPS, 0.0), t, x)
+        mask, reason = free_section(filmed(t, shown))
+        assert "impact" not in reason
+        assert mask[np.searchsorted(t, 0.17)]
