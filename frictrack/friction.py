@@ -20,8 +20,6 @@ CERTAIN = 5.0  # |v| over sigma_v that a stretch of moving frames must reach to 
 PUSHED = 0.8  # of the highest speed: a record that begins slower shows the push
 IMPACT_TIME = 4e-3  # s, within which an impact takes half of the speed
 IMPACT_FACTOR = 5.0  # deceleration of an impact over the usual one
-AFTERWARDS = 3  # times what an impact takes: when its speed is still lost
-REGAINED = 0.75  # of the speed before: so much was not lost
 EVENT_REACH = 3  # frames beyond an event that a difference may still see it
 EVENT_NEAR = 8  # frames that an event may lie from what it is
 MIN_FREE = 8  # frames, fewer cannot be judged
@@ -218,14 +216,14 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     """
     v, a = run.motion.v, np.abs(run.motion.a)
     interval = float(np.median(np.diff(run.motion.t)))
-    window = max(round(IMPACT_TIME / interval), 2 * _smear(run))
+    quick = round(IMPACT_TIME / interval)
+    window = max(quick, 2 * _smear(run))
     i = np.arange(first, min(stop + 1, len(v) - 1))
     j = np.minimum(i + window, len(v) - 1)
     far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))
-    loss = np.sign(v[i]) * (v[i] - v[j])
-    later = np.minimum(i + AFTERWARDS * window, len(v) - 1)
-    lost = np.sign(v[i]) * v[later] < REGAINED * np.abs(v[i])
-    hits = i[(loss > 0.5 * np.abs(v[i])) & (loss > far * window * interval / 2.0) & lost]
+    left = np.max([np.sign(v[i]) * v[np.minimum(j + k * quick, len(v) - 1)] for k in range(3)], axis=0)
+    loss = np.abs(v[i]) - left
+    hits = i[(loss > 0.5 * np.abs(v[i])) & (loss > far * window * interval / 2.0)]
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))

@@ -251,9 +251,10 @@ def test_empty_section_is_refused():
 
 
 def test_a_frame_that_was_lost_or_doubled_is_no_impact():
-    t, x, _ = coasting(6.0, 0.18)
+    whole, x, _ = coasting(6.0, 0.19)
+    t = whole[:720]
     for way in (0, 2):  # the same frame once more, or one left out
-        shown = np.interp(t + np.where(t > 0.1, (way - 1) / FPS, 0.0), t, x)
+        shown = np.interp(t + np.where(t > 0.1, (way - 1) / FPS, 0.0), whole, x)
         mask, reason = free_section(filmed(t, shown))
         assert "impact" not in reason
         assert mask[np.searchsorted(t, 0.17)]
