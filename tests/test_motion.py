@@ -468,6 +468,26 @@ def test_noise_level_ignores_an_impact(rng):
     assert abs(sigma / NOISE - 1.0) < 4.0 * relative
 
 
+@pytest.mark.parametrize("n", [200, 700])
+@pytest.mark.parametrize("missing", [0.0, 0.02, 0.25])
+def test_noise_level_of_white_noise_is_unbiased_and_knows_its_spread(rng, n, missing):
+    valid = rng.random(n) >= missing  # a quarter missing leaves too few fifth differences: third ones are taken
+    sigma, relative = noise_level(rng.normal(size=(n, 1000)), valid)
+    assert np.mean(sigma**2) == pytest.approx(1.0, abs=4 * 2 * np.mean(relative) / np.sqrt(1000))
+    assert (0.8 if missing else 0.9) < np.std(sigma) / np.mean(relative) < 1.1  # gaps part what is correlated
+
+
+def test_noise_level_sees_neither_jerks_nor_a_ripple(rng):
+    t = np.arange(700) / 2000
+    pushed = 2e-3 * np.sin(2 * np.pi * 60 * t) + 3 * t
+    ripple = NOISE * np.sin(2 * np.pi * 0.12 * np.arange(700))  # of peak locking, an eighth of a pixel a frame
+    draws = (pushed + ripple)[:, None] + NOISE * rng.normal(size=(700, 300))
+    sigma, _ = noise_level(draws, np.ones(700, bool))
+    assert rms(sigma) == pytest.approx(NOISE, rel=0.02)
+    jerks = np.diff(pushed, 3)
+    assert np.sqrt(1 + np.mean(jerks**2) / 20 / NOISE**2) > 1.02  # third differences would see them
+
+
 def test_noise_level_needs_four_neighbours():
     assert np.isnan(noise_level(np.arange(9.0), np.arange(9) % 2 == 0)[0])
 

@@ -63,7 +63,7 @@ def test_a_linear_law_has_the_interval_of_its_standard_deviation():
     t, _, sigma = frames(fitted)
     columns = np.column_stack([np.ones_like(t), t, -(t**2) / 2 / MASS]) / sigma[:, None]
     std = np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2])  # ordinary least squares: place, speed, F_c
-    std *= student.ppf(0.975, len(t) / 2.31) / Z  # the noise is estimated too, from third differences
+    std *= student.ppf(0.975, len(t) / 2.91) / Z  # the noise is estimated too, from fifth differences
     found = ft.profile(fitted, "coulomb.F_c")
     estimate = fitted.parameters["coulomb.F_c"]
     assert estimate.std == pytest.approx(std, rel=1e-4)
@@ -90,7 +90,7 @@ def test_a_curved_profile_is_the_brute_force_one():
         return left([np.ones_like(t), -np.expm1(-k * t) / k, t], y, sigma)
 
     best = minimize_scalar(chi2, bounds=(0.2, 6.0), method="bounded", options={"xatol": 1e-9})
-    limit = student.ppf(0.975, len(t) / 2.31) ** 2
+    limit = student.ppf(0.975, len(t) / 2.91) ** 2
     low, high = (
         brentq(lambda F: chi2(F) - best.fun - limit, *ends) for ends in ((best.x - 4.0, best.x), (best.x, best.x + 4.0))
     )

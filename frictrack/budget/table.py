@@ -125,7 +125,7 @@ def budget(
 def _cell(sigma: Array, free: Mask) -> Contribution:
     """A load cell that measured friction itself: nothing else counts."""
     level = float(np.sqrt(np.mean(sigma[free] ** 2)))
-    told = "white noise of the record, from its third differences; its zero and sensitivity are not known"
+    told = "white noise of the record, from its fifth differences; its zero and sensitivity are not known"
     return Contribution(SENSOR, level, "N", told, level, level / float(np.sqrt(np.sum(free))))
 
 
@@ -231,7 +231,7 @@ class _Sources:
         drive = np.asarray(self.run.drive, dtype=float)
         level = float(np.nan_to_num(noise_level(drive, np.isfinite(drive))[0]))
         n, t = float(np.sum(self.free)), self.run.motion.t
-        told = "white noise of the record, from its third differences"
+        told = "white noise of the record, from its fifth differences"
         rows = [Contribution(DRIVE, level, "N", told, level, level / float(np.sqrt(n)))]
         late = clock.get("sigma_offset_s")
         if late:

@@ -14,6 +14,7 @@ from frictrack.compare.chance import Chance, arc
 from frictrack.fit.series import SeriesPiece
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
+from frictrack.motion.noise import SPREAD
 from frictrack.records import Array
 
 SHORTEST = 2.0  # frames: no narrower bump can be told from it
@@ -23,7 +24,6 @@ STEPS = 2.5  # from one width of the search to the next
 FINEST = 250  # centres along a piece or along the course
 NEAREST = 4.0  # frames between two centres: a kink in a displacement is no sharper
 SEEN = 1e-3  # of a trace that must be left beside the law to count
-NOISE_FRAMES = 2.31  # frames per degree of freedom of a noise level that third differences tell
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def chances(law: Beside, looks: Looks) -> tuple[Chance, list[Chance]]:
     """The chance of the whole search, and of that in every piece alone."""
     own_norms, common_norms = norms(law, looks)
     frames = float(np.mean([len(r.r) for r in law.responses]))
-    freedom = max(frames / NOISE_FRAMES, 3.0)
+    freedom = max(frames / SPREAD, 3.0)
     own = []
     for i, rows in enumerate(law.rows):
         on = law.u[rows].T @ looks.own[i]

@@ -15,15 +15,14 @@ from scipy.fft import idct
 
 from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.pieces import Rows
-from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.scan import Series, Short
 from frictrack.fit.simulated.solve import Solution
+from frictrack.motion.noise import FEWER, ORDER, usual_order, variance
 from frictrack.records import Array, Mask
 
 DRAWS = 999
 TAUS = np.geomspace(0.002, 0.32, 9)
 FEWEST = 4  # frames in half a wave of what changes slowly
-WHITE = 20.0  # variance of a third difference of white noise of variance one
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +85,7 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
     out[...] = rng.standard_normal(out.shape, dtype=np.float32)
     for run in law.runs:
         mine = [i for i, s in enumerate(law.strips) if s.run == run]
-        squares = [_third_differences(law.strips[i].response, out[law.rows[i]]) for i in mine]
-        level = np.sqrt(sum(q for q, _ in squares) / max(sum(m for _, m in squares), 1) / WHITE)
+        level = _level([law.strips[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
         for i in mine:
             e = out[law.rows[i]]
             e /= level
@@ -108,14 +106,19 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     return errors
 
 
-def _third_differences(response: Response, e: Short) -> tuple[Array, int]:
-    """Sum of the squared third differences over neighbouring frames (D,), and how many there are."""
-    whole = _neighbours(response.piece.frames)
-    d = np.diff(e, 3, axis=0)[whole]
-    return np.asarray(np.einsum("nd,nd->d", d, d), dtype=np.float64), int(np.sum(whole))
+def _level(frames: list[Rows], noise: list[Short]) -> Array:
+    """Level (D,) of white noise (n, D) in the pieces of a run, estimated as that of the data is."""
+    whole = {k: [_neighbours(f, k) for f in frames] for k in (ORDER, FEWER)}
+    many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (ORDER, FEWER))
+    order = usual_order(many, few)
+    total = np.zeros(noise[0].shape[1])
+    for e, rows in zip(noise, whole[order], strict=True):
+        d = np.diff(e, order, axis=0)[rows]
+        total += np.einsum("nd,nd->d", d, d)
+    return np.asarray(np.sqrt(total / max(many if order == ORDER else few, 1) / variance(order)))
 
 
-def _neighbours(frames: Rows) -> Mask:
-    """Which third differences have four neighbouring frames."""
+def _neighbours(frames: Rows, order: int) -> Mask:
+    """Which differences of an order have nothing but neighbouring frames."""
     step = int(np.median(np.diff(frames)))  # of a series of which only every so many frames count
-    return np.asarray(frames[3:] - frames[:-3] == 3 * step)
+    return np.asarray(frames[order:] - frames[:-order] == order * step)

@@ -1,39 +1,60 @@
-"""White noise of a displacement series from its third differences, whatever the slow signal under it.
+"""White noise of a displacement series from its fifth differences, whatever the slow signal under it.
 
-For white noise of variance s^2 the third differences have the variance 20 s^2 and the autocorrelations
--3/4, 3/10, -1/20; a signal of frequency f enters them with (2 sin(pi f / fs))^3 only.
+For white noise of variance s^2 the differences of order k have the variance C(2k, k) s^2 and the autocorrelations
+(-1)^j C(2k, k + j) / C(2k, k); a signal of frequency f enters them with (2 sin(pi f / fs))^k only. Third differences
+would do with shorter stretches and know the noise a little better, but still see jerks and the ripple of a tracker.
 """
 
 from __future__ import annotations
+
+from math import comb
 
 import numpy as np
 
 from frictrack.records import Array, Mask
 
-CORRELATIONS = np.array([1.0, -0.75, 0.3, -0.05])  # of the third differences of white noise
-VARIANCE = 20.0  # of the third differences of unit white noise
-SPREAD = 1.0 + 2.0 * float(np.sum(CORRELATIONS[1:] ** 2))  # 2.31: what these correlations cost in degrees
-OUTLIER = 6.0  # robust deviations beyond which a third difference belongs to an impact, not to the noise
+ORDER = 5  # of the differences
+FEWER = 3  # where missing frames leave less than half of what third differences would have
+OUTLIER = 6.0  # robust deviations beyond which a difference belongs to an impact, not to the noise
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
+
+
+def variance(order: int) -> float:
+    """Variance of the differences of unit white noise."""
+    return float(comb(2 * order, order))
+
+
+def spread(order: int) -> float:
+    """What their correlations cost in degrees of freedom: the sum of the squared correlations at all lags."""
+    return comb(4 * order, 2 * order) / comb(2 * order, order) ** 2
+
+
+SPREAD = spread(ORDER)  # 2.91
 
 
 def noise_level(x: Array, valid: Mask) -> tuple[Array, Array]:
     """Standard deviation of the white noise in x, and the relative standard deviation of that estimate.
 
     `x` (n,) or (n, B) at evenly spaced frames, in any unit; `valid` (n,). Both results are of shape (B,), or
-    scalars. From m third differences, var(s^2) / s^4 = 2 * 2.31 / m, hence half of its root for s.
-    Third differences over a missing frame, and those that an impact makes stand out, are left out. NaN where
-    fewer than four neighbouring frames are valid.
+    scalars. From m fifth differences, var(s^2) / s^4 = 2 * 2.91 / m, hence half of its root for s.
+    Differences over a missing frame, and those that an impact makes stand out, are left out. NaN where fewer than four
+    neighbouring frames are valid.
     """
-    d, whole = _third_differences(x, valid)
+    order = usual_order(*(int(np.sum(_whole(valid, k))) for k in (ORDER, FEWER)))
+    d, whole = _differences(x, valid, order)
     if not np.any(whole):
         return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
     d = d[whole]
     usual = MEDIAN_TO_SIGMA * np.median(np.abs(d), axis=0)
     kept = np.abs(d) <= OUTLIER * usual
     m = np.sum(kept, axis=0)
-    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m / VARIANCE)
-    return sigma, 0.5 * np.sqrt(2.0 * SPREAD / m)
+    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m / variance(order))
+    return sigma, 0.5 * np.sqrt(2.0 * spread(order) / m)
+
+
+def usual_order(many: int, few: int) -> int:
+    """Order of the differences where so many of order `ORDER` and `FEWER` have all their frames."""
+    return ORDER if 2 * many >= few else FEWER
 
 
 def lag1(x: Array, valid: Mask) -> tuple[float, float]:
@@ -42,7 +63,7 @@ def lag1(x: Array, valid: Mask) -> tuple[float, float]:
     `x` (n,), `valid` (n,). With the correlation r at lag one and none beyond, the third differences have the
     variance 20 - 30 r and the covariance -15 + 26 r at lag one, which gives r from their quotient.
     """
-    d, whole = _third_differences(x, valid)
+    d, whole = _differences(x, valid, 3)
     usual = MEDIAN_TO_SIGMA * np.median(np.abs(d[whole])) if np.any(whole) else 0.0
     kept = whole & (np.abs(d) <= OUTLIER * usual)
     both = kept[1:] & kept[:-1]
@@ -52,15 +73,21 @@ def lag1(x: Array, valid: Mask) -> tuple[float, float]:
     return (20.0 * q + 15.0) / (26.0 + 30.0 * q), _LAG1_SPREAD / float(np.sqrt(np.sum(both)))
 
 
-def _third_differences(x: Array, valid: Mask) -> tuple[Array, Mask]:
-    """Third differences (n - 3, ...) and which of them have all four frames."""
+def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
+    """Differences (n - order, ...) and which of them have all their frames."""
     filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
-    return np.diff(filled, 3, axis=0), valid[3:] & valid[2:-1] & valid[1:-2] & valid[:-3]
+    return np.diff(filled, order, axis=0), _whole(valid, order)
+
+
+def _whole(valid: Mask, order: int) -> Mask:
+    """Which differences have all their frames."""
+    count = max(len(valid) - order, 0)
+    return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))
 
 
 def _lag1_spread() -> float:
     """Standard deviation of `lag1` for white noise times the root of the number of differences (Bartlett)."""
-    r = np.concatenate((CORRELATIONS[:0:-1], CORRELATIONS, np.zeros(3)))
+    r = np.array([-0.05, 0.3, -0.75, 1.0, -0.75, 0.3, -0.05, 0.0, 0.0, 0.0])  # correlations from lag -3
     centre = 3
     v = np.arange(1, 5)
     before = np.where(v - 1 <= 3, r[centre + v - 1], 0.0)

@@ -65,7 +65,7 @@ class Series:
 
     @cached_property
     def sigma(self) -> float:
-        """White noise of a sample: from third differences, at least that of the last digit."""
+        """White noise of a sample: from fifth differences, at least that of the last digit."""
         v = self.values[self.known]
         steps = np.abs(np.diff(v))
         rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)

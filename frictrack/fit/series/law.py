@@ -1,6 +1,6 @@
 """The law of a measured friction: from nothing to least squares, its deviations, and what it says of hidden frames.
 
-The cell's white noise comes from its own third differences. What a law misses is mostly far above that and alike from
+The cell's white noise comes from its own fifth differences. What a law misses is mostly far above that and alike from
 frame to frame, so deviations come from what blocks of frames, longer than this likeness, pull the law to; and blocks
 are what is held out.
 """

@@ -28,7 +28,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """Covariance of the unknowns (P, P), and which of them the data do not see, (P,).
 
     The noise is told by the frames themselves, so a variance is known as well as it is: Student's t with as many
-    degrees of freedom as third differences leave. It is also known as well as the spread of few runs is, as far as it
+    degrees of freedom as fifth differences leave. It is also known as well as the spread of few runs is, as far as it
     follows it: (runs - 1)/share^2 degrees, share = d log variance / d log spread^2 (Satterthwaite 1946).
     """
     layout = solution.problem.layout
