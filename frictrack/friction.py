@@ -221,9 +221,12 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     i = np.arange(first, min(stop + 1, len(v) - 1))
     j = np.minimum(i + window, len(v) - 1)
     far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))
-    left = np.max([np.sign(v[i]) * v[np.minimum(j + k * quick, len(v) - 1)] for k in range(3)], axis=0)
-    loss = np.abs(v[i]) - left
-    hits = i[(loss > 0.5 * np.abs(v[i])) & (loss > far * window * interval / 2.0)]
+    beside = [k * quick for k in range(3)]
+    way = np.sign(v[i])
+    had = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in beside], axis=0)
+    left = np.max([way * v[np.minimum(j + k, len(v) - 1)] for k in beside], axis=0)
+    loss = had - left
+    hits = i[(loss > 0.5 * had) & (loss > far * window * interval / 2.0)]
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))

@@ -257,4 +257,4 @@ def test_a_frame_that_was_lost_or_doubled_is_no_impact():
         shown = np.interp(t + np.where(t > 0.1, (way - 1) / FPS, 0.0), whole, x)
         mask, reason = free_section(filmed(t, shown))
         assert "impact" not in reason
-        assert mask[np.searchsorted(t, 0.17)]
+        assert mask[np.searchsorted(t, 0.15)]
