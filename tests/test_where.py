@@ -13,6 +13,7 @@ from frictrack.compare import failing_spans
 from frictrack.compare.chance import Chance, arc
 from frictrack.compare.deconvolve import deconvolved, hats, matern
 from frictrack.compare.local import local_forces
+from frictrack.compare.looks import _times
 from frictrack.diagnose.repeats import Axis, repeats, told
 from frictrack.diagnose.where import common, figures_of
 from frictrack.fit import fit
@@ -221,3 +222,12 @@ def test_every_span_is_marked_in_its_runs_colour(patched):
     for s in spans:
         ends = next(e for e, c in bars.items() if c == looks[s["run"]]["color"])
         assert ends == pytest.approx(s["x"], abs=0.003)
+
+
+def test_a_piece_of_a_few_frames_has_one_look():
+    slides = (Spec(3.0, 1, 0.06), Spec(4.0, 1, 9 / FPS))
+    runs, _ = study(models.of(LAW.split(",")), DRY, specs=slides, sigma=1e-5, rng=np.random.default_rng(2))
+    solution = fit(LAW, runs).solution
+    shortest = min(solution.responses, key=lambda r: len(r.piece.t))
+    assert len(_times(1, shortest)) >= 1
+    assert local_forces(solution).bumps == []

@@ -126,7 +126,7 @@ def _times(i: int, response: Response) -> list[Bump]:
         apart = max(width, NEAREST * step, length / FINEST)
         inside = t[0] + NEAREST * step, t[-1] - NEAREST * step
         out += [Bump(i, float(c), float(width)) for c in np.arange(*inside, apart)]
-    return out
+    return out or [Bump(i, float(t[0] + t[-1]) / 2, SHORTEST * step)]  # a piece of a few frames
 
 
 def _places(responses: Sequence[Response]) -> list[Bump]:
