@@ -60,6 +60,8 @@ def judge(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
         return _judged(truth, folder, seed, blank)
     except FrictrackError as e:
         return replace(blank, verdict="failed", fault=str(e))
+    except Exception as e:  # noqa: BLE001 - a fault of ours is a failure of this study, and no end of the others
+        return replace(blank, verdict="failed", fault=f"{type(e).__name__}: {e}")
 
 
 def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
