@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.solve import Solution, settle_scatter
+from frictrack.fit.unknowns.layout import Layout
 
 MOST = 32  # pieces that are looked at, unless there are more runs
 
@@ -18,13 +20,23 @@ def sampled(solution: Solution) -> tuple[Solution, str]:
     if len(pieces) <= MOST:
         return solution, ""
     kept = _spread(pieces)
-    problem = solution.problem.over(solution.problem.layout, [pieces[i] for i in kept])
+    problem = solution.problem.over(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
     some = settle_scatter(problem, solution.p, starts, solution.tau or 0.03)
     return some, (
         f"a long record: {len(kept)} of its {len(pieces)} segments were looked at, spread evenly; "
         "what happens once in between is not seen"
     )
+
+
+def _coarser(layout: Layout, pieces: Sequence[Piece], kept: Sequence[int]) -> Layout:
+    """The same unknowns, scanned in time no finer than the time looked at can tell.
+
+    Segments far apart know many more frequencies apart than so few frames can judge: one always fits by chance.
+    """
+    seen = [sum(float(np.ptp(pieces[i].t)) for i in kept if pieces[i].run == r) for r in range(len(layout.spans))]
+    spans = [replace(s, duration=min(s.duration, time)) for s, time in zip(layout.spans, seen, strict=True)]
+    return replace(layout, spans=tuple(spans))
 
 
 def _spread(pieces: Sequence[Piece]) -> list[int]:
