@@ -15,7 +15,11 @@ from scipy.integrate import solve_ivp
 
 from frictrack.diagnose.axes import axes, smooth_forces
 from frictrack.diagnose.formulas import formulas
+from frictrack.diagnose.plainer import plainer
 from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.repeats import Axis as Along
+from frictrack.diagnose.repeats import Repeats
+from frictrack.diagnose.rivals import information
 from frictrack.diagnose.shapes import SHAPES
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects.settings import definitions, read
@@ -61,7 +65,7 @@ LOOKS = {  # a piece of text by which a shape is known in a formula
 def slides(cause, *, sigma=1e-5, seed=0, plan=PLAN):
     """Runs under Coulomb and viscous friction, 2 % scatter of the level, and one cause more."""
     rng = np.random.default_rng(seed)
-    hidden = CAUSES[cause][1] if cause else lambda *_: 0.0
+    hidden = cause if callable(cause) else CAUSES[cause][1] if cause else lambda *_: 0.0
     out = []
     for i, (speed, load) in enumerate(plan):
         level, s = load * (1 + 0.02 * rng.standard_normal()), np.sign(speed)
@@ -149,6 +153,31 @@ def test_the_json_has_what_the_report_shows(fits):
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
+
+
+def repeated(axis):
+    return Repeats([Along(axis, share=0.9, p=0.005, runs=6, of=6)])
+
+
+def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
+    """The library's best imitation swings the load, with an amplitude and a phase in every run."""
+    start = fits["rate_and_state"]
+    imitation = fit([*LAW, "load_modulation"], start.runs)
+    told = plainer(start.solution, imitation.solution, repeated("v"))
+    assert told["decisive"]
+    assert told["words"].startswith("a force of velocity alone explains more with ")
+    assert told["formulas"][0]["axis"] == "v"
+    worth = information(start.solution) - information(imitation.solution)
+    assert told["formulas"][0]["delta_bic"] > 10 + worth
+
+
+def test_an_effect_of_the_library_wins_ties():
+    """A formula with the very shape of a patch is no better than the patch."""
+    runs = slides(lambda x, v, t, s, load: 0.8 * load * s * np.exp(-(((x - 0.3) / 0.015) ** 2) / 2))
+    start, found = fit(LAW, runs), fit([*LAW, "patch"], runs)
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    told = plainer(start.solution, found.solution, repeated("x"))
+    assert told is None or not told["decisive"]
 
 
 def test_fewer_numbers_say_the_same_as_all_frames(fits):
