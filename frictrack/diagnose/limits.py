@@ -10,6 +10,7 @@ from scipy.stats import ncx2
 
 from frictrack.diagnose.null import Ensemble
 from frictrack.diagnose.tests import Scanned
+from frictrack.effects import Effect
 from frictrack.fit.simulated.scan import ABSORBED, Scan
 from frictrack.records import Array
 
@@ -25,8 +26,8 @@ def noncentrality(threshold: float, freedom: int) -> float:
 def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple[dict[str, Any], dict[str, Array]]:
     """Limit at the least favourable setting that the runs visit, as the JSON has it, and the curve over all settings.
 
-    The amplitude of one coefficient (for events: of the best run) whose expected likelihood ratio passes the
-    threshold of the whole search; phases at their worst.
+    The first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of the
+    whole search; phases and further coefficients at their worst.
     """
     found = scanned.scans[0]
     family = found.family
@@ -48,11 +49,34 @@ def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple
 
 
 def _unit_gain(found: Scan, left: Array) -> Array:
-    """Expected likelihood ratio of every form at amplitude one, phases at their worst, (G,)."""
+    """Expected likelihood ratio of every form at size one, the rest at its least favourable, (G,)."""
     schur, full = found.schur(left), found.full()
+    of_block = _of_phase if _is_wave(found.family.effect) else _of_first
     gains = []
     for i in range(0, schur.shape[1], found.family.k):
         mine = slice(i, i + found.family.k)
-        least = np.linalg.eigvalsh(schur[:, mine, mine])[:, 0]
-        gains.append(np.where(least > ABSORBED * full[:, mine].sum(axis=1), least, 0.0))  # less is rounding
+        least, whole = of_block(schur[:, mine, mine], full[:, mine])
+        gains.append(np.where(least > ABSORBED * whole, least, 0.0))  # less is rounding
     return np.asarray(np.sum(gains, axis=0))
+
+
+def _of_phase(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain per amplitude (G,) of coefficients that are quadratures of one, and the square of the columns."""
+    return np.asarray(np.linalg.eigvalsh(schur)[:, 0], dtype=np.float64), full.sum(axis=1)
+
+
+def _of_first(schur: Array, full: Array) -> tuple[Array, Array]:
+    """Gain (G,) per unit of the first coefficient, the others hiding what they can of it; and its column's square."""
+    rest = schur[:, 1:, 1:]
+    if not rest.shape[1]:
+        return schur[:, 0, 0], full[:, 0]
+    size = np.sqrt(np.maximum(full[:, 1:], 1e-300))
+    unit = rest / size[:, :, None] / size[:, None, :]
+    across = schur[:, 1:, 0] / size
+    hidden = np.einsum("gi,gij,gj->g", across, np.linalg.pinv(unit, rcond=ABSORBED, hermitian=True), across)
+    return schur[:, 0, 0] - hidden, full[:, 0]
+
+
+def _is_wave(effect: Effect) -> bool:
+    """Whether the coefficients of a scan are quadratures of one size; or, of a lag, what it makes of other effects'."""
+    return any(p.role == "phase" and p.free for p in effect.nonlinear) or (bool(effect.modifies) and not effect.sized)
