@@ -8,6 +8,11 @@ import pytest
 from frictrack.diagnose import limits
 
 
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(6)
+
+
 def left_of(columns: np.ndarray) -> float:
     """What of the first column no sum of the others explains, squared: by least squares."""
     rest = columns[:, 1:]
