@@ -2,9 +2,9 @@
 
     python pipelines/benchmarks/diagnosis_real.py --emps FOLDER --tribometer FILE [--seconds 24.8]
 
-EMPS (Janot, Gautier, Brunot 2019): the symmetric law is diagnosed, the first effect that is named is added, and the
-relative force error in the authors' measure (their filter, trim and decimation; norm of the drive) stands before and
-after. Tribometer (FrictionModels.jl): a law without memory is diagnosed; held-out errors in N.
+EMPS (Janot, Gautier, Brunot 2019): the relative force error in the authors' measure (their filter, trim and decimation;
+norm of the drive) with one effect more at a time, fitted on either record; then the symmetric law is diagnosed.
+Tribometer (FrictionModels.jl): a law without memory is diagnosed; held-out errors in N.
 """
 
 from __future__ import annotations
@@ -13,19 +13,23 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+from identification import screen
 from identification.emps import PUBLISHED, Record, records
-from identification.machine_fit import filmed, fitted, scored
+from identification.machine_fit import filmed, fitted, scored, timed
 
 import frictrack as ft
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table
 
+Numbers = dict[str, Mapping[str, float]]
 COLUMNS = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
 
 
@@ -36,28 +40,42 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=24.8, help="of the EMPS record that is diagnosed")
     args = parser.parse_args()
     if args.emps:
-        emps(records(args.emps)["train"], args.seconds)
+        emps(records(args.emps), args.seconds)
     if args.tribometer:
         tribometer(args.tribometer)
 
 
-def emps(record: Record, seconds: float) -> None:
-    """What is named, and the force error before and after."""
-    whole = filmed(record)
-    part = filmed(Record(record.q[: int(seconds * record.rate)], record.drive[: int(seconds * record.rate)]))
-    before = fitted(whole, {"coulomb": {}, "viscous": {}})
-    print(f"EMPS, coulomb + viscous: {scored(before, record):.3f} %", flush=True)
+def emps(data: Mapping[str, Record], seconds: float) -> None:
+    """The force error with one effect more at a time, fitted on either record; then what a diagnosis names."""
     for law, printed in PUBLISHED.items():
-        print(f"  published, {law}: {printed['train']:.3f} %")
-    uneven = fitted(whole, {"coulomb": {}, "viscous": {}, "asymmetry": {}})
-    print(f"  with asymmetry: {scored(uneven, record):.3f} %", flush=True)
+        print(f"EMPS, published, {law}: {printed['train']:.3f} %, validation {printed['validation']:.3f} %", flush=True)
+    for role in data:
+        print(f"  fitted on the {role} record: error on train, on validation", flush=True)
+        for words, numbers, late in steps(data[role]):
+            found = fitted(timed(filmed(data[role]), late), numbers)
+            errors = [scored(found, replace(data[r], late=late)) for r in ("train", "validation")]
+            print(f"    {words:52} {errors[0]:.3f} % {errors[1]:.3f} %", flush=True)
+    record = data["train"]
+    whole = filmed(record)
     squared = ft.effects.formula("uneven", "F * v^2 + D", units={"F": "N s^2/m^2", "D": "N"})
-    other = ft.fit(before.model + squared, [whole])
-    print(
-        f"  with v^2 whichever way instead of |v|: {scored(other, record):.3f} %: the form in v is not settled",
-        flush=True,
-    )
-    told(ft.fit("coulomb,viscous", [part]))
+    other = ft.fit(ft.models.parse("coulomb,viscous") + squared, [whole])
+    print(f"  asymmetry as v^2 instead of |v|: {scored(other, record):.3f} %: the form in v is not settled", flush=True)
+    part = int(seconds * record.rate)
+    told(ft.fit("coulomb,viscous", [filmed(Record(record.q[:part], record.drive[:part]))]))
+
+
+def steps(record: Record) -> Iterator[tuple[str, Numbers, float]]:
+    """Laws with one effect more each, the numbers inside them, and how late the drive acts, s, as the record has it."""
+    law = screen.Law({"coulomb": {}, "viscous": {}})
+    yield "coulomb, viscous", screen.in_one(law, record), 0.0
+    law = screen.Law({**law.numbers, "asymmetry": {}})
+    yield "+ asymmetry", screen.in_one(law, record), 0.0
+    record = screen.timed(record, law)
+    yield f"+ drive late by {1e3 * record.late:.2f} ms", screen.in_one(law, record), record.late
+    law = screen.tried(record, law, ft.effects.get("stribeck")).settled()
+    record = screen.timed(record, law)
+    numbers = screen.in_one(law, record)
+    yield f"+ stribeck, v_s {numbers['stribeck']['v_s']:.3f} m/s", numbers, record.late
 
 
 def tribometer(path: Path) -> None:
