@@ -34,6 +34,7 @@ from frictrack.records import Array
 from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
+NO_WORSE = 1.002  # times the held-out error before: a change of that size is none
 MOST_ROUNDS = 6  # of adding and looking again
 LISTED = 3  # candidates whose held-out error and rivals are computed
 
@@ -58,8 +59,10 @@ class Candidate:
 
     @property
     def helps(self) -> bool:
-        """Whether the held-out error falls with it."""
-        return self.heldout_after is None or self.heldout_before is None or self.heldout_after < self.heldout_before
+        """Whether the held-out error falls with it, or stays: a run's own level hides what only runs together show."""
+        if self.heldout_after is None or self.heldout_before is None:
+            return True
+        return self.heldout_after < NO_WORSE * self.heldout_before
 
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
@@ -181,7 +184,9 @@ def diagnose(
     where = where_it_fails(start, np.random.default_rng(seed))
     figures = concluded.figures | where.figures | curves_of(seen)
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
-    return concluded if fit.measured or not found else _against_formulas(concluded, start, last.solution)
+    if found and not fit.measured:
+        concluded = _against_formulas(concluded, start, last.solution)
+    return replace(concluded, next_experiment=_next(concluded, first, last, found))
 
 
 def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
@@ -193,8 +198,7 @@ def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> D
         return concluded
     if not plain["decisive"]:
         return replace(concluded, unexplained=plain)
-    next_experiment = for_unexplained(start)
-    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain, next_experiment=next_experiment)
+    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain)
 
 
 def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
@@ -246,7 +250,6 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         detection_limits=limits,
         remarks=_remarks(fit, first.barred),
         figures=curves,
-        next_experiment=for_unexplained(last.solution) if verdict == "unexplained" else _next(first, found),
     )
 
 
@@ -275,8 +278,10 @@ def _listed(first: Round, found: list[Tried]) -> list[Candidate]:
     return out
 
 
-def _next(first: Round, found: list[Tried]) -> list[dict[str, Any]]:
-    """What to film or measure next, where candidates are not told apart well enough."""
+def _next(concluded: Diagnosis, first: Round, last: Round, found: list[Tried]) -> list[dict[str, Any]]:
+    """What to film or measure next, where something is unexplained, or candidates are not told apart well enough."""
+    if concluded.verdict == "unexplained":
+        return for_unexplained(last.solution if concluded.missing or not found else first.solution)
     best = [t.effect.name for t in found[:1]]
     order = sorted(first.passing, key=lambda t: t.effect.name not in best)
     passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
