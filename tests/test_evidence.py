@@ -7,6 +7,7 @@ which meets a patch, or whose picture shakes.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from scipy.integrate import solve_ivp
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.evidence import Known, curves_of, evidence
 from frictrack.fit import fit
+from frictrack.flow.witnesses import seen_beside
+from frictrack.records import Track
 
 LAW = ["coulomb", "viscous"]
 MASS, MU, HERTZ, LIFT = 0.35, 0.8, 61.0, 6.0  # kg, -, Hz, m/s^2
@@ -139,3 +142,23 @@ def test_the_accelerometer_parts_vibration_from_camera_shake_in_the_diagnosis():
     assert found.missing[0] == "camera_shake"
     assert "vibration" not in found.candidates[0].indistinguishable_from
     assert found.summary()["evidence"][0]["kind"] == "accelerometer"
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "counts"), [("beam", 0.0, True), ("backward", 1.0, False), ("mark", 0.9, False)]
+)
+def test_what_rides_on_the_mass_is_no_witness(name, share, counts):
+    """A beam swings by itself; the mass tracked once more, or a second mark on it, goes where the mass goes."""
+    run = slides("vibration", speeds=SPEEDS[:1], bounce=False)[0][0]
+    t, x = run.displacement.t, run.displacement.x
+    n = len(t)
+    known = {"t": t, "x_px": 400 + share * x / 1e-3 + 0.2 * np.sin(W * t), "y_px": np.full(n, 30.0)}
+    rest = {k: np.full(n, 0.01) for k in ("angle", "sigma_px", "sigma_y_px", "score")}
+    seen_at = Track(**known, **rest, reason=np.full(n, ""), name=name)
+    work = SimpleNamespace(
+        record=lambda: replace(run, displacement=replace(run.displacement, pixel_pitch=1e-3)),
+        stages=("tracks",),
+        get=lambda stage: {name: seen_at} if stage == "tracks" else SimpleNamespace(a=None),
+        run=SimpleNamespace(name=run.name),
+    )
+    assert bool(seen_beside([work])[run.name]) is counts

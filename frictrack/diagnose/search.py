@@ -198,7 +198,8 @@ def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> D
         return concluded
     if not plain["decisive"]:
         return replace(concluded, unexplained=plain)
-    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain)
+    along = concluded.repeats if concluded.repeats.best else replace(concluded.repeats, words="")  # the formula says it
+    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain, repeats=along)
 
 
 def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
