@@ -16,7 +16,7 @@ from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.growth import settled, simulated, without
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.trial import Trial, bare, deepened, tried
+from frictrack.fit.simulated.trial import Trial, bare, deepened, shortfall, tried
 from frictrack.fit.simulated.turns import known
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.records import Array
@@ -24,6 +24,7 @@ from frictrack.records import Array
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
 LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
 MOST_SIMULATED = 6
+DOUBTFUL = 2 * SAME  # that an effect falls short along the motion: what falls shorter cannot stand for another
 AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
 
 Tell = Callable[[str], None]
@@ -38,6 +39,7 @@ class Tried:
     delta_bic: float
     p: float
     indistinguishable_from: tuple[str, ...] = ()
+    along: tuple[Beside, Trial] | None = None  # where it stands along the motion, beside what law
 
     @property
     def law(self) -> Solution:
@@ -80,8 +82,13 @@ def _standing(tests: Tests) -> list[Scanned]:
     """Candidates that stand out by themselves, or rise nearly as high as the best; the best two in any case."""
     order = sorted(tests.scanned, key=lambda s: -s.excess[0])
     top = order[0].statistic[0] if order and tests.p[order[0].effect.name] < ALPHA / 2 else np.inf
-    near = [s for s in order if tests.p[s.effect.name] < STANDS_OUT or s.statistic[0] > top - NEAR]
+    near = [s for s in order if tests.p[s.effect.name] < STANDS_OUT or s.statistic[0] > top - _reach(s.effect, top)]
     return near if len(near) >= 2 else order[:2]
+
+
+def _reach(effect: Effect, top: float) -> float:
+    """How far below the best a candidate may rise and still explain as much: scans show some as less than they are."""
+    return max(NEAR, top / 2) if effect.memory or effect.modifies else NEAR
 
 
 def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str, float]) -> list[Tried]:
@@ -91,7 +98,7 @@ def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str
     out: list[Tried] = []
     for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
         name = t.effect.name
-        told = Tried(t.effect, None, promised[name], p[name])
+        told = Tried(t.effect, None, promised[name], p[name], along=(law, t))
         if _is_worth(out, told):
             try:
                 grown = simulated(law, t)
@@ -120,7 +127,7 @@ def rivals(best: Tried, others: Sequence[Tried]) -> tuple[str, ...]:
     One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation.
     """
     out = []
-    for other in others:
+    for other in _followed(best, others):
         if other.effect.name == best.effect.name or other.solution is None:
             continue
         behind = other.law.objective - best.law.objective
@@ -129,6 +136,31 @@ def rivals(best: Tried, others: Sequence[Tried]) -> tuple[str, ...]:
         if separation(best.law, other.law) < SAME:
             out.append(other.effect.name)
     return tuple(out)
+
+
+def _followed(best: Tried, others: Sequence[Tried]) -> list[Tried]:
+    """The same, simulated where along the motion they explain nearly what the best one does, and would if it is true.
+
+    Whether such a one stands out by itself is not asked: the true cause may stand out less than its double.
+    """
+    true = next((t.along for t in others if t.effect.name == best.effect.name), None)
+    if true is None or not best.law.problem.simulates:
+        return list(others)
+    return [t if t.solution is not None else _followed_one(best, true, t) for t in others]
+
+
+def _followed_one(best: Tried, true: tuple[Beside, Trial], other: Tried) -> Tried:
+    law, trial = true
+    if other.along is None or other.along[1].misfit - trial.misfit > NEAR:
+        return other
+    try:
+        if shortfall(law, trial, other.along[1]) > DOUBTFUL:
+            return other
+        grown = simulated(law, other.along[1])
+    except FrictrackError:
+        return other
+    behind = information(grown) - information(best.law)
+    return replace(other, solution=grown, delta_bic=best.delta_bic - behind)
 
 
 def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:

@@ -68,6 +68,15 @@ def bare(law: Beside) -> float:
     return problem.refine(problem.at(np.array(law.solution.p)), steps=LAST, enough=ENOUGH).misfit
 
 
+def shortfall(law: Beside, true: Trial, other: Trial) -> float:
+    """Chi-squared that another effect leaves of what a true one makes of the runs, along the measured motion."""
+    told = _projected(law, true.layout)
+    ideal = told.data - told.at(np.array(true.p)).residual
+    problem = Projected(Tied(other.layout, law.blocks), ideal, told.tau)
+    found = problem.refine(problem.at(np.array(other.p)), steps=LAST, enough=CLOSE)
+    return found.misfit - Projected(told.along, ideal, told.tau).at(np.array(true.p)).misfit
+
+
 class Tied(Along):
     """A law along the motion in which waves that share an amplitude do so: their phases are numbers."""
 
