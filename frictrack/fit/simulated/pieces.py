@@ -23,6 +23,7 @@ Rows = NDArray[np.int_]
 
 KNOWN = 0.5  # share of frames in which a series must be known to count
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
+RESTS = 4  # frames at rest before a run begins to move that are enough to say so
 
 
 @dataclass(frozen=True)
@@ -211,12 +212,19 @@ class _Begin:
 
 
 def _way(run: Run) -> tuple[float, Array, Array]:
-    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,)."""
+    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,).
+
+    A run that was seen to rest before begins with that rest: what remembers knows that nothing had moved.
+    """
     release, motion = release_time(run), run.motion
-    since = motion.t >= release
+    moves, since = is_moving(run), motion.t >= release
     way = np.stack([motion.t - release, motion.x, motion.v])[:, since]
-    steps = np.abs(np.diff(way[1])) * is_moving(run)[since][1:]
-    return release, way, np.concatenate([[0.0], np.cumsum(steps)])
+    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
+    rest = np.flatnonzero(~since & ~moves)
+    if len(rest) < RESTS or moves[: rest[-1]].any():
+        return release, way, slid
+    still = np.array([motion.t[rest[-1]] - release, np.mean(motion.x[rest]), 0.0])
+    return release, np.column_stack([still, way]), np.concatenate([[0.0], slid])
 
 
 def _until(way: Array, t: float) -> Array:
