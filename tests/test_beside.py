@@ -10,18 +10,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, Spec, study
+from runs import BASE, HIDDEN, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.fit import fit
 from frictrack.fit.heldout import UNSEEN, heldout_rms
 from frictrack.fit.simulated.beside import beside
 from frictrack.fit.simulated.growth import grow, simulated
+from frictrack.fit.simulated.pieces import pieces_of, reference_of
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import refine
 from frictrack.fit.simulated.traced import traced
-from frictrack.fit.simulated.trial import bare, tried
+from frictrack.fit.simulated.trial import bare, shortfall, tried
 from frictrack.fit.unknowns.scatter import basis_of
+from frictrack.friction import free_section
 from frictrack.simulate.rows import Rows
 
 LAW = ["coulomb", "stribeck", "viscous"]
@@ -142,3 +144,28 @@ def test_a_common_level_follows_what_no_data_see() -> None:
     covariance = np.eye(len(member)) + tau**2 * levels @ levels.T  # generalised least squares, written out
     both, inverse = np.column_stack([jac[:, 0], slope]), np.linalg.inv(covariance)
     assert found == pytest.approx(np.linalg.solve(both.T @ inverse @ both, both.T @ inverse @ data)[1], rel=1e-6)
+
+
+class TestShortfall:
+    def test_what_is_true_falls_short_of_itself_by_nothing_and_another_cause_by_what_it_cannot_be(self, lacks_texture):
+        law = beside(lacks_texture)
+        series = one_series(law)
+        made = {}
+        for name in ("texture", "patch"):
+            effect = effects.get(name)
+            made[name] = tried(law, effect, [scan(law, f, series) for f in families(law, effect)], series.own[:, 0])
+        own = shortfall(law, made["texture"], made["texture"])
+        other = shortfall(law, made["texture"], made["patch"])
+        assert abs(own) < 1.0
+        assert other > 0.5 * (made["patch"].misfit - made["texture"].misfit) > 100
+
+
+def test_a_run_that_rested_before_it_was_pushed_begins_with_that_rest():
+    t = np.arange(600) / 4000
+    moving = np.maximum(t - 0.02, 0.0)
+    x = 0.01 + 20.0 * moving**2
+    run = measured(t, x, sigma=1e-6, rng=np.random.default_rng(3), drive=np.where(t > 0.02, 20.0, 0.0))
+    first = pieces_of(run, 0, free_section(run)[0], reference_of([run]))[0]
+    _, places, speeds = first.path.before
+    assert speeds[0] == 0.0  # unbent: a state that follows the motion begins at nothing
+    assert places[0] == pytest.approx(0.01, abs=2e-6)
