@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.evidence import Known, curves_of, evidence
+from frictrack.diagnose.reduced import reduced
 from frictrack.fit import fit
 from frictrack.flow.witnesses import seen_beside
 from frictrack.records import Track
@@ -162,3 +163,9 @@ def test_what_rides_on_the_mass_is_no_witness(name, share, counts):
         run=SimpleNamespace(name=run.name),
     )
     assert bool(seen_beside([work])[run.name]) is counts
+
+
+def test_what_a_law_needs_beside_the_motion_is_read_along_with_it():
+    runs, _ = slides("load")
+    left = reduced(fit([*LAW, "measured_load"], runs).solution)
+    assert all(path.lift is not None and len(path.lift) == len(path.t) for path in left.paths)

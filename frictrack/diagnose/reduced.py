@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -153,5 +154,7 @@ def _read(solution: Solution, response: Response, rows: Rows) -> Path:
     piece, motion = response.piece, response.motion
     _, level = solution.problem.layout.values(solution.p, piece.run)
     whole = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], level)
-    here = {name: getattr(whole, name)[rows] for name in ("t", "x", "v", "s")}
-    return Path(**here, load=whole.load, mass_ratio=whole.mass_ratio, mass=whole.mass)
+    n = len(piece.t)
+    series = vars(whole).items()
+    here: dict[str, Any] = {k: q[rows] for k, q in series if isinstance(q, np.ndarray) and q.shape == (n,)}
+    return replace(whole, **here)
