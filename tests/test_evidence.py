@@ -11,9 +11,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from runs import measured
+from runs import BASE, Spec, measured, study
 from scipy.integrate import solve_ivp
 
+from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.evidence import Known, curves_of, evidence
 from frictrack.diagnose.reduced import reduced
@@ -166,6 +167,7 @@ def test_what_rides_on_the_mass_is_no_witness(name, share, counts):
 
 
 def test_what_a_law_needs_beside_the_motion_is_read_along_with_it():
-    runs, _ = slides("load")
-    left = reduced(fit([*LAW, "measured_load"], runs).solution)
+    law = {name: BASE[name] for name in LAW} | {"measured_load": {"coefficient": 1.0}}
+    runs, _ = study(models.of([*law]), law, specs=(Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.06)), sigma=1e-5)
+    left = reduced(fit([*law], runs).solution)
     assert all(path.lift is not None and len(path.lift) == len(path.t) for path in left.paths)
