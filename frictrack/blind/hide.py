@@ -53,7 +53,9 @@ def _shape(detector: Detector, effect: Effect, rng: np.random.Generator) -> list
     bare, slides = detector.bare, detector.slides
     span = bare.span(slides)
     shared = {p.name: _value(effect, p, span, rng) for p in effect.parameters if not p.per_run}
-    sign = 1.0 if effect.name in POSITIVE or effect.name in FOREIGN else float(rng.choice([-1.0, 1.0]))
+    phased = any(p.role == "phase" for p in effect.parameters)  # its sign is half a turn of the phase
+    plain = phased or effect.name in POSITIVE or effect.name in FOREIGN
+    sign = 1.0 if plain else float(rng.choice([-1.0, 1.0]))
     there = np.ones(len(slides), dtype=bool)
     if is_event(effect):
         there = rng.random(len(slides)) < OFTEN
