@@ -17,7 +17,7 @@ import pytest
 from runs import Slider, integrate
 from scipy.integrate import solve_ivp
 
-from frictrack import export, plots, report
+from frictrack import effects, export, models, plots, report
 from frictrack.fit import fit, restore
 from frictrack.fit import state as state_of
 from frictrack.flow import Session, open_study
@@ -236,7 +236,8 @@ def test_a_law_that_misses_a_blow_says_so():
 
 def test_motion_is_the_sliders_not_the_cameras():
     shake = 40e-6 * np.sin(2 * np.pi * 83.0 * vib()["t"] + 0.9)
-    told = fit(f"{VIBRATION},camera_shake", [seen(vib(), shift=shake)]).motion[0]
+    known = effects.get("camera_shake").adjusted(frequency={"fixed": 83.0})  # one run does not tell which is which
+    told = fit(models.parse(VIBRATION) + known, [seen(vib(), shift=shake)]).motion[0]
     assert rms(errors(told, vib())["x"]) < 5e-6
     assert rms(errors(told, vib())["a"]) < 0.2
     assert told.notes == ()

@@ -27,9 +27,16 @@ def separation(best: Solution, rival: Solution) -> float:
 
 
 def information(solution: Solution) -> float:
-    """Bayesian information criterion with the spread of the levels integrated out (Schwarz 1978); smaller is better."""
-    spread = solution.basis.logdet(max(solution.tau, 1e-4))
-    return solution.objective + spread + price(solution.problem.layout, solution.problem)
+    """Bayesian information criterion with the levels integrated out (Schwarz 1978); smaller is better.
+
+    The likelihood is not the restricted one: laws of other fixed effects could not be compared by that.
+    """
+    layout = solution.problem.layout
+    spread = 0.0
+    if solution.basis.random:
+        levels = solution.jac[:, layout.levels]
+        spread = float(np.linalg.slogdet(np.eye(levels.shape[1]) + solution.tau**2 * (levels.T @ levels))[1])
+    return solution.objective + spread + price(layout, solution.problem)
 
 
 def price(layout: Layout, problem: Problem) -> float:
