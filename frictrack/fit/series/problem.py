@@ -15,7 +15,7 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.pieces import Piece, Reference, _Begin, _path, _way
+from frictrack.fit.simulated.pieces import Begin, Piece, Reference, _path, begin_of
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section, is_moving
@@ -185,7 +185,7 @@ def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
     rows = rows[rows > 0]  # the first frame says on which side friction held before
     known = np.flatnonzero(np.isfinite(series))
     whole = np.interp(np.arange(len(series)), known, series[known])
-    begin = _Begin(Reference(run.mass or 1.0, 1.0), *_way(run), 1)
+    begin = begin_of(run, Reference(run.mass or 1.0, 1.0))
     path = _measured_path(run, begin, whole, load)
     return SeriesPiece(
         run=index,
@@ -206,7 +206,7 @@ def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
     )
 
 
-def _measured_path(run: Run, begin: _Begin, force: Array, load: float) -> Path:
+def _measured_path(run: Run, begin: Begin, force: Array, load: float) -> Path:
     """The measured motion from the first frame to the last: its friction may turn on any of the way before."""
     t, x, v = run.motion.t - begin.release, np.asarray(run.motion.x), _velocity(run)
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) * (v[1:] != 0))])

@@ -153,7 +153,7 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
-    begin = _Begin(reference, *_way(run), 1)
+    begin = begin_of(run, reference)
     if turning and run.drive is not None:
         return [_turning(run, index, noise, begin)]
     made = []
@@ -170,7 +170,7 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     return made
 
 
-def _turning(run: Run, index: int, noise: Array, begin: _Begin) -> Piece:
+def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
     """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
     disp = run.displacement
     use = disp.valid & np.isfinite(disp.x)
@@ -201,7 +201,7 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
 
 
 @dataclass(frozen=True)
-class _Begin:
+class Begin:
     """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
 
     reference: Reference
@@ -209,6 +209,12 @@ class _Begin:
     way: Array  # t, x, v (3, k)
     slid: Array  # m since release, (k,)
     per_frame: int
+    angle: Array | None  # rad in every frame of the run, as far as it stands out of its noise
+
+
+def begin_of(run: Run, reference: Reference) -> Begin:
+    """What the pieces of a run share."""
+    return Begin(reference, *_way(run), 1, _turned(run.motion.t, run.displacement.angle))
 
 
 def _way(run: Run) -> tuple[float, Array, Array]:
@@ -232,7 +238,7 @@ def _until(way: Array, t: float) -> Array:
     return way[:, : int(np.searchsorted(way[0], t, side="right"))]
 
 
-def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Piece:
+def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piece:
     mass = float(run.mass or begin.reference.mass)
     t = run.displacement.t[rows] - begin.release
     edges, at = _cut_time(t, begin.per_frame)
@@ -260,12 +266,12 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: _Begin) -> Pie
         path=path,
         mass=mass,
         way=begin.way,
-        angle=_turned(times, run.displacement.angle, t),
+        angle=_read(times, begin.angle, t),
         systematic=run.displacement.systematic,
     )
 
 
-def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
+def _path(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
     """What is known of a run along the nodes of one piece, whose motion is still to come."""
     motion = run.motion
     times = motion.t - begin.release
@@ -286,7 +292,7 @@ def _path(run: Run, rows: Rows, nodes: Array, begin: _Begin) -> Path:
         drive_at=drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
         gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
-        angle=_turned(times, run.displacement.angle, nodes),
+        angle=_read(times, begin.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,
         travelled=float(begin.slid[row]),
@@ -304,8 +310,8 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
     return at
 
 
-def _turned(times: Array, angle: Array, t: Array) -> Array | None:
-    """The angle of the target at other times, as far as it stands out of its noise; None where most of it is unknown.
+def _turned(times: Array, angle: Array) -> Array | None:
+    """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
 
     One frame's pixels give place and angle together: with its noise the angle would follow that of the place.
     """
@@ -314,7 +320,12 @@ def _turned(times: Array, angle: Array, t: Array) -> Array | None:
         return None
     bridged = np.interp(times, times[known], angle[known])
     middle = float(np.mean(bridged))
-    return np.interp(t, times, middle + above_noise(bridged - middle, times)[0])
+    told: Array = middle + above_noise(bridged - middle, times)[0]
+    return told
+
+
+def _read(times: Array, series: Array | None, t: Array) -> Array | None:
+    return None if series is None else np.interp(t, times, series)
 
 
 def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
