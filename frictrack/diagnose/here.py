@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from frictrack.compare.beside import place
 from frictrack.effects import Effect
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
@@ -50,7 +51,7 @@ class Seen:
     def _block(self, response: Response) -> Array:
         problem, piece = self.solution.problem, response.piece
         values, level = problem.layout.values(self.solution.p, piece.run)
-        x, v = _motion(response)
+        x, v = place(response)
         path = piece.at_frames(x, v, level)
         if self.effect.modifies:
             rest = Model(tuple(e for e in problem.model.effects if e.name != self.name))
@@ -89,7 +90,7 @@ class Seen:
         size = abs(float(self.blocks[k][i]))
         if size == 0:
             return ""
-        x, v = _motion(response)
+        x, v = place(response)
         if self.effect.acts_on == "force":
             whole = abs(self._total(response)[i])
             how = f"{_n(size)} N of {_n(whole)} N" if whole > size else f"{_n(size)} N"
@@ -102,14 +103,14 @@ class Seen:
     def _total(self, response: Response) -> Array:
         problem, piece = self.solution.problem, response.piece
         values, level = problem.layout.values(self.solution.p, piece.run)
-        return np.asarray(problem.model.force(piece.at_frames(*_motion(response), level), values))
+        return np.asarray(problem.model.force(piece.at_frames(*place(response), level), values))
 
-    def passes(self, place: float) -> str:
+    def passes(self, spot: float) -> str:
         """When each of the first runs comes past a place: frames and speeds."""
         found = []
         for response in self.solution.responses:
-            x, v = _motion(response)
-            over = np.flatnonzero(np.diff(np.sign(x - place)))
+            x, v = place(response)
+            over = np.flatnonzero(np.diff(np.sign(x - spot)))
             if len(over):
                 i = int(over[0])
                 name = self.solution.problem.layout.run_names[response.piece.run]
@@ -120,11 +121,6 @@ class Seen:
         """The longest piece and its last time since release."""
         longest = max(self.solution.responses, key=lambda r: float(r.piece.t[-1]))
         return longest, float(longest.piece.t[-1])
-
-
-def _motion(response: Response) -> tuple[Array, Array]:
-    at = response.piece.at
-    return response.motion.x_edge[at], response.motion.v_edge[at]
 
 
 def _n(value: float, digits: int = 3) -> str:
@@ -187,9 +183,9 @@ def _texture(seen: Seen) -> str:
 
 
 def _patch(seen: Seen) -> str:
-    place, width = seen.value("x_c"), seen.value("w")
-    past = seen.passes(place)
-    return f"from x = {place - 2 * width:.3f} to {place + 2 * width:.3f} m, the middle passed by {past or 'no run'}"
+    middle, width = seen.value("x_c"), seen.value("w")
+    past = seen.passes(middle)
+    return f"from x = {middle - 2 * width:.3f} to {middle + 2 * width:.3f} m, the middle passed by {past or 'no run'}"
 
 
 def _blow(seen: Seen) -> str:
@@ -254,7 +250,7 @@ def _clock(seen: Seen) -> str:
 
 def _late(seen: Seen) -> str:
     tau = seen.value("tau")
-    speed = float(np.median(np.abs(_motion(seen.most[1])[1])))
+    speed = float(np.median(np.abs(place(seen.most[1])[1])))
     return f"{_n(1e3 * tau)} ms late, {_length(tau * speed)} at {_n(speed, 2)} m/s"
 
 
