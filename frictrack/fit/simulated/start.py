@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 
@@ -156,19 +157,19 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
     layout = Layout(Model(tuple(plain)), names, spans)
-    problem = Problem(layout.model, layout, pieces)
-    solution = settle_scatter(problem, first_guess(problem), problem.first_starts())
-    for effect in scanned:
-        solution = grow(solution, effect)
-    return settled(reordered(solution, model))
+    return _grown(model, Problem(layout.model, layout, pieces), first_guess, scanned)
 
 
 def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """The law of runs that are followed through stops and reversals."""
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
-    problem = Problem(layout.model, layout, pieces)
-    solution = settle_scatter(problem, first_law(problem), problem.first_starts())
+    return _grown(model, Problem(layout.model, layout, pieces), first_law, later)
+
+
+def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:
+    """The problem's law from a guess of its unknowns (P,), then the later effects one by one, then all to the end."""
+    solution = settle_scatter(problem, guess(problem), problem.first_starts())
     for effect in later:
         solution = grow(solution, effect)
     return settled(reordered(solution, model))
