@@ -176,6 +176,7 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
 def candidates(found: list[dict[str, Any]]) -> Table:
     """One row per candidate, best first; what differs from run to run is left to `--json`."""
     table = _table("candidate", "parameters", "p", "delta BIC", "held out", "not told apart from")
+    table.columns[0].no_wrap = True
     for c in found:
         shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
         values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
