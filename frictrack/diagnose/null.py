@@ -21,7 +21,7 @@ from frictrack.motion.noise import FEWER, ORDER, usual_order, variance
 from frictrack.records import Array, Mask
 
 DRAWS = 999
-TAUS = np.geomspace(0.002, 0.32, 9)
+TAUS = np.geomspace(2e-4, 0.32, 13)
 FEWEST = 4  # frames in half a wave of what changes slowly
 
 
