@@ -163,7 +163,8 @@ def is_motion(run: Run, s: slice) -> bool:
 def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
     """First free frame, frame of release, and why."""
     t, smear = run.motion.t, _smear(run)
-    speed = np.where(run.displacement.valid, np.abs(run.motion.v), 0.0)[start : stop + 1]
+    there = run.displacement.valid & ~_leaps(run, start, stop)
+    speed = np.where(there, np.abs(run.motion.v), 0.0)[start : stop + 1]
     fastest = int(np.argmax(speed))
     before = speed[: fastest + 1]
     if run.has_incline:
@@ -209,6 +210,22 @@ def _event(run: Run, row: int) -> tuple[int, int] | None:
     return min(near, key=lambda e: max(e[0] - row, row - e[1])) if near else None
 
 
+def _leaps(run: Run, start: int, stop: int) -> Mask:
+    """Frames (n,) whose speed was not there just before and is lost at once: no push but a frame that was lost."""
+    speed = np.abs(run.motion.v)
+    window, usual = _quick(run), float(np.median(np.abs(run.motion.a[start : stop + 1])))
+    i = np.arange(len(speed))
+    beside = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
+    lost = speed - beside
+    interval = float(np.median(np.diff(run.motion.t)))
+    return np.asarray((beside < PUSHED * speed) & (lost > IMPACT_FACTOR * usual * window * interval / 2.0))
+
+
+def _quick(run: Run) -> int:
+    """Frames within which an impact takes half of the speed, as far as a low-pass shows it."""
+    return max(round(IMPACT_TIME / float(np.median(np.diff(run.motion.t)))), 2 * _smear(run))
+
+
 def _impact(run: Run, first: int, stop: int) -> int | None:
     """Frame in which the first impact begins: half of the speed lost at once, far faster than in the slide.
 
@@ -217,7 +234,7 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     v, a = run.motion.v, np.abs(run.motion.a)
     interval = float(np.median(np.diff(run.motion.t)))
     quick = round(IMPACT_TIME / interval)
-    window = max(quick, 2 * _smear(run))
+    window = _quick(run)
     i = np.arange(first, min(stop + 1, len(v) - 1))
     j = np.minimum(i + window, len(v) - 1)
     far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))

@@ -258,3 +258,14 @@ def test_a_frame_that_was_lost_or_doubled_is_no_impact():
         mask, reason = free_section(filmed(t, shown))
         assert "impact" not in reason
         assert mask[np.searchsorted(t, 0.15)]
+
+
+def test_a_frame_that_was_lost_is_no_push():
+    t = np.arange(0, 0.15, 1 / 6000)
+    true = 2.0 * (t + np.where(t > 0.04, 1 / 6000, 0.0))
+    x = true - 0.5 * 4.0 * (true / 2.0) ** 2
+    rng = np.random.default_rng(3)
+    displacement = Displacement(t, x + 2 * NOISE * rng.normal(size=len(t)), *[np.full(len(t), np.nan)] * 4, t >= 0)
+    mask, reason = free_section(Run(displacement, differentiate(low_pass(displacement)), mass=MASS))
+    assert mask.all()
+    assert "moves freely already" in reason
