@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import effects
+from frictrack.blind.detector import LEAST_SCATTER
 from frictrack.blind.truth import Numbers, RunTruth, Truth, made
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -22,7 +23,6 @@ from frictrack.records import Array
 
 SAME = 10.0  # expected chi-squared below which two causes are one for these runs
 NEAR = 0.3, 60.0  # share of the rise, and chi-squared, along the motion below which a rival is followed to its end
-LEAST_SCATTER = 1e-3
 
 
 def alike(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
