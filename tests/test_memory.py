@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -13,6 +14,9 @@ from frictrack import models
 from frictrack.effects import Path, get
 from frictrack.effects.memory import headings
 from frictrack.effects.presliding import bending
+from frictrack.fit.simulated.pieces import pieces_of, reference_of
+from frictrack.friction import free_section
+from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate.slide import Conditions, simulate
 
 NM = 1e-9
@@ -97,6 +101,22 @@ def test_a_contact_that_rests_is_unbent_and_one_that_slides_is_bent():
     np.testing.assert_allclose(w, 1 - np.exp(-(t**2) / LENGTH), atol=1e-12)
     sliding = Path(t, t, np.ones(50), np.ones(50))
     np.testing.assert_array_equal(bending(sliding, LENGTH, 1.0), 1.0)
+
+
+@pytest.mark.parametrize("flicker", [0.0, 3.5e-3])  # m/s: beyond the three deviations at which a frame moves
+def test_a_run_that_rested_as_its_push_set_in_begins_unbent(flicker):
+    t = np.arange(200) / 4000
+    v = np.maximum(t - 4.5 / 4000, 0.0) * 100.0
+    v[0] = flicker
+    x, one, nan = np.cumsum(v) / 4000, np.ones(200), np.full(200, np.nan)
+    displacement = Displacement(t, x, nan, nan, nan, nan, one > 0)
+    motion = Motion(t, x, v, np.gradient(v, t), nan, 1e-6 * one, 1e-3 * one, 0.1 * one, nan, 0)
+    run = Run(displacement, motion, mass=1.0, drive=100.0 * one)
+    (piece,) = pieces_of(run, 0, free_section(run)[0] & (t > 1e-3), reference_of([run]))
+    began = piece.path.before[:, 0]
+    assert began[2] == 0.0
+    assert began[0] + run.motion.t[0] <= 4 / 4000
+    assert bending(replace(piece.path, x=piece.x_hat, v=piece.v_hat), 1e-3, 1.0)[0] < 0.05
 
 
 def test_a_path_begins_as_the_motion_before_it_has_left_the_contact():

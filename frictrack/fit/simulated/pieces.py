@@ -14,7 +14,7 @@ from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_moving, moving_sections, release_time
+from frictrack.friction import CERTAIN, is_moving, moving_sections, release_time
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
@@ -23,7 +23,7 @@ Rows = NDArray[np.int_]
 
 KNOWN = 0.5  # share of frames in which a series must be known to count
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
-RESTS = 4  # frames at rest before a run begins to move that are enough to say so
+RESTS = 4  # frames before a run moves for certain that are enough to say that it rested
 
 
 @dataclass(frozen=True)
@@ -224,10 +224,14 @@ def _way(run: Run) -> tuple[float, Array, Array]:
     """
     release, motion = release_time(run), run.motion
     moves, since = is_moving(run), motion.t >= release
+    certain = np.abs(motion.v) > CERTAIN * motion.sigma_v
+    rest = np.flatnonzero(~moves[: int(np.argmax(certain))])
+    rested = len(rest) > 0 and rest[-1] + 1 >= RESTS
+    if rested:
+        since = since & (np.arange(len(since)) > rest[-1])
     way = np.stack([motion.t - release, motion.x, motion.v])[:, since]
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
-    rest = np.flatnonzero(~since & ~moves)
-    if len(rest) < RESTS or moves[: rest[-1]].any():
+    if not rested:
         return release, way, slid
     still = np.array([motion.t[rest[-1]] - release, np.mean(motion.x[rest]), 0.0])
     return release, np.column_stack([still, way]), np.concatenate([[0.0], slid])
