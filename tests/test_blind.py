@@ -14,7 +14,7 @@ from frictrack import effects
 from frictrack.blind import benchmark, make, score
 from frictrack.blind import draw as drawing
 from frictrack.blind.alike import alike, exact
-from frictrack.blind.bounds import ideal_size
+from frictrack.blind.bounds import against_ideal, ideal_size
 from frictrack.blind.detector import Detector, freedom, is_event, limit
 from frictrack.blind.draw import LAWS, candidates, draw
 from frictrack.blind.foreign import FOREIGN
@@ -137,6 +137,11 @@ def test_the_size_at_the_limit_makes_that_rise():
     assert size is not None
     left = detector.unit(made("drag"), [{"drag": {"c": size}}] * 4)
     assert float(left @ left) == pytest.approx(limit(1), rel=1e-6)
+
+
+def test_what_a_film_shows_beside_the_truth_has_no_ideal_limit():
+    told = dict.fromkeys(("drag", "measured_load", "target_rotation"), {"value": 0.1, "at": {}})
+    assert list(against_ideal(TRUTH, told)) == ["drag"]
 
 
 # --- motion with a memory, and causes of no library

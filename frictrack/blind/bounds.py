@@ -19,7 +19,7 @@ def against_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict
     detector = Detector(truth)
     out = {}
     for name, told in limits.items():
-        if told["value"] is None or ":" in name or not _comparable(made(name)):
+        if told["value"] is None or ":" in name or not _comparable(made(name), truth):
             continue
         least = ideal_size(detector, made(name), dict(told["at"]))
         if least is not None:
@@ -27,9 +27,14 @@ def against_ideal(truth: Truth, limits: Mapping[str, Mapping[str, Any]]) -> dict
     return out
 
 
-def _comparable(effect: Effect) -> bool:
-    """Whether an effect has one size, and no memory that only a whole simulation shows."""
-    return effect.sized and not effect.memory and not is_event(effect)
+def _comparable(effect: Effect, truth: Truth) -> bool:
+    """Whether an effect has one size, no memory that only a whole simulation shows, and what it needs is in the truth.
+
+    A film shows a vertical motion and an angle of every target, where in truth there is neither.
+    """
+    there = {"drive": truth.push, "lift": truth.lift, "clamp_x": truth.clamp, "angle": truth.turn}
+    known = all(there.get(need, True) for need in effect.needs)
+    return known and effect.sized and not effect.memory and not is_event(effect)
 
 
 def ideal_size(detector: Detector, effect: Effect, at: dict[str, float]) -> float | None:
