@@ -140,7 +140,7 @@ def test_the_size_at_the_limit_makes_that_rise():
 
 
 def test_what_a_film_shows_beside_the_truth_has_no_ideal_limit():
-    told = dict.fromkeys(("drag", "measured_load", "target_rotation"), {"value": 0.1, "at": {}})
+    told = {name: {"value": 0.1, "at": {}} for name in ("drag", "measured_load", "target_rotation")}
     assert list(against_ideal(TRUTH, told)) == ["drag"]
 
 
