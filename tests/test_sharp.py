@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,10 @@ from frictrack.diagnose.null import slow_errors
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track
+from frictrack.tracking.learn import first_look, learn
+from frictrack.tracking.refine import Fine
 from frictrack.tracking.sharp import drawn_to_pixels, smoothed
+from frictrack.tracking.waves import BAND, FINER
 
 FINE = 16  # cells of the drawing per pixel
 SIZE = 40, 48  # px
@@ -70,6 +74,26 @@ def test_places_of_a_sharp_target_are_not_drawn_to_the_pixels(tmp_path: Path, sp
     by_place = [np.nanmedian(off[np.floor(10 * (x % 1)) == k]) for k in range(10)]
     assert np.ptp(by_place) < 0.008  # 0.04 px with a picture that has no waves shorter than two pixels
     assert np.sqrt(np.nanmean(off**2)) < 0.004
+
+
+def test_noise_is_not_learnt_as_fine_structure() -> None:
+    rng, (h, w) = np.random.default_rng(3), (40, 64)
+    y, x = np.mgrid[:h, :w].astype(float)
+    waves = [(30.0, 0.05, 0.11, 0.3), (20.0, 0.21, -0.07, 1.1), (15.0, -0.31, 0.16, 2.0)]  # all longer than two pixels
+
+    def picture(shift: float) -> Array:
+        return 100 + sum(a * np.sin(2 * np.pi * (f * (x - shift) + g * y) + q) for a, f, g, q in waves)
+
+    shifts = rng.uniform(-0.5, 0.5, 200)
+    cuts = np.stack([picture(p) + 5 * rng.standard_normal((h, w)) for p in shifts])
+    one, zero = np.ones(200), np.zeros(200)
+    places = Fine(np.stack([shifts, zero], 1), zero, np.ones((200, 2)), one, one, 100 * one, one, one > 0)
+    plain = replace(first_look(picture(0.0)), level=100.0)
+    found = learn(cuts, places, plain.widened((BAND, FINER)))
+    slopes = (found.columns(np.zeros((1, 2)))[0, 2] @ found.pictures).reshape(h, w)[4:-4, 4:-4]
+    true = (picture(1e-4) - picture(-1e-4))[4:-4, 4:-4] / 2e-4
+    assert np.mean(slopes**2) == pytest.approx(np.mean(true**2), rel=0.02)  # 1.09 times that if noise had slopes
+    assert np.mean(1 / found.weight) == pytest.approx(25.0, rel=0.02)
 
 
 def test_a_smooth_path_is_kept_and_what_repeats_from_pixel_to_pixel_is_not() -> None:

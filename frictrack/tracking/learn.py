@@ -16,9 +16,11 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.refine import Fine
 from frictrack.tracking.template import Template
-from frictrack.tracking.waves import Shifts, shifts
+from frictrack.tracking.waves import BAND, Shifts, shifts
 
 CONJUGATE_STEPS = 15
+ALIKE = 16  # neighbouring waves along either axis that share what is expected of them
+LARGEST_DOUBT = 10.0  # over what the frames show of a wave: more would only slow the conjugate gradients
 CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
 RIDGE = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
@@ -36,7 +38,7 @@ def first_look(cut: Patch) -> Template:
     level = float(np.mean(cut))
     grid = shifts((cut.shape[0], cut.shape[1]))
     still = grid.design(np.zeros((1, 2)))[0]
-    waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves))
+    waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
     return Template(waves, weight, level)
 
 
@@ -57,18 +59,18 @@ def learn(
     if share is not None:
         expected = columns.astype(np.float32) @ template.pictures[:k].astype(np.float32)
         seen = expected + share.reshape(pixels.shape) * (pixels - expected)
-    waves = _fitted(template.shifts, columns, seen, template.weight, template.waves)
+    waves, freedom = _waves(template, columns, seen)
     learnt = replace(template, waves=waves, level=float(np.median(fine.offset)))
     left = pixels - columns.astype(np.float32) @ learnt.pictures[:k].astype(np.float32)
     left = (left / fine.gain.astype(np.float32)[:, None]).reshape(cuts.shape)
     moves = None if scene is None else _moves(cuts, scene, left, learnt.image)
-    return replace(learnt, weight=_weight(_spread(left, share, waves.size), learnt.image, moves))
+    return replace(learnt, weight=_weight(_spread(left, share, freedom), learnt.image, moves))
 
 
-def _spread(left: Patch, share: Patch | None, n_waves: int) -> Array:
+def _spread(left: Patch, share: Patch | None, freedom: float) -> Array:
     """Variance (h, w) of each pixel about the picture, DN^2; infinite where it seldom shows the target."""
     n, size = len(left), left[0].size
-    lost = min(n_waves / size, 0.5 * n)  # frames' worth of noise that the picture has taken up
+    lost = min(freedom / size, 0.5 * n)  # frames' worth of noise that the picture has taken up
     if share is None:
         return np.mean(left**2, axis=0) * (n / (n - lost)) + ROUNDING
     counted = np.sum(share, axis=0)
@@ -84,8 +86,52 @@ def _columns(template: Template, fine: Fine) -> tuple[Array, Patch]:
     return picture * fine.gain[:, None], turned @ template.pictures[k:-1].astype(np.float32)
 
 
-def _fitted(grid: Shifts, columns: Array, pixels: Patch, weight: Array, start: Array) -> Array:
+def _waves(template: Template, columns: Array, pixels: Patch) -> tuple[Array, float]:
+    """The picture's waves in frames' pixels (n, h w) with columns (n, k), and how many numbers the frames have given.
+
+    Short waves are doubted: they have steep slopes, and their noise, which every frame shares, would be the place's.
+    """
+    n, weight = len(columns), template.weight
+    least = _least_doubt(weight, n)
+    waves = _fitted(template.shifts, columns, pixels, weight, template.waves, least)
+    if max(template.bands) <= BAND:
+        return waves, waves.size
+    doubt = _doubt(waves, weight, n)
+    waves = _fitted(template.shifts, columns, pixels, weight, waves, doubt)
+    return waves, float(np.sum(1 / (1 + doubt / _shown(weight, n))))
+
+
+def _least_doubt(weight: Array, n: int) -> float:
+    return RIDGE * n * float(weight.mean())
+
+
+def _shown(weight: Array, n: int) -> float:
+    """How surely n frames show a wave: one over the variance of its coefficient, 1 / DN^2."""
+    return n * float(weight.sum()) / 4  # the squares of two cosines
+
+
+def _doubt(waves: Array, weight: Array, n: int) -> Array:
+    """One over the expected square of every wave's coefficient, 1 / DN^2, from coefficients without doubt.
+
+    Waves of about the same length share theirs: what they hold on average, less what noise alone would make of it
+    (Wiener 1949; the expectation from the data themselves, Efron & Morris 1973, J. Am. Stat. Assoc. 68:117).
+    """
+    down, across = (_alike(count) for count in waves.shape)
+    power, shown = down @ waves**2 @ across, _shown(weight, n)
+    return np.clip(1 / np.maximum(power - 1 / shown, 1e-300), _least_doubt(weight, n), LARGEST_DOUBT * shown)
+
+
+def _alike(count: int) -> Array:
+    """What takes the mean over each `ALIKE` neighbours (count, count)."""
+    group = np.arange(count) // ALIKE
+    same = group[:, None] == group
+    return same / same.sum(axis=0)
+
+
+def _fitted(grid: Shifts, columns: Array, pixels: Patch, weight: Array, start: Array, doubt: Array | float) -> Array:
     """Coefficients of the picture by weighted least squares of pixels (n, h w) = columns (n, k) B.
+
+    `doubt`, 1 / DN^2, holds each of them to zero.
 
     Conjugate gradients on a small problem: as many pseudo-frames as there are shifts to tell apart stand for the
     frames, columns' columns = L L'.
@@ -96,7 +142,7 @@ def _fitted(grid: Shifts, columns: Array, pixels: Patch, weight: Array, start: A
     sums = (columns.T.astype(np.float32) @ pixels.astype(np.float32)).astype(np.float64)
     pseudo = ((vectors[:, keep] / np.sqrt(values[keep])).T @ sums).astype(np.float32)
     mix, rate = mix.astype(np.float32), weight.ravel().astype(np.float32)
-    ridge = np.float32(RIDGE * len(columns) * float(rate.mean()))
+    ridge = np.float32(doubt)
 
     def forward(waves: Patch) -> Patch:
         return mix.T @ grid.pictures(waves).reshape(len(mix), -1)
