@@ -123,6 +123,13 @@ def test_one_run_in_one_direction_cannot_miss_a_slope():
     assert limit["reason"] == "the fitted law absorbs it whatever its size"
 
 
+def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():
+    shaken = runs_with("camera_shake", {"amplitude": 2e-5, "frequency": 160.0, "phase": 0.4})
+    told = [replace(r, displacement=replace(r.displacement, shake=(160.0, 2e-5 / np.sqrt(2)))) for r in shaken]
+    assert diagnose(fit(LAW, shaken)).verdict != "complete"
+    assert diagnose(fit(LAW, told)).verdict == "complete"
+
+
 def test_the_same_seed_gives_the_same_p_values():
     fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
     first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))

@@ -1,8 +1,8 @@
 """What the data would look like if nothing were missing: parametric bootstrap draws through the same pipeline.
 
-A draw is white noise of the measured level, what a tracker is off by slowly, and levels scattering by the fitted
-spread, seen through the linearised model. Its noise level and its spread are estimated again, as they were for the
-data, so that both uncertainties enter every p-value.
+A draw is white noise of the measured level, what a tracker is off by slowly, what may be left of a camera shake, and
+levels scattering by the fitted spread, seen through the linearised model. Its noise level and its spread are estimated
+again, as they were for the data, so that both uncertainties enter every p-value.
 """
 
 from __future__ import annotations
@@ -92,6 +92,9 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             piece = law.strips[i].response.piece
             if piece.systematic:
                 e += slow_errors(e.shape, rng) * (piece.systematic / piece.sigma)[:, None]
+            if piece.shake:
+                frequency, rms = piece.shake
+                e += tones(piece.t * frequency, e.shape[1], rng) * (rms / piece.sigma)[:, None]
             q = law.strips[i].response.q.astype(np.float32)
             e -= q @ (q.T @ e)
 
@@ -104,6 +107,12 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     waves[1 : 1 + len(k)] = size * rng.standard_normal((len(k), shape[1]), dtype=np.float32)
     errors: Short = idct(waves, axis=0, norm="ortho")
     return errors
+
+
+def tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:
+    """Tones (n, D) of rms one on the average and any phase, at so many `turns` (n,)."""
+    waves = np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1).astype(np.float32)
+    return waves @ rng.standard_normal((2, draws), dtype=np.float32)
 
 
 def _level(frames: list[Rows], noise: list[Short]) -> Array:

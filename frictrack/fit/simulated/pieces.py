@@ -53,6 +53,7 @@ class Piece:
     cut: bool = False  # a segment of a longer stretch
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
     systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
+    shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
@@ -272,6 +273,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piec
         way=begin.way,
         angle=_read(times, begin.angle, t),
         systematic=run.displacement.systematic,
+        shake=run.displacement.shake,
     )
 
 
