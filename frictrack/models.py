@@ -187,9 +187,12 @@ class Model:
             e.name: e.columns(path, values[e.name]) for e in self.effects if e.acts_on == "force" and not e.modifies
         }
         for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
-            for e in self.effects:
-                if e.kind in modifier.modifies and e.name in made:
-                    made[e.name] = modifier.columns(path, values[modifier.name], made[e.name])
+            reshaped = [e.name for e in self.effects if e.kind in modifier.modifies and e.name in made]
+            if reshaped:
+                whole = np.concatenate([made[name] for name in reshaped], axis=1)
+                ends = np.cumsum([made[name].shape[1] for name in reshaped])[:-1]
+                bent = np.split(modifier.columns(path, values[modifier.name], whole), ends, axis=1)
+                made |= dict(zip(reshaped, bent, strict=True))
         return made
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:

@@ -472,3 +472,14 @@ def test_overlap_counts_frames_of_where_a_patch_acts():
     half = [{"run": "r1", "t": [inside[0], inside[len(inside) // 2 - 1]]}]
     assert overlap(truth, half, {}) == pytest.approx(2 / 3, abs=0.02)
     assert overlap(replace(truth, hidden=("drag",)), exact, {}) is None
+
+
+def test_what_shifts_the_picture_does_so_under_a_law_with_memory():
+    truth = draw(5, "none")
+    law = truth.base + made("presliding") + made("peak_locking")
+    values = truth.law | {"presliding": {"stiffness": 1e-4, "exponent": 1.0}}
+    values |= {"peak_locking": {"amplitude": 0.02, "phase": 0.3}}
+    slide = remember(
+        law, values, replace(truth, push=0.012).conditions(truth.runs[0]), np.arange(99) / 4000, (0.05, 0.0)
+    )
+    np.testing.assert_allclose(slide.shift, 0.02 * truth.pitch * np.sin(2 * np.pi * slide.x / truth.pitch + 0.3))

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import Array
-from frictrack.simulate.slide import Conditions, Slide
+from frictrack.simulate.slide import Conditions, Slide, shift
 
 RELATIVE, ABSOLUTE = 1e-10, 1e-12
 Law = Callable[[float, float, float], tuple[float, float]]  # x, v, t -> dry friction (size) and the rest, N
@@ -57,7 +57,8 @@ def remember(model: Model, values: Values, conditions: Conditions, t: Array, sta
         y[:, stopped[0] :] = y[:, stopped[:1]]
         y[1, stopped[0] :] = 0.0
     force = np.array([friction(float(at), state) for at, state in zip(t, y.T, strict=True)])
-    return Slide(t, y[0], y[1], (push(t) - force) / conditions.mass, force, np.zeros_like(t))
+    seen = shift(model, values, conditions.along(y[0], y[1], t, s))
+    return Slide(t, y[0], y[1], (push(t) - force) / conditions.mass, force, seen)
 
 
 def _leaves(t: Array, excess: Callable[[Array], Array]) -> float:

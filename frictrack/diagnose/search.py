@@ -21,6 +21,7 @@ from frictrack.diagnose.sampled import sampled
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.where import where_it_fails
+from frictrack.diagnose.whole import uncut
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, series
@@ -147,12 +148,30 @@ def diagnose(
     name, further targets (m) and the "accelerometer" (m/s^2) at the frames; what goes with the residual is evidence.
     """
     tell = progress or (lambda done, total, what: None)
-    rng = np.random.default_rng(seed)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
+    whole = uncut(fit)
+    if whole is not None:
+        said = _searched(fit, whole, own, beside, (np.random.default_rng(seed), tell))
+        if said.verdict != "unexplained":
+            return said
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
     start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
+    said = _searched(fit, start, own, beside, (np.random.default_rng(seed), tell))
+    return replace(said, remarks=[*said.remarks, *filter(None, [left_out])])
+
+
+def _searched(
+    fit: Fit,
+    start: Solution,
+    own: Sequence[Effect],
+    beside: Beside | None,
+    how: tuple[np.random.Generator, Progress],
+) -> Diagnosis:
+    """The search from one law; `how` holds what draws and what is told of the progress."""
+    rng, tell = how
+    again = rng.spawn(2)
     felt = None if fit.measured else sensed(start, fit.runs, beside or {})
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
     found: list[Tried] = []
@@ -176,12 +195,11 @@ def diagnose(
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     concluded = _conclude(fit, first, last, found)
-    concluded = replace(concluded, remarks=[*concluded.remarks, *filter(None, [left_out])])
     if concluded.verdict == "complete":
         return concluded
     known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
-    seen = [] if fit.measured else evidence(start, fit.runs, np.random.default_rng(seed), beside, known)
-    where = where_it_fails(start, np.random.default_rng(seed))
+    seen = [] if fit.measured else evidence(start, fit.runs, again[0], beside, known)
+    where = where_it_fails(start, again[1])
     figures = concluded.figures | where.figures | curves_of(seen)
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
     if found and not fit.measured:

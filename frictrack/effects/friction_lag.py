@@ -21,7 +21,8 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
     late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
     late[starts] = 0.0
-    fresh = np.isin(np.arange(len(late)), starts)
+    fresh = np.zeros(len(late), dtype=bool)
+    fresh[starts] = True
     return followed(size, (np.zeros_like(late), late), fresh, size[starts], starts) * s
 
 

@@ -5,9 +5,9 @@ Solving Ordinary Differential Equations I, II.7). All panels are solved at once 
 every panel is a 3 x 3 system and panels are chained by a triangular banded system. The same linear operator
 returns sensitivities: how x responds to any small force along the solved motion.
 
-A force with memory depends on the whole motion so far, which no slope at a node tells. Its response is found by
-GMRES (Saad & Schultz 1986, SIAM J. Sci. Stat. Comput. 7) on directional differences of the law itself, the response
-without memory as preconditioner (Newton-Krylov: Knoll & Keyes 2004, J. Comput. Phys. 193).
+A force with memory depends on the whole motion so far, which no slope at a node tells. Its response is found by a
+Krylov method on directional differences of the law itself, the response without memory as preconditioner
+(Newton-Krylov: Knoll & Keyes 2004, J. Comput. Phys. 193).
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ SETTLING = 1e-6  # m, a Newton step below which the linear response is kept
 
 STIR = 3e-9  # of the motion's own size: a change small enough for a difference of the law
 KRYLOV = 80  # directions at most
+ALIKE = 1e-12  # share of a direction that must be new
 ACCURATE, ROUGH = 1e-7, 1e-4  # relative residual of a response with memory: of a sensitivity, of a Newton step
 NEARLY = 1e-10  # m, to which a stretch is solved before the next one
 STRETCH = 16  # panels solved at a time where all at once do not settle
@@ -154,11 +155,13 @@ def _chain(step: Array) -> Array:
 class Remembering:
     """The linear response of a motion under a law with memory, with the interface of `Linear`.
 
-    `tangent(a, start)` (3 p,) is the change of the law's acceleration along a small change of the motion.
+    `tangent(a, start)` (3 p,) is the change of the law's acceleration along a small change of the motion. What was
+    learnt of it for one input is of use to the next.
     """
 
     def __init__(self, local: Linear, tangent: Callable[[Array, Array], Array]) -> None:
         self._local, self._tangent = local, tangent
+        self._seen: list[tuple[Array, Array, Array]] = []  # orthonormal: input (3 p,), its accelerations, edge states
 
     def step(self, rest: Array) -> tuple[Array, Array]:
         """Node accelerations (3 p,) and edge positions (p + 1,) that make up for what is left of the equation."""
@@ -174,41 +177,49 @@ class Remembering:
         return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
 
     def along(self, g: Array, start: Array, accuracy: float = ACCURATE) -> tuple[Array, Array]:
-        """Node accelerations (3 p,) and edge states (p + 1, 2) for one input and start."""
-        a, edges = (q[..., 0] for q in self._local.respond(g[:, None], start[:, None]))
-        rest = g + self._tangent(a, start) - a
-        if np.any(rest):
-            size = max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
-            more, bent = self._corrected(rest, accuracy * size)
-            a, edges = a + more, edges + bent
+        """Node accelerations (3 p,) and edge states (p + 1, 2) for one input and start.
+
+        Generalised conjugate residuals (Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20), preconditioned from
+        the right; they begin with the directions of all inputs before. Not a number where the law runs off to infinity.
+        """
+        a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
+        rest = g + self._tangent(a, start) - a if np.any(start) else g
+        tolerance = accuracy * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+        for seen in self._seen:
+            a, edges, rest = _moved(a, edges, rest, seen)
+        for _ in range(KRYLOV):
+            size = float(np.linalg.norm(rest))
+            if size <= tolerance:
+                return a, edges
+            found = self._learnt(rest / size)
+            if found is None:
+                break
+            a, edges, rest = _moved(a, edges, rest, found)
+        if not np.all(np.isfinite(rest)):
+            return np.full_like(a, np.nan), np.full_like(edges, np.nan)
         return a, edges
 
-    def _corrected(self, rest: Array, tolerance: float) -> tuple[Array, Array]:
-        """What is to be added where `rest` is left of the equation: GMRES, preconditioned from the right.
+    def _learnt(self, toward: Array) -> tuple[Array, Array, Array] | None:
+        """The response in one direction more, orthogonal to all before; None where it holds nothing new."""
+        a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
+        w = a - self._tangent(a, np.zeros(2))
+        whole = float(np.linalg.norm(w))
+        for _ in range(2):  # twice is enough (Giraud & Langou 2003)
+            for v, b, bent in self._seen:
+                c = float(v @ w)
+                w, a, edges = w - c * v, a - c * b, edges - c * bent
+        size = float(np.linalg.norm(w))
+        if not size > ALIKE * whole:
+            return None
+        self._seen.append((w / size, a / size, edges / size))
+        return self._seen[-1]
 
-        Not a number where the law runs off to infinity.
-        """
-        still = np.zeros(2)
-        basis, moves, hessenberg = [rest / np.linalg.norm(rest)], [], np.zeros((KRYLOV + 1, KRYLOV))
-        right = np.zeros(KRYLOV + 1)
-        right[0] = np.linalg.norm(rest)
-        for k in range(KRYLOV):
-            a, edges = (q[..., 0] for q in self._local.respond(basis[k][:, None], still[:, None]))
-            moves.append((a, edges))
-            w = a - self._tangent(a, still)
-            for i, b in enumerate(basis):
-                hessenberg[i, k] = b @ w
-                w = w - hessenberg[i, k] * b
-            hessenberg[k + 1, k] = np.linalg.norm(w)
-            if not np.isfinite(hessenberg[k + 1, k]):
-                return np.full_like(a, np.nan), np.full_like(edges, np.nan)
-            y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], right[: k + 2], rcond=None)[0]
-            left = float(np.linalg.norm(right[: k + 2] - hessenberg[: k + 2, : k + 1] @ y))
-            if left <= tolerance or hessenberg[k + 1, k] <= 1e-14 * right[0]:
-                break
-            basis.append(w / hessenberg[k + 1, k])
-        a = np.sum([c * m[0] for c, m in zip(y, moves, strict=True)], axis=0)
-        return a, np.sum([c * m[1] for c, m in zip(y, moves, strict=True)], axis=0)
+
+def _moved(a: Array, edges: Array, rest: Array, seen: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """A response moved along a known direction as far as that explains what is left."""
+    w, b, bent = seen
+    c = float(w @ rest)
+    return a + c * b, edges + c * bent, rest - c * w
 
 
 Response = Linear | Remembering

@@ -243,8 +243,12 @@ def _collect(walk: _Walk, t: Array, states: States) -> Slide:
     at = np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
     x, v, force = x[at], v[at], force[at]
     a = (walk.push(t) - force) / walk.conditions.mass
-    blocks = walk.model.measurement_columns(walk.path(x, v, t, 1.0), walk.values)
-    shift = np.zeros_like(x)
-    for name, block in blocks.items():
-        shift += block @ walk.model.coefficients(name, walk.values)
-    return Slide(t, x, v, a, force, shift)
+    return Slide(t, x, v, a, force, shift(walk.model, walk.values, walk.path(x, v, t, 1.0)))
+
+
+def shift(model: Model, values: Values, path: Path) -> Array:
+    """What the picture is shifted by along a path, m, shape (n,)."""
+    out = np.zeros_like(path.x)
+    for name, block in model.measurement_columns(path, values).items():
+        out += block @ model.coefficients(name, values)
+    return out

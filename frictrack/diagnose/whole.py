@@ -1,0 +1,36 @@
+"""Runs that a fit has cut into segments, put together again: what is missing shows over the whole run."""
+
+from __future__ import annotations
+
+from frictrack.errors import FrictrackError
+from frictrack.fit import Fit
+from frictrack.fit.simulated.pieces import Piece, pieces_of
+from frictrack.fit.simulated.solve import Solution, settle_scatter
+from frictrack.fit.unknowns.rules import MASS
+from frictrack.friction import free_section
+
+WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
+
+
+def uncut(fit: Fit) -> Solution | None:
+    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far.
+
+    A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not.
+    """
+    old = fit.solution.problem
+    if not any(fit.lengths) or MASS in old.model:
+        return None
+    fine = max(e.fine for e in old.model.effects)
+    pieces = [p.refined(fine) for p in _stretches(fit)]
+    problem = old.over(old.layout, pieces)
+    try:
+        solution = settle_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
+    except FrictrackError:
+        return None
+    return solution if solution.objective < WILD * problem.n_frames else None
+
+
+def _stretches(fit: Fit) -> list[Piece]:
+    turning = fit.solution.problem.model.turns
+    parts = [pieces_of(r, i, free_section(r)[0], fit.reference, turning=turning) for i, r in enumerate(fit.runs)]
+    return [p for own in parts for p in own]
