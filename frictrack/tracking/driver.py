@@ -24,7 +24,9 @@ Progress = Callable[[int, int, str], None]
 
 LEAST_CONTRAST = 3  # grey values
 CHUNK = 256  # frames measured at once
-SYSTEMATIC = 1e-3  # px rms that places stay off slowly: the picture that was learnt, blur that changes with the speed
+# What places stay off slowly, rms: the noise of the picture that was learnt, and blur that changes with the speed. As
+# large as this on films of known truth, of sharp targets and blurred ones, at 0.001 to 0.005 px of noise.
+SLOW_SHARE, LEAST_SLOW = 0.12, 2e-4  # of a frame's standard deviation, and px
 TOLD = 0.01  # px by which places are drawn to the pixels that is worth a word
 SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
@@ -166,9 +168,13 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        systematic=SYSTEMATIC,
+        systematic=_slow(fine.sigma[found, 0]),
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
+
+
+def _slow(sigma: Array) -> float:
+    return float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW)) if len(sigma) else 0.0
 
 
 def _unread(measured: Followed) -> tuple[str, ...]:

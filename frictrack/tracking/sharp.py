@@ -77,7 +77,8 @@ def smoothed(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64]) ->
 def drawn_to_pixels(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
     """By how much places (n, 2), px, are off towards the pixels, and the amplitude of that along x and y, px.
 
-    What repeats from pixel to pixel along a smooth path is no motion. Zero along an axis without one.
+    What repeats from pixel to pixel along a smooth path is no motion; it is taken as far as it stands out of the noise
+    (James & Stein 1961). Zero along an axis without one.
     """
     rows = np.arange(0, len(frames), -(-len(frames) // ENOUGH))
     off, size = np.zeros_like(at), np.zeros(2)
@@ -86,9 +87,17 @@ def drawn_to_pixels(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]
         rough = series[rows] - _parabolas(frames, at[:, axis], series, rows)
         rough = rough[np.isfinite(rough[:, 0])]
         if len(rough) >= max(MANY, SHARE * len(rows)) and np.linalg.cond(rough[:, 1:]) < SHOWN:
-            found = np.linalg.lstsq(rough[:, 1:], rough[:, 0], rcond=None)[0]
+            found = _sure(rough[:, 1:], rough[:, 0])
             off[:, axis], size[axis] = series[:, 1:] @ found, np.hypot(*found[:2])
     return off, size
+
+
+def _sure(waves: Array, rough: Array) -> Array:
+    """Least squares of what is rough (n,) on waves (n, k), shrunk by the chance that it is all noise."""
+    found = np.linalg.lstsq(waves, rough, rcond=None)[0]
+    told = waves @ found
+    strength = float(told @ told) * (len(rough) - len(found)) / max(float(np.sum((rough - told) ** 2)), 1e-300)
+    return found * max(1 - len(found) / max(strength, 1e-300), 0.0)
 
 
 def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArray[np.int64]) -> Array:
