@@ -97,7 +97,7 @@ def _sure(waves: Array, rough: Array) -> Array:
     found = np.linalg.lstsq(waves, rough, rcond=None)[0]
     told = waves @ found
     strength = float(told @ told) * (len(rough) - len(found)) / max(float(np.sum((rough - told) ** 2)), 1e-300)
-    return found * max(1 - len(found) / max(strength, 1e-300), 0.0)
+    return np.asarray(found * max(1 - len(found) / max(strength, 1e-300), 0.0))
 
 
 def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArray[np.int64]) -> Array:
