@@ -130,6 +130,16 @@ def test_what_may_be_left_of_a_camera_shake_that_was_subtracted_is_no_force():
     assert diagnose(fit(LAW, told)).verdict == "complete"
 
 
+def test_the_noise_of_an_angle_that_rests_is_no_rotation():
+    rng = np.random.default_rng(8)
+    runs = runs_with("texture")
+    angles = [0.01 + 3e-4 * rng.standard_normal(len(r.displacement)) for r in runs]
+    filmed = [replace(r, displacement=replace(r.displacement, angle=a)) for r, a in zip(runs, angles, strict=True)]
+    found = diagnose(fit(LAW, filmed))
+    assert found.missing == ["texture"]
+    assert found.detection_limits["target_rotation"]["value"] is None
+
+
 def test_the_same_seed_gives_the_same_p_values():
     fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
     first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))

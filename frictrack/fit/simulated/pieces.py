@@ -319,15 +319,16 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
 def _turned(times: Array, angle: Array) -> Array | None:
     """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
 
-    One frame's pixels give place and angle together: with its noise the angle would follow that of the place.
+    One frame's pixels give place and angle together: with its noise the angle would follow that of the place. Where
+    nothing stands out the target rests, at whatever angle: that is no angle at all.
     """
     known = np.isfinite(angle)
     if np.mean(known) <= KNOWN:
         return None
     bridged = np.interp(times, times[known], angle[known])
     middle = float(np.mean(bridged))
-    told: Array = middle + above_noise(bridged - middle, times)[0]
-    return told
+    turned = above_noise(bridged - middle, times)[0]
+    return middle + turned if turned.any() else turned
 
 
 def _read(times: Array, series: Array | None, t: Array) -> Array | None:
