@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
-from frictrack import models, plots
+from frictrack import effects, models, plots
 from frictrack.compare import failing_spans
 from frictrack.compare.chance import Chance, arc
 from frictrack.compare.deconvolve import deconvolved, hats, matern
@@ -17,6 +17,7 @@ from frictrack.compare.looks import _times
 from frictrack.diagnose.repeats import Axis, repeats, told
 from frictrack.diagnose.where import common, figures_of
 from frictrack.fit import fit
+from frictrack.fit.simulated.growth import grow
 from frictrack.plots import style
 
 DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}
@@ -112,6 +113,14 @@ def test_a_blow_is_named_as_far_as_the_low_pass_smears_it(blown):
         smear = 0.5 / run.motion.cutoff
         low, high = (max(when - smear, run.displacement.t[0]), min(when + smear, run.displacement.t[-1]))
         assert s["t"] == pytest.approx([low, high], abs=0.25 * smear + 2e-3)
+
+
+def test_a_known_blow_is_named_only_in_the_runs_that_were_struck(blown):
+    quiet = lacking("collision", BLOW | {"J": 0.0, "time": 0.05}, specs=FOUR[1:2], seed=21)[0]
+    runs = [*blown[0], replace(quiet, name="quiet")]
+    grown = grow(fit(LAW, runs).solution, effects.get("collision"))
+    named = {s["run"] for s in failing_spans(grown, runs, missing="collision")}
+    assert named == {r.name for r in blown[0]}
 
 
 def test_nothing_is_named_where_nothing_is_missing():

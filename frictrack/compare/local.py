@@ -82,17 +82,17 @@ def local_forces(solution: Solution) -> Local:
 
     Where a law misses much it has bent too far to be linear: it is fitted again beside the forces found, once or twice.
     """
-    found = _searched(opened(beside(solution)))
+    found = searched(opened(beside(solution)))
     for _ in range(REFITS):
         much = float(found.law.r @ found.law.r) > STRONG * len(found.law.r)
         if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
             break
-        found = _searched(_refitted(found, solution.problem))
+        found = searched(_refitted(found, solution.problem))
     return found
 
 
-def _searched(found: Local) -> Local:
-    """More bumps as long as something stands out."""
+def searched(found: Local) -> Local:
+    """The same search carried on as long as something stands out."""
     for _ in range(ROUNDS):
         starts, rest = _stand_out(found)
         found = replace(found, rest=rest)

@@ -19,7 +19,7 @@ from frictrack.records import Array
 
 SHORTEST = 2.0  # frames: no narrower bump can be told from it
 LONGEST = 1 / 12  # of a piece's duration: more is no moment
-NARROWEST, BROADEST = 1 / 150, 1 / 8  # of the way: places on a course
+NARROWEST, BROADEST = 1 / 120, 1 / 8  # of the way: places on a course
 STEPS = 2.5  # from one width of the search to the next
 FINEST = 250  # centres along a piece or along the course
 NEAREST = 4.0  # frames between two centres: a kink in a displacement is no sharper

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from frictrack.compare.beside import Beside, beside, place, traces
-from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, solved
+from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.looks import Bump, limits
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
@@ -27,7 +27,10 @@ RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the 
 STANDS_OUT = 3.0  # standard deviations of a measured force beyond which a frame fails
 FOOT = 0.35  # of the largest residual: less is the law bending to make up for the failure elsewhere
 GAP = 12  # frames between two stretches that are one
-WIDTHS, CENTRES = 25, 9  # tried for the span of a local force
+WIDTHS, CENTRES = 25, 15  # tried for the span of a local force
+CLOSER = 2  # times that they are looked for more finely where they are likely
+LIKELY = 16.0  # of chi-squared, by which a width and a place may fit worse and still count
+LOCAL = ("patch", "collision")  # effects that are bumps
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,11 @@ def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
         return []
     if not found.complete and isinstance(solution.problem.pieces[0], SeriesPiece):
         return _plain_to_see(found)
+    return _reaching(found, runs)
+
+
+def _reaching(found: Local, runs: Sequence[Run]) -> list[Span]:
+    """How far the bumps of a search reach in every piece."""
     made = bump_columns(found, found.bumps)[:, :, 0]
     sizes, _ = solved(found.law, made)
     total = misfit(found.law)
@@ -139,45 +147,83 @@ def _overlapping(found: Local, made: Array) -> list[Bump]:
 
 
 def _span_of_all(found: Local, bump: Bump, others: Array) -> Bump:
+    """The bump whose frames overlap best with those of every centre and width, weighed by the likelihood of each."""
     law = found.law.with_columns(others)
-    bent = bump_columns(found, [bump])[:, 0, 1]
-    bent = bent - law.u @ (law.u.T @ bent)
-    uncertain = min(1 / max(abs(bump.size) * float(np.linalg.norm(bent)), 1e-300), bump.width)
+    reach = 3 * _astray(found, law, bump)
+    centres = np.linspace(bump.centre - reach, bump.centre + reach, CENTRES)
     widths = np.geomspace(*limits(found.law.responses, bump), WIDTHS)
-    centres = bump.centre + uncertain * np.linspace(-3, 3, CENTRES)
-    tried = [replace(bump, centre=float(c), width=float(w)) for c in centres for w in widths]
-    columns = bump_columns(found, tried, moved=False)[:, :, 0]
+    for _ in range(CLOSER):
+        likely = np.flatnonzero(_likelihood(found, law, _grid(bump, centres, widths)))
+        centres = np.linspace(*_ends(centres, likely // WIDTHS), CENTRES)
+        widths = np.geomspace(*_ends(widths, likely % WIDTHS), WIDTHS)
+    tried = _grid(bump, centres, widths)
+    weight = _likelihood(found, law, tried)
+    at = np.flatnonzero(weight)
+    inside = np.stack([_frames(found, tried[k]) for k in at]).astype(np.float32)
+    count = inside.sum(axis=1)
+    overlap = 2 * (inside @ inside.T) / np.maximum(count[:, None] + count, 1.0)
+    return tried[at[int(np.argmax(overlap @ weight[at]))]]
+
+
+def _grid(bump: Bump, centres: Array, widths: Array) -> list[Bump]:
+    """The bump at every centre with every width."""
+    return [replace(bump, centre=c, width=w) for c in centres.tolist() for w in widths.tolist()]
+
+
+def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
+    """The part of a grid that some of its rows span, one step further on either side."""
+    return float(grid[max(rows.min() - 1, 0)]), float(grid[min(rows.max() + 1, len(grid) - 1)])
+
+
+def _likelihood(found: Local, law: Beside, bumps: Sequence[Bump]) -> Array:
+    """Likelihood of every bump over that of the best, (k,), each of its best size; 0 where it is next to nothing."""
+    columns = bump_columns(found, bumps, moved=False)[:, :, 0]
     clean = columns - law.u @ (law.u.T @ columns)
     gain = (clean.T @ law.r) ** 2 / np.maximum(np.sum(clean**2, axis=0), 1e-300)
-    weight = np.exp((gain - gain.max()) / 2)
-    low = np.array([b.centre - REACH * b.width for b in tried])
-    high = np.array([b.centre + REACH * b.width for b in tried])
-    both = np.maximum(np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0)
-    overlap = 2 * both / ((high - low)[:, None] + (high - low))
-    return tried[int(np.argmax(overlap @ weight))]
+    return np.asarray(np.where(gain > gain.max() - LIKELY, np.exp((gain - gain.max()) / 2), 0.0))
+
+
+def _astray(found: Local, law: Beside, bump: Bump) -> float:
+    """Standard deviation of the centre of a bump beside its size and width, of which no more is known than a factor."""
+    bent = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
+    bent -= law.u @ (law.u.T @ bent)
+    known = np.diag([0.0, bump.width**-2, 1.0])
+    return float(np.sqrt(np.linalg.pinv(bent.T @ bent + known, hermitian=True)[1, 1]))
+
+
+def _frames(found: Local, bump: Bump) -> Mask:
+    """Frames of all pieces, end to end, that a bump reaches."""
+    pieces = [i for i in range(len(found.law.rows)) if bump.piece in (None, i)]
+    return np.concatenate([_inside(found, bump, i, 0.0) for i in pieces])
 
 
 def _named(solution: Solution, runs: Sequence[Run], missing: str) -> list[Span]:
-    """Spans in which the force of an effect acts: where it exceeds what a Gaussian has at two widths."""
+    """Spans in which the force of an effect acts: where it exceeds what a Gaussian has at two widths.
+
+    A local one is looked for afresh beside the law that knows it: all widths that may be have a say, and a moment that
+    was fitted to the wrong place is no matter.
+    """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
+    law = _without(solution, effect)
+    search = opened(law)
+    if effect.kind in LOCAL and (found := searched(search)).bumps:
+        return _reaching(found, runs)
     forces = [effect_force(solution, r, missing) for r in solution.responses]
     sizes = _sizes(solution, effect, forces)
-    law = _without(solution, effect)
     places = []
-    for i, (response, force, size) in enumerate(zip(solution.responses, forces, sizes, strict=True)):
+    for i, (force, size) in enumerate(zip(forces, sizes, strict=True)):
         acts = np.abs(force) > TAIL * size
-        if effect.kind == "collision":
-            acts = _widened(response.piece.t, acts, _smear(runs, response))
         places += [(i, np.arange(s.start, s.stop)) for s in stretches(_bridged(acts))]
     if not places:
         return []
     made = np.stack([_part(law, i, rows, solution, missing) for i, rows in places], axis=1)
     whole = made.sum(axis=1)
     total = max(misfit(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
-    search = opened(law)
     # what the runs share acts in all of them or in none
-    sure = made if _own(effect) else np.repeat(whole[:, None], len(places), axis=1)
-    p = [_p(search, i, z) for (i, _), z in zip(places, _stands_out(law, sure), strict=True)]
+    group = np.array([solution.responses[i].piece.run if _own(effect) else 0 for i, _ in places])
+    names, of = np.unique(group, return_inverse=True)
+    z = _stand_out(law, np.stack([made[:, group == g].sum(axis=1) for g in names], axis=1))[of]
+    p = [_p(search, i, float(s)) for (i, _), s in zip(places, z, strict=True)]
     spans = [Span(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, made.T, p, strict=True)]
     return [s for s in spans if s.p < LIKEWISE]
 
@@ -230,21 +276,12 @@ def _part(law: Beside, i: int, rows: Rows, solution: Solution, name: str) -> Arr
     return out
 
 
-def _stands_out(law: Beside, made: Array) -> Array:
-    """By how many standard deviations each of the columns (N + m, k) stands out by itself beside the law."""
+def _stand_out(law: Beside, made: Array) -> Array:
+    """By how many standard deviations each of the columns (N + m, k) stands out beside the law and all others."""
     clean = made - law.u @ (law.u.T @ made)
-    size = np.linalg.norm(clean, axis=0)
-    return np.divide(clean.T @ law.r, size, out=np.zeros(len(size)), where=size > 0)
-
-
-def _widened(t: Array, acts: Mask, by: float) -> Mask:
-    """Frames within so many seconds of one that acts."""
-    when = t[acts]
-    if not len(when) or by <= 0:
-        return acts
-    after = np.clip(np.searchsorted(when, t), 1, len(when)) - 1
-    nearest = np.minimum(np.abs(t - when[after]), np.abs(t - when[np.minimum(after + 1, len(when) - 1)]))
-    return np.asarray(nearest <= by)
+    inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
+    deviation = np.sqrt(np.diag(inverse))
+    return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
 
 
 def _bridged(acts: Mask) -> Mask:
