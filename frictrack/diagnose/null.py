@@ -90,6 +90,9 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             e = out[law.rows[i]]
             e /= level
             piece = law.strips[i].response.piece
+            if piece.locked and piece.path.pixel_pitch:
+                e *= np.float32(np.sqrt(1 - piece.locked))
+                e += locked(piece.y / piece.path.pixel_pitch, e.shape[1], rng) * np.float32(np.sqrt(piece.locked))
             if piece.systematic:
                 e += slow_errors(e.shape, rng) * (piece.systematic / piece.sigma)[:, None]
             if piece.shake:
@@ -107,6 +110,14 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     waves[1 : 1 + len(k)] = size * rng.standard_normal((len(k), shape[1]), dtype=np.float32)
     errors: Short = idct(waves, axis=0, norm="ortho")
     return errors
+
+
+def locked(place: Array, draws: int, rng: np.random.Generator) -> Short:
+    """Errors (n, D) of rms one on the average that repeat from pixel to pixel, at places (n,) in px.
+
+    Where the target goes a whole number of pixels per frame, or stops, they change slowly.
+    """
+    return (tones(place, draws, rng) + tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
 
 
 def tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:

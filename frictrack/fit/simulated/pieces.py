@@ -54,6 +54,7 @@ class Piece:
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
     systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
     shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
+    locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
@@ -274,7 +275,15 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piec
         angle=_read(times, begin.angle, t),
         systematic=run.displacement.systematic,
         shake=run.displacement.shake,
+        locked=_locked(run, rows, noise),
     )
+
+
+def _locked(run: Run, rows: Rows, noise: Array) -> float:
+    """Share of the measured variance of a film's places beyond what its tracker states; none for a table."""
+    if not run.displacement.systematic or not run.pixel_pitch:
+        return 0.0
+    return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
 
 
 def _path(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
