@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from runs import MASS, SIX, Spec, measured, study
+from scipy.fft import idct
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import t as student
 from typer.testing import CliRunner
@@ -78,6 +79,29 @@ def test_a_level_is_obeyed(level, z):
     found = ft.profile(fitted, "coulomb.F_c", level=level)
     std = fitted.parameters["coulomb.F_c"].std
     assert (found.high - found.low) / 2 == pytest.approx(z * std, rel=3e-3)
+
+
+def unsteady(rng, n, rms=2e-5):
+    """White noise and errors as large in every octave, both of the same rms."""
+    k = np.arange(1, n // 4)
+    size = np.zeros(n)
+    size[k] = np.sqrt(n / np.sum(1 / k) / k)
+    return rms * (idct(size * rng.standard_normal(n), norm="ortho") + rng.standard_normal(n))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_a_tracker_is_off_by_slowly_is_in_the_deviations(told):
+    z = []
+    for seed in range(60):
+        run = slide(seed, noise=unsteady)
+        if told:
+            run = replace(run, displacement=replace(run.displacement, systematic=2e-5))
+        found = fit(["coulomb"], [run]).parameters["coulomb.F_c"]
+        z.append((found.value - 8.0) / found.std)
+    if told:
+        assert np.std(z) == pytest.approx(1.0, abs=0.25)
+    else:
+        assert np.std(z) > 2
 
 
 def test_a_curved_profile_is_the_brute_force_one():

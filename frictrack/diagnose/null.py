@@ -17,12 +17,11 @@ from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.pieces import Rows
 from frictrack.fit.simulated.scan import Series, Short
 from frictrack.fit.simulated.solve import Solution
-from frictrack.motion.noise import FEWER, ORDER, usual_order, variance
+from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
 from frictrack.records import Array, Mask
 
 DRAWS = 999
 TAUS = np.geomspace(2e-4, 0.32, 13)
-FEWEST = 4  # frames in half a wave of what changes slowly
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +103,8 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
 
 def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     """Errors (n, D) of rms one that are as large in every octave from a few frames to the whole piece."""
-    waves = np.zeros(shape, dtype=np.float32)
-    k = np.arange(1, max(shape[0] // FEWEST, 2), dtype=np.float32)[:, None]
-    size = np.sqrt(shape[0] / np.sum(1 / k)) / np.sqrt(k)
-    waves[1 : 1 + len(k)] = size * rng.standard_normal((len(k), shape[1]), dtype=np.float32)
+    waves, size = np.zeros(shape, dtype=np.float32), slow_spectrum(shape[0]).astype(np.float32)
+    waves[1 : 1 + len(size)] = size[:, None] * rng.standard_normal((len(size), shape[1]), dtype=np.float32)
     errors: Short = idct(waves, axis=0, norm="ortho")
     return errors
 

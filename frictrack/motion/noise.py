@@ -16,6 +16,7 @@ from frictrack.records import Array, Mask
 ORDER = 5  # of the differences
 FEWER = 3  # where missing frames leave less than half of what third differences would have
 OUTLIER = 6.0  # robust deviations beyond which a difference belongs to an impact, not to the noise
+FEWEST = 4  # frames in half a wave of what changes slowly
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 
 
@@ -30,6 +31,15 @@ def spread(order: int) -> float:
 
 
 SPREAD = spread(ORDER)  # 2.91
+
+
+def slow_spectrum(n: int) -> Array:
+    """Sizes of the first cosines (orthonormal, the constant left out) of what n frames are off by slowly, rms one.
+
+    It is as large in every octave from a few frames to the whole piece: it has no time of its own.
+    """
+    k = np.arange(1, max(n // FEWEST, 2))
+    return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
 def noise_level(x: Array, valid: Mask) -> tuple[Array, Array]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.fft import dct
 from scipy.stats import t as student
 
+from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.unknowns.scatter import MIN_RUNS, restraint_rows
-from frictrack.motion.noise import SPREAD
+from frictrack.motion.noise import SPREAD, slow_spectrum
 from frictrack.records import Array
 
 Z95 = 1.96  # standard deviations of a normal law that hold 95 %
@@ -29,13 +31,15 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
     The noise is told by the frames themselves, so a variance is known as well as it is: Student's t with as many
     degrees of freedom as fifth differences leave. It is also known as well as the spread of few runs is, as far as it
-    follows it: (runs - 1)/share^2 degrees, share = d log variance / d log spread^2 (Satterthwaite 1946).
+    follows it: (runs - 1)/share^2 degrees, share = d log variance / d log spread^2 (Satterthwaite 1946). What a film is
+    off by beside its noise comes on top.
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
     full, unseen = plain_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
         return _by_segment(solution, full), unseen
+    full = full + _beside_noise(solution, full)
     full = full * (student.ppf(0.975, solution.problem.n_frames / SPREAD) / Z95) ** 2
     if len(layout.levels) < MIN_RUNS:
         return full, unseen
@@ -44,6 +48,37 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
     widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / Z95
     return full * widen[:, None] * widen, unseen
+
+
+def _beside_noise(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) that slow errors of a tracker and what is left of a camera shake add."""
+    pulls = [np.zeros((0, len(solution.p)))]
+    for r in solution.responses:
+        pull = _slow_pulls(r)
+        pulls.append(np.zeros((len(pull), len(solution.p))))
+        pulls[-1][:, r.active] = pull
+    moved = np.vstack(pulls) @ bread
+    return moved.T @ moved
+
+
+def _slow_pulls(r: Response) -> Array:
+    """What each of a piece's errors beside its noise, one standard deviation of it, pulls the law to, (m, A).
+
+    None where the law is compared behind a filter, whose rows are no frames.
+    """
+    piece = r.piece
+    parts = [np.zeros((0, r.jac.shape[1]))]
+    if len(r.jac) != len(piece.sigma):
+        return parts[0]
+    seen = r.jac / piece.sigma[:, None]
+    if piece.systematic:
+        size = slow_spectrum(len(seen))
+        parts.append(piece.systematic * size[:, None] * dct(seen, axis=0, norm="ortho")[1 : 1 + len(size)])
+    if piece.shake:
+        frequency, rms = piece.shake
+        turn = 2 * np.pi * frequency * piece.t
+        parts.append(rms * np.stack([np.cos(turn), np.sin(turn)]) @ seen)
+    return np.vstack(parts)
 
 
 def batches_of(solution: Solution) -> int:
