@@ -266,3 +266,15 @@ class TestRefinement:
             step[i] = 1e-4 * p[i]
             slope = (problem.at(p + step).misfit - problem.at(p - step).misfit) / (2 * step[i])
             assert -2 * gradient[j] == pytest.approx(slope, rel=1e-3)
+
+    def test_a_number_at_the_side_of_its_box_does_not_stop_the_others(self):
+        made = along("atm1:1", tustin(8, 14, 1.2, 0.4))
+        problem = Projected(made, made.data)
+        state = problem.at(np.where(np.isin(np.arange(len(made.layout.slots)), made.free), 50.0, 1.0))
+        free = made.free[:2]
+        low = problem.low[free]
+        state.numbers[free] = low + np.array([0.1, 5.0])
+        normal, gradient = np.array([[1.0, -0.99], [-0.99, 1.0]]), np.array([-1.0, 0.5])
+        step, promised = problem._step(state, (normal, gradient), free, 0.0)
+        assert step == pytest.approx([-0.1, 0.5 - 0.099])  # the first goes to its side, the second's best beside that
+        assert promised > 0

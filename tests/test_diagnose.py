@@ -204,6 +204,19 @@ def test_two_effects_are_found_one_after_the_other_and_nothing_more():
     assert all(c.p == 0.001 for c in found.candidates[:2])
 
 
+def test_two_plain_effects_are_not_taken_for_one_wave_that_imitates_their_sum():
+    law = {
+        "coulomb": {"F_c": 8.2},
+        "drag": {"c": 0.2},
+        "viscous": {"F_v": 0.052},
+        "thermal": {"dF": 0.27, "length": 0.24},
+    }
+    specs = [Spec(v, ratio, 0.15) for v, ratio in ((4.0, 1), (4.7, 1), (5.4, 1), (4.7, 0.5), (-5.4, 1))]
+    runs = study(models.of(law), law, specs=specs, sigma=3e-5, scatter=0.03, rng=np.random.default_rng(4))[0]
+    found = diagnose(fit(["coulomb", "drag"], runs))
+    assert found.missing == ["viscous", "thermal"]
+
+
 def test_an_effect_of_your_own_is_tried_and_named():
     magnet = effects.formula(
         "magnet", "F*exp(-((x - x_c)/w)**2)", units={"F": "N", "x_c": "m", "w": "m"}, bounds={"w": (0.005, 0.05)}

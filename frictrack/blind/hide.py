@@ -16,6 +16,7 @@ SIZES = (2.0, 6.0)  # a hidden cause over what the ideal detector sees in 95 of 
 LARGEST = 0.4  # rms of a hidden force over the friction: a larger cause is no refinement of a law
 CLOSE = 0.05  # relative, to which a size is brought
 ROUNDS = 6
+LIKE = 0.9  # cosine between what a cause leaves and what it leaves to first order
 OFTEN = 0.6  # share of the runs in which events happen
 SHAKEN = (0.05, 0.5)  # px, of a film: what its background shows
 BLOW = 0.3  # of the momentum at the start that a blow may take
@@ -122,11 +123,19 @@ def _scaled(effect: Effect, shape: list[Numbers], factor: float) -> list[Numbers
 
 
 def _checked(detector: Detector, effect: Effect, values: list[Numbers]) -> Hidden | None:
-    """The study with the cause in it and its trace; None where it is too large a part of the friction."""
+    """The study with the cause in it and its trace; None where it is too large a part of the friction.
+
+    None, too, where its trace is not the one of first order: near a stop a law can do what its slopes do not tell.
+    """
     if effect.acts_on == "force" and not effect.memory and detector.share(effect, values) > LARGEST:
         return None
     truth = _placed(detector, values)
-    return truth, detector.trace(truth)
+    trace = detector.trace(truth)
+    if not effect.memory:
+        first = detector.unit(effect, values)
+        if float(first @ trace) < LIKE * float(np.linalg.norm(first) * np.linalg.norm(trace)):
+            return None
+    return truth, trace
 
 
 def _grown(detector: Detector, effect: Effect, shape: list[Numbers], size: float) -> Hidden | None:

@@ -25,6 +25,8 @@ STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any c
 LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
 MOST_SIMULATED = 6
 DOUBTFUL = 2 * SAME  # that an effect falls short along the motion: what falls shorter cannot stand for another
+PLAIN = 3  # unknowns of an effect that is no mixture of others
+MOST_PARTED = 6  # effects beside which a second one is looked for then
 AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
 
 Tell = Callable[[str], None]
@@ -166,21 +168,21 @@ def _followed_one(best: Tried, true: tuple[Beside, Trial], other: Tried) -> Trie
 def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:
     """Effects found one after the other, each looked at again beside all the others.
 
-    One that they made needless goes, one that was only a mixture of several makes way for what explains more, and what
-    could stand in its place is told. The law of the last one has them all.
+    One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
+    two plainer ones, and what could stand in its place is told. The law of the last one has them all.
     """
     kept = list(found)
     for old in found:
-        if len(kept) < 2:
-            break
         whole, name = kept[-1].law, old.effect.name
+        if len(kept) < 2 and _unknowns(whole, name) <= PLAIN:
+            break
         tell(f"looking at {name} again")
         try:
             rest = without(whole, name)
         except FrictrackError:  # without it there is no law that could be followed
             continue
         worth = information(rest) - information(whole)
-        if worth <= 0:
+        if worth <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
             continue
         tried_again = _alternatives(rest, own, old)
@@ -189,8 +191,53 @@ def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Trie
         if stays or best.law.objective > LEAVES_NOISE * best.law.problem.n_frames:
             best = replace(old, solution=whole, delta_bic=worth)
         best = replace(best, indistinguishable_from=rivals(best, tried_again))
-        kept = _with_law([best if k.effect.name == name else k for k in kept], best.law)
+        pair = _parted(best, tried_again, own)
+        others = [k for k in kept if k.effect.name != name]
+        kept = _with_law([*others, *pair], pair[-1].law) if pair else _exchanged(kept, name, best)
     return kept
+
+
+def _exchanged(kept: list[Tried], name: str, best: Tried) -> list[Tried]:
+    return _with_law([best if k.effect.name == name else k for k in kept], best.law)
+
+
+def _unknowns(law: Solution, name: str) -> int:
+    """How many unknowns an effect brings into a law."""
+    return sum(s.effect == name for s in law.problem.layout.slots)
+
+
+def _parted(best: Tried, others: Sequence[Tried], own: Sequence[Effect]) -> list[Tried]:
+    """Two plain effects that explain decisively more than one that is not; none where there are none.
+
+    An effect free in every run, such as a wave with its own phases, may imitate the sum of two that are not.
+    """
+    found: list[Tried] = []
+    if _unknowns(best.law, best.effect.name) <= PLAIN:
+        return found
+    top = information(best.law) - SAME
+    runs = len(best.law.problem.layout.run_names)
+    for one in [t for t in others if t.delta_bic > SAME and _is_plain(t.effect, runs)][:MOST_PARTED]:
+        try:
+            law = _simulated_law(one)
+            two = _alternatives(law, own, one, lambda e: _is_plain(e, runs))[0]
+        except FrictrackError:
+            continue
+        if two.solution is not None and information(two.law) < top:
+            top = information(two.law)
+            found = [replace(one, solution=law), two]
+    return found
+
+
+def _is_plain(effect: Effect, runs: int) -> bool:
+    """Whether an effect brings few unknowns."""
+    return sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= PLAIN
+
+
+def _simulated_law(tried: Tried) -> Solution:
+    """The law with a candidate, which may have been left along the motion."""
+    if tried.solution is None and tried.along is not None:
+        return simulated(*tried.along)
+    return tried.law
 
 
 def _with_law(found: list[Tried], law: Solution) -> list[Tried]:
@@ -198,13 +245,15 @@ def _with_law(found: list[Tried], law: Solution) -> list[Tried]:
     return [*found[:-1], replace(found[-1], solution=law)]
 
 
-def _alternatives(rest: Solution, own: Sequence[Effect], old: Tried) -> list[Tried]:
+def _alternatives(
+    rest: Solution, own: Sequence[Effect], old: Tried, which: Callable[[Effect], bool] = lambda effect: True
+) -> list[Tried]:
     """Everything that could stand where an effect was taken out, best first; nothing is drawn again."""
     law = beside(rest)
     series = one_series(law)
     data: Array = series.own[:, 0]
     trials = []
-    for effect in candidates(rest, own)[0]:
+    for effect in filter(which, candidates(rest, own)[0]):
         e = old.effect if effect.kind == old.effect.kind else effect
         scans = [scan(law, f, series) for f in families(law, known(rest, e))]
         trials.append(tried(law, e, scans, data))

@@ -275,14 +275,19 @@ class Projected:
         normal, gradient = linear
         own = normal.diagonal()
         low, high = self.low[free] - state.numbers[free], self.high[free] - state.numbers[free]
-        stuck = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
+        shut = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
         size = np.sqrt(np.where(own > 0, own, 1.0))
         unit = normal / size / size[:, None]
         unit.flat[:: len(size) + 1] += damping + RIDGE
-        if stuck.any():
-            unit[stuck] = 0.0
-            unit[:, stuck] = 0.0
-            unit[stuck, stuck] = 1.0
-        step = np.linalg.solve(unit, np.where(stuck, 0.0, gradient / size)) / size
-        step = np.minimum(np.maximum(step, low), high)
+        step = np.clip(0.0, low, high)
+        while not shut.all():  # what would leave its box first goes to its side, and the others make the best of it
+            go = ~shut
+            aim = gradient[go] / size[go] - unit[np.ix_(go, shut)] @ (step[shut] * size[shut])
+            step[go] = np.linalg.solve(unit[np.ix_(go, go)], aim) / size[go]
+            beyond = go & ((step < low) | (step > high))
+            if not beyond.any():
+                break
+            side = np.where(step < low, low, high)
+            first = int(np.argmin(np.where(beyond, side / np.where(beyond, step, 1.0), np.inf)))
+            step[first], shut[first] = side[first], True
         return step, float(2 * gradient @ step - step @ normal @ step)
