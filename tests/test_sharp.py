@@ -121,6 +121,15 @@ def test_what_repeats_from_pixel_to_pixel_is_told_and_the_motion_is_kept() -> No
     assert np.max(np.abs(drawn_to_pixels(frames, seen)[0])) < 0.002
 
 
+def test_a_shake_is_not_taken_for_what_draws_places_to_the_pixels() -> None:
+    frames, rng = np.arange(156), np.random.default_rng(1)
+    true = 280 - 2.26 * frames + 6e-4 * frames**2
+    shaken = true + 0.17 * np.sin(2 * np.pi * 283 * frames / 4000 + 1.0) + 0.005 * rng.standard_normal(156)
+    places = np.stack([shaken, np.full(156, 30.0)], axis=1)
+    assert not drawn_to_pixels(frames, places)[0].any()  # 0.03 px, where the shake keeps step with the pixels
+    assert not smoothed(frames, places, frames).axes.any()
+
+
 def test_what_stays_off_slowly_is_as_large_in_every_octave_and_goes_with_the_pitch() -> None:
     errors = slow_errors((512, 400), np.random.default_rng(3))
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.02)

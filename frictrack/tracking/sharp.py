@@ -8,6 +8,7 @@ is learnt where a smooth path has the target (Anderson & King 2000, PASP 112:136
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ STRETCH = 8.0  # px, over which errors that repeat from pixel to pixel average o
 LEAST, LONGEST = 12, 160  # frames to either side, and from first to last, of a stretch that a parabola follows
 MANY = 100  # frames, from which short waves can be learnt
 WORSE = 2.0  # times the usual misfit of a parabola: there the path is not smooth
+ORDER, NOISELESS = 5, 5e-4  # of the differences that tell the noise of places, and px of it that any film has
 ENOUGH = 2000  # frames whose places tell how far all are drawn to the pixels
 SHOWN = 3.0  # condition of the pixel's waves up to which every shift was seen
 SHARE = 0.5  # of the frames in which the path must be smooth
@@ -70,8 +72,18 @@ def smoothed(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64]) ->
     The path is given in the `wanted` ones of the frames.
     """
     rows = np.searchsorted(frames, wanted)
-    each = [_parabolas(frames, at[:, axis], at[:, [axis]], rows)[:, 0] for axis in range(2)]
+    each = [_smooth(frames, at[:, axis], rows) for axis in range(2)]
     return SmoothPath(wanted, np.stack(each, axis=1))
+
+
+def _smooth(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> Array:
+    """Parabolas through places (n,) in some rows (m,); not a number where more than noise and pixels is about them."""
+    series = np.column_stack([at, _waves(at)])
+    path = _parabolas(frames, at, series, rows)
+    rough = series[rows] - path
+    rough = rough[np.isfinite(rough[:, 0])]
+    shaken = len(rough) > rough.shape[1] and not _is_noise(_left(rough), at)
+    return np.full(len(rows), np.nan) if shaken else path[:, 0]
 
 
 def drawn_to_pixels(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
@@ -86,10 +98,22 @@ def drawn_to_pixels(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]
         series = np.column_stack([at[:, axis], _waves(at[:, axis])])
         rough = series[rows] - _parabolas(frames, at[:, axis], series, rows)
         rough = rough[np.isfinite(rough[:, 0])]
-        if len(rough) >= max(MANY, SHARE * len(rows)) and np.linalg.cond(rough[:, 1:]) < SHOWN:
+        told = len(rough) >= max(MANY, SHARE * len(rows)) and np.linalg.cond(rough[:, 1:]) < SHOWN
+        if told and _is_noise(_left(rough), at[:, axis]):
             found = _sure(rough[:, 1:], rough[:, 0])
             off[:, axis], size[axis] = series[:, 1:] @ found, np.hypot(*found[:2])
     return off, size
+
+
+def _left(rough: Array) -> Array:
+    """What its waves, the further columns, leave of what is rough, the first (n,)."""
+    return np.asarray(rough[:, 0] - rough[:, 1:] @ np.linalg.lstsq(rough[:, 1:], rough[:, 0], rcond=None)[0])
+
+
+def _is_noise(left: Array, at: Array) -> bool:
+    """Whether hardly more than the noise of places (n,) is left about a path: no shake of target or camera."""
+    noise = np.median(np.abs(np.diff(at, ORDER))) / (0.6745 * np.sqrt(comb(2 * ORDER, ORDER)))
+    return bool(np.std(left) < WORSE * max(noise, NOISELESS))
 
 
 def _sure(waves: Array, rough: Array) -> Array:
