@@ -57,6 +57,19 @@ def smooth_forces(left: Reduced) -> list[Smooth]:
     return sorted((_smooth(left, axis) for axis in axes(left)), key=lambda s: -s.gain)
 
 
+def each_alone(left: Reduced) -> float:
+    """The same gain where every run has a smooth force of its own over time, alike in size and length alone."""
+    t = left.gathered(lambda p: p.t)
+    knots = _knots(float(t.min()), float(t.max()))
+    design = BSpline.design_matrix(t, knots, CUBIC).toarray()
+    of = np.repeat(left.runs, [len(p.t) for p in left.paths])
+    seen = np.hstack([left.trace(left.cut(design * (of == run)[:, None])) for run in sorted(set(left.runs))])
+    gram, pull, span = seen.T @ seen, seen.T @ left.left, float(np.ptp(t))
+    each = np.eye(len(set(left.runs)))
+    roots: list[Array] = [np.asarray(np.kron(each, _root(knots, span * length)), np.float64) for length in LENGTHS]
+    return max(_likeliest(gram, pull, root)[0] for root in roots)
+
+
 def axes(left: Reduced) -> list[Axis]:
     """Axes that these runs can tell apart; the phase is that of a motion that turns back again and again."""
     named: dict[str, Callable[[Path], Array]] = {"x": lambda p: p.x, "t": lambda p: p.t, "v": lambda p: p.speed}

@@ -18,12 +18,22 @@ _Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G,
 
 @dataclass(frozen=True)
 class InPhase:
-    """Share of the misfit that the other runs foretell, its p, in how many runs, and the frequency, Hz."""
+    """Share of the misfit that the other runs foretell, its p, in how many runs, the frequency, Hz; the evidence."""
 
     share: float
     p: float
     runs: int
     frequency: float
+    evidence: float
+
+
+def surplus(gain: float, numbers: int, tried: int) -> float:
+    """Twice the rise of the log restricted likelihood with waves that gain so much, at the size that is most likely.
+
+    `numbers` are those of all waves together, as well known each; `tried` the periods among which this is the best.
+    """
+    each = max(gain / numbers, 1.0)
+    return numbers * (each - 1 - float(np.log(each))) - 2 * float(np.log(tried))
 
 
 def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: int) -> InPhase:
@@ -33,8 +43,8 @@ def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: 
     """
     f, excess = scanned(law), _beyond(law, runs)
     told = np.array([_told(*_halves(law, run, f)) for run in runs])
-    gains, total = _waved(told)
-    best = int(np.argmax(total))
+    gains, free = _waved(told)
+    best = int(np.argmax(free))
     null = []
     for _ in range(draws):
         shifts = rng.integers(0, len(f), len(told))
@@ -43,7 +53,8 @@ def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: 
     mine = float(gains[:, best].sum())
     p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
     share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
-    return InPhase(share, p, int(np.sum(gains[:, best] > FORETOLD * excess)), float(f[best]))
+    told_in = int(np.sum(gains[:, best] > FORETOLD * excess))
+    return InPhase(share, p, told_in, float(f[best]), surplus(float(free[best]), 2 * len(told), len(f)))
 
 
 def _beyond(law: Beside, runs: Sequence[int]) -> Array:

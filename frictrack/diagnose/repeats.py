@@ -8,12 +8,16 @@ something that vibrates.
 
 Chance: signs of every run's residual in a cosine basis are drawn anew, which leaves each run its own misfit and noise
 but nothing common; for the phase, every run is given another frequency.
+
+Which axis it is, and whether any, is decided by the likelihood: of a smooth force over the axis (a wave over the place
+too), against that of a smooth force of its own in every run. Other runs foretell little where few of them show the
+failure, and the likelihood knows of all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +27,10 @@ from frictrack.compare.beside import Beside, beside, traces
 from frictrack.compare.deconvolve import hats, matern
 from frictrack.compare.lines import waves
 from frictrack.compare.looks import Nodes, course, nodes
-from frictrack.diagnose.phases import FORETOLD, in_phase
+from frictrack.diagnose.along import Axis, ordered, told
+from frictrack.diagnose.axes import each_alone, smooth_forces
+from frictrack.diagnose.phases import FORETOLD, in_phase, surplus
+from frictrack.diagnose.reduced import reduced
 from frictrack.effects.texture import periods
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
@@ -32,38 +39,7 @@ DRAWS = 199
 KNOTS = {"x": 120, "t": 80, "v": 40}
 REACHES = (2.0, 6.0, 20.0)  # of a curve, in knots
 SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
-ALPHA = 0.01
 LAW = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
-SAME = 0.1  # of the misfit, within which two axes are as good
-
-WHERE = {
-    "x": ("at the same place", "it belongs to the course"),
-    "t": ("at the same time since release", "it belongs to what happens since release, not to the place"),
-    "v": ("at the same velocity", "it belongs to the law of friction itself"),
-    "phase": ("with one frequency, each run at a phase of its own", "something vibrates"),
-}
-
-
-@dataclass(frozen=True)
-class Axis:
-    """How well the failure repeats along one axis: share of the misfit foretold, p, and in how many of the runs."""
-
-    axis: str
-    share: float
-    p: float
-    runs: int
-    of: int
-    frequency: float | None = None  # Hz, of the phase
-
-    @property
-    def holds(self) -> bool:
-        """Whether it repeats beyond chance, in two runs at least."""
-        return self.p <= ALPHA and self.runs > 1
-
-    def summary(self) -> dict[str, Any]:
-        """JSON of one axis."""
-        found = {"axis": self.axis, "share": round(self.share, 4), "p": self.p, "runs": self.runs, "of": self.of}
-        return found | ({} if self.frequency is None else {"frequency": self.frequency})
 
 
 @dataclass(frozen=True)
@@ -156,15 +132,26 @@ def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) ->
         return Repeats(words="One run cannot tell whether a failure repeats: film another one, best at another speed.")
     apart = _apart(law, runs, _drawn(law, rng, draws))
     found, curves, excess = [], {}, _excess(apart)
+    likely, own = _likelihoods(solution)
     for axis in KNOTS:
         made, curves[axis] = _smooth([_fold(apart, axis, dry) for dry in (True, False)])
         if axis == "x":
-            made = _better(made, _wave(apart))
-        found.append(_judged(axis, made, excess))
+            wave, rise = _wave(apart)
+            made, likely[axis] = _better(made, wave), max(likely[axis], rise)
+        found.append(replace(_judged(axis, made, excess), evidence=likely[axis] - own))
     phase = in_phase(law, runs, rng, draws)
-    found.append(Axis("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency))
-    found.sort(key=lambda a: (not a.holds, -a.share))
-    return Repeats(found, told(found), curves)
+    found.append(Axis("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own))
+    return Repeats(ordered(found), told(ordered(found)), curves)
+
+
+def _likelihoods(solution: Solution) -> tuple[dict[str, float], float]:
+    """Evidence for a smooth force over every axis, and for one of every run, over none at all."""
+    left = reduced(solution)
+    likely = dict.fromkeys(KNOTS, 0.0)
+    for smooth in smooth_forces(left):
+        name = smooth.axis.name
+        likely[name] = max(likely.get(name, 0.0), smooth.gain)
+    return likely, max(each_alone(left), 0.0)
 
 
 def _apart(law: Beside, runs: Sequence[int], series: Array) -> _Runs:
@@ -274,8 +261,11 @@ def _judged(axis: str, gains: Array, excess: Array) -> Axis:
     return Axis(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
-def _wave(apart: _Runs) -> Array:
-    """Fall of every run's chi-squared (R, D) with a dry force that waves over the place, all told by the other runs."""
+def _wave(apart: _Runs) -> tuple[Array, float]:
+    """Fall of every run's chi-squared (R, D) with a dry force that waves over the place, all told by the other runs.
+
+    And the evidence for such a wave in all of them.
+    """
     f = 1 / periods(apart.law.solution.problem.layout.span)
     made = [traces(r, waves(n.x, f) * n.dry[:, None]) for r, n in zip(apart.law.responses, apart.at, strict=True)]
     runs = apart.waved(made)
@@ -293,7 +283,15 @@ def _wave(apart: _Runs) -> Array:
         best = np.argmax(np.sum(size * left, axis=1), axis=0)
         mine = _Waved(runs.pairs[run], runs.cross[run], runs.data[run])
         out[run] = _told_by(mine, (gram[run], data[run]), (inverse @ seen, bent), size, best)
-    return out
+    return out, surplus(_best_wave(whole, gram.sum(axis=0) + held, data.sum(axis=0)), 2, len(f))
+
+
+def _best_wave(whole: _Waved, law: Array, seen: Array) -> float:
+    """Fall of chi-squared with the best of all waves beside the law (S, S), for the data alone."""
+    bent = np.einsum("st,git->sgi", np.linalg.pinv(law, rcond=1e-10, hermitian=True), whole.cross)
+    pairs = whole.pairs - np.einsum("gis,sgj->gij", whole.cross, bent)
+    left = whole.data[:, :, 0] - np.einsum("sgi,s->gi", bent, seen[:, 0])
+    return float(np.max(np.einsum("gi,gij,gj->g", left, np.linalg.pinv(pairs, rcond=1e-6, hermitian=True), left)))
 
 
 def _told_by(mine: _Waved, own: tuple[Array, Array], law: tuple[Array, Array], size: Array, best: Array) -> Array:
@@ -338,22 +336,3 @@ def _curve(fold: _Fold, held: Array) -> dict[str, Array]:
     inverse = np.linalg.inv(fold.gram.sum(axis=0) + held)
     force, k = inverse @ fold.data.sum(axis=0)[:, 0], len(fold.knots)
     return {"at": fold.knots, "F": force[:k], "sigma_F": np.sqrt(np.maximum(np.diag(inverse)[:k], 0.0))}
-
-
-def told(axes: Sequence[Axis]) -> str:
-    """What it means, for a person."""
-    held = [a for a in axes if a.holds]
-    if not held:
-        return "The failure does not repeat from run to run: no place, time, velocity or frequency is common to it."
-    best = held[0]
-    where, why = WHERE[best.axis]
-    if best.axis == "phase" and best.frequency is not None:
-        where = f"{where} ({best.frequency:.3g} Hz)"
-    words = f"The failure repeats {where} in {best.runs} of {best.of} runs: {why}."
-    like = [a.axis for a in held[1:] if best.share - a.share < SAME]
-    if like:
-        names = {"x": "place", "t": "time since release", "v": "velocity", "phase": "phase"}
-        words += (
-            f" These runs hardly tell this from the same {' or '.join(names[a] for a in like)}; another speed would."
-        )
-    return words

@@ -1,0 +1,71 @@
+"""An axis along which a failure may repeat, how sure that is, and what it means for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+DECISIVE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
+
+WHERE = {
+    "x": ("at the same place", "it belongs to the course"),
+    "t": ("at the same time since release", "it belongs to what happens since release, not to the place"),
+    "v": ("at the same velocity", "it belongs to the law of friction itself"),
+    "phase": ("with one frequency, each run at a phase of its own", "something vibrates"),
+}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """How well the failure repeats along one axis: share of the misfit foretold, p, and in how many of the runs.
+
+    `evidence` is that against a force that every run has for itself, twice the log of the likelihood ratio.
+    """
+
+    axis: str
+    share: float
+    p: float
+    runs: int
+    of: int
+    frequency: float | None = None  # Hz, of the phase
+    evidence: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether one force common to the runs is decisively likelier than one of every run."""
+        return self.evidence > DECISIVE
+
+    def summary(self) -> dict[str, Any]:
+        """JSON of one axis."""
+        found = {"axis": self.axis, "share": round(self.share, 4), "p": self.p, "runs": self.runs, "of": self.of}
+        found |= {"evidence": round(self.evidence, 1)}
+        return found | ({} if self.frequency is None else {"frequency": self.frequency})
+
+
+def ordered(axes: Sequence[Axis]) -> list[Axis]:
+    """The likeliest first; of those between which the likelihood does not decide, the one that foretells most."""
+    near = max(a.evidence for a in axes) - DECISIVE
+    return sorted(axes, key=lambda a: (not a.holds, a.evidence <= near, -a.share if a.evidence > near else -a.evidence))
+
+
+def told(axes: Sequence[Axis]) -> str:
+    """What it means, for a person."""
+    best = axes[0]
+    if not best.holds:
+        if best.evidence < -DECISIVE:
+            return "The failure does not repeat from run to run: no place, time, velocity or frequency is common to it."
+        return "Whether the failure repeats from run to run cannot be told: these runs show too little of it."
+    where, why = WHERE[best.axis]
+    if best.axis == "phase" and best.frequency is not None:
+        where = f"{where} ({best.frequency:.3g} Hz)"
+    how_often = f" in {best.runs} of {best.of} runs" if best.runs > 1 else ""
+    words = f"The failure repeats {where}{how_often}: {why}."
+    near = max(a.evidence for a in axes) - DECISIVE
+    like = [a.axis for a in axes[1:] if a.evidence > near]
+    if like:
+        names = {"x": "place", "t": "time since release", "v": "velocity", "phase": "phase"}
+        words += (
+            f" These runs hardly tell this from the same {' or '.join(names[a] for a in like)}; another speed would."
+        )
+    return words
