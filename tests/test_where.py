@@ -143,6 +143,17 @@ def test_the_missing_force_lies_within_its_band(patched):
     assert np.median(size) < 0.35
 
 
+def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
+    texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
+    runs = lacking("texture", texture, sigma=2e-6)
+    pieces, _ = deconvolved(fit(LAW, runs).solution)
+    z = []
+    for p in pieces:
+        wave = texture["amplitude"] * np.sin(2 * np.pi * p.x / texture["period"] + texture["phase"])
+        z.append((p.F - np.sign(p.v) * (runs[p.run].mass / MASS) * wave) / p.sigma_F)
+    assert np.mean(np.abs(np.concatenate(z)) < 2) > 0.7  # without the wave it was a twentieth
+
+
 def test_the_missing_force_of_a_line_is_told_with_its_phase():
     vibration = {"amplitude": 1.0, "frequency": 61.3, "phase": 0.7}
     solution = fit(LAW, lacking("vibration", vibration)).solution
@@ -162,7 +173,7 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
     assert found.best.axis == "x"
     assert found.best.of == 4
     assert found.words.startswith("The failure repeats at the same place in ")
-    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of"}
+    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence"}
     assert {a["axis"] for a in found.summary()} == {"x", "t", "v", "phase"}
 
 
@@ -180,11 +191,31 @@ def test_one_run_cannot_tell_whether_a_failure_repeats():
 
 
 def test_words_say_which_axes_these_runs_hardly_part():
-    axes = [Axis("x", 0.8, 0.005, 5, 6), Axis("t", 0.75, 0.005, 4, 6), Axis("v", 0.1, 0.5, 0, 6)]
+    axes = [Axis("x", 0.8, 0.005, 5, 6, evidence=40.0), Axis("t", 0.75, 0.005, 4, 6, evidence=33.0),
+            Axis("v", 0.1, 0.5, 0, 6, evidence=20.0)]  # fmt: skip
     assert told(axes) == (
         "The failure repeats at the same place in 5 of 6 runs: it belongs to the course. "
         "These runs hardly tell this from the same time since release; another speed would."
     )
+
+
+def test_what_the_runs_show_too_little_of_is_left_open():
+    axes = [Axis("v", 0.2, 0.01, 1, 6, evidence=9.0), Axis("x", 0.1, 0.5, 0, 6, evidence=-5.0)]
+    assert told(axes).startswith("Whether the failure repeats from run to run cannot be told")
+    assert told([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
+
+
+def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
+    specs = tuple(Spec(v, 1, 0.1) for v in (2.5, 3.5, 5.0, -6.5))
+    found = repeats(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution, np.random.default_rng(0))
+    assert found.best.axis == "v"
+    assert found.best.evidence > 10
+
+
+def test_a_fine_wave_over_the_place_repeats_there():
+    texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
+    found = repeats(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution, np.random.default_rng(0))
+    assert found.best.axis == "x"
 
 
 def test_spans_of_a_measured_friction_force():

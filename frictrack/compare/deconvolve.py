@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.compare.beside import Beside, place, traces
-from frictrack.compare.lines import Line, line_at, strongest_line
+from frictrack.compare.lines import Line, line_at, strongest_line, strongest_ripple
 from frictrack.compare.local import ALPHA, local_forces, uncertain
 from frictrack.fit.series import SeriesPiece
 from frictrack.fit.simulated.problem import Response
@@ -110,7 +110,13 @@ def deconvolved(solution: Solution) -> tuple[list[Deconvolved], Line | None]:
     known = _vibration(solution)
     line = strongest_line(found.law) if known is None else line_at(found.law, known)
     explained = float(found.law.r @ found.law.r - found.left.r @ found.left.r)
-    if line is not None and known is None and line.p < ALPHA and line.gain > explained:
+    ripple = strongest_ripple(found.law)
+    if ripple is not None and ripple.p < ALPHA and ripple.gain > max(explained, 0.0 if line is None else line.gain):
+        left = found.law.with_columns(ripple.columns)
+        means, variances = _averaged(left)
+        means = [m + f for m, f in zip(means, ripple.force, strict=True)]
+        bands = ripple.variance
+    elif line is not None and known is None and line.p < ALPHA and line.gain > explained:
         found = replace(found, bumps=[], left=found.law.with_columns(line.columns))
         means, variances = _averaged(found.left)
         own = [line.force(r.piece.run, r.piece.t) for r in found.left.responses]

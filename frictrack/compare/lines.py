@@ -1,7 +1,8 @@
-"""The strongest line of what a law leaves: one frequency for all runs, amplitude and phase of every run its own."""
+"""Waves that a law leaves: over time, each run with its own amplitude and phase; over the place, one for all runs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,9 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from frictrack.compare.beside import Beside, traces
+from frictrack.compare.looks import Nodes, nodes
 from frictrack.effects.base import frequencies
+from frictrack.effects.texture import periods
 from frictrack.fit.simulated.problem import Response
 from frictrack.records import Array
 
@@ -95,3 +98,64 @@ def _at(law: Beside, frequency: float, tried: int) -> Line:
     gain = float(np.sum((clean @ size) ** 2))
     p = float(min(1.0, tried * chi2.sf(gain, 2 * len(runs))))
     return Line(frequency, {run: size[2 * k : 2 * k + 2] for k, run in enumerate(runs)}, gain, p, columns)
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """A dry force that waves over the place: at the frames of every piece, N (n,), its variance, gain, p and traces."""
+
+    force: list[Array]
+    variance: list[Array]
+    gain: float
+    p: float
+    columns: Array  # (N + m, 2)
+
+
+def strongest_ripple(law: Beside) -> Ripple | None:
+    """The period over the place at which all runs together gain most."""
+    f = np.sort(1 / periods(law.solution.problem.layout.span))
+    at = [nodes(law.solution, r) for r in law.responses]
+    gram, data, on = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
+    for rows, response, n in zip(law.rows, law.responses, at, strict=True):
+        made = traces(response, waves(n.x, f) * n.dry[:, None])
+        cube = made.reshape(len(made), len(f), 2)
+        gram += np.einsum("nfi,nfj->fij", cube, cube, optimize=True)
+        data += (law.r[rows] @ made).reshape(len(f), 2)
+        on += (law.u[rows].T @ made).reshape(-1, len(f), 2)
+    gram -= np.einsum("pfi,pfj->fij", on, on, optimize=True)
+    gain = np.einsum("fi,fij,fj->f", data, np.linalg.pinv(gram, rcond=1e-6, hermitian=True), data)
+    best = int(np.argmax(gain))
+    around = float(f[max(best - 1, 0)]), float(f[min(best + 1, len(f) - 1)])
+    if around[0] == around[1]:
+        return None
+    found = minimize_scalar(lambda q: -_ripple(law, at, float(q), 1).gain, bounds=around, options={"maxiter": FINER})
+    return _ripple(law, at, float(found.x), len(f))
+
+
+def _ripple(law: Beside, at: Sequence[Nodes], f: float, tried: int) -> Ripple:
+    """One period; how well it is known follows from the traces of sine, cosine and their change with the period."""
+    columns = np.zeros((len(law.r), 2))
+    for rows, response, n in zip(law.rows, law.responses, at, strict=True):
+        columns[rows] = traces(response, waves(n.x, np.array([f])) * n.dry[:, None])
+    clean = columns - law.u @ (law.u.T @ columns)
+    size: Array = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-8)[0], dtype=np.float64)
+    gain = float(np.sum((clean @ size) ** 2))
+    shifted = np.zeros(len(law.r))
+    moved = [_moved(n, f, size) for n in at]
+    for rows, response, m in zip(law.rows, law.responses, moved, strict=True):
+        shifted[rows] = traces(response, m[:, 2:])[:, 0]
+    whole = np.column_stack([clean, shifted - law.u @ (law.u.T @ shifted)])
+    covariance = np.linalg.pinv(whole.T @ whole, hermitian=True)
+    frames = [
+        np.stack([np.interp(r.piece.t, n.t, q) for q in m.T], axis=1)
+        for r, n, m in zip(law.responses, at, moved, strict=True)
+    ]
+    variance = [np.einsum("nj,jk,nk->n", m, covariance, m) for m in frames]
+    return Ripple([m[:, :2] @ size for m in frames], variance, gain, float(min(1.0, tried * chi2.sf(gain, 2))), columns)
+
+
+def _moved(n: Nodes, f: float, size: Array) -> Array:
+    """Force at the nodes of one piece per unit of sine, of cosine and of f, (3 p, 3)."""
+    wave = waves(n.x, np.array([f])) * n.dry[:, None]
+    turned = 2 * np.pi * n.x * (wave[:, 1] * size[0] - wave[:, 0] * size[1])
+    return np.column_stack([wave, turned])

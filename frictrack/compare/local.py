@@ -230,8 +230,9 @@ def _weighed(law: Beside, columns: Array, bumps: Sequence[Bump], sizes: Array) -
     """Bumps with their sizes, and by how many standard deviations each stands out beside all others."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean)
-    deviation = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    return [replace(b, size=float(s), z=float(s / d)) for b, s, d in zip(bumps, sizes, deviation, strict=True)]
+    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    z = np.divide(sizes, deviation, out=np.zeros(len(bumps)), where=deviation > 0)  # 0: the runs do not see it
+    return [replace(b, size=float(s), z=float(q)) for b, s, q in zip(bumps, sizes, z, strict=True)]
 
 
 def _pruned(found: Local) -> Local:
