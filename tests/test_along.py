@@ -11,6 +11,7 @@ from frictrack.fit.along import Along, Projected, Search, displacement_block, fo
 from frictrack.fit.along.blocks import double_integral
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.along.newton import bounded
+from frictrack.fit.along.table import Grid, Table
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
@@ -278,3 +279,17 @@ class TestRefinement:
         step, promised = problem._step(state, (normal, gradient), free, 0.0)
         assert step == pytest.approx([-0.1, 0.5 - 0.099])  # the first goes to its side, the second's best beside that
         assert promised > 0
+
+
+def test_neighbours_of_what_one_run_alone_has_are_those_of_its_own_rows():
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((3, 5)).astype(np.float32)  # three forms of one column
+    table = Table(
+        Grid((), np.zeros((3, 0)), np.zeros((3, 0), int)),
+        [rows, np.zeros((0, 4), np.float32)],
+        [np.array([0]), np.array([], int)],
+        np.sum(rows**2, axis=1)[:, None, None],
+    )
+    both = table.neighbours()
+    for g in range(2):
+        assert np.allclose(both[g], rows[g : g + 2] @ rows[g : g + 2].T, atol=1e-5)

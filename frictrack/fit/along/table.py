@@ -70,7 +70,7 @@ class Table:
             g, c = self.gram.shape[:2]
             across = np.zeros((g - 1, c, c))
             for mine, at in zip(self.rows, self.at, strict=True):
-                cube = mine.reshape(g, len(at), -1)
+                cube = mine.reshape(g, len(at), mine.shape[-1])  # of another run there is none
                 across[np.ix_(np.arange(g - 1), at, at)] += cube[:-1] @ cube[1:].transpose(0, 2, 1)
             upper = np.concatenate([self.gram[:-1], across], axis=2)
             lower = np.concatenate([across.transpose(0, 2, 1), self.gram[1:]], axis=2)
