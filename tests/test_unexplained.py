@@ -156,7 +156,7 @@ def test_the_json_has_what_the_report_shows(fits):
 
 
 def repeated(axis):
-    return Repeats([Along(axis, share=0.9, p=0.005, runs=6, of=6)])
+    return Repeats([Along(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
 
 
 def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):

@@ -3,8 +3,9 @@
 The force is a Gaussian process (Matern 3/2) through knots, its trace in the displacement the same that the law's own
 forces leave. Start, law and levels are free beside it. Size and reach of the process are not chosen but averaged over,
 weighed by the restricted likelihood of all runs together, so that the band knows how little is known of them
-(Rasmussen & Williams 2006, ch. 2 and 5). Local forces that stand out by themselves are taken apart first, or they would
-be smeared over the rest.
+(Rasmussen & Williams 2006, ch. 2 and 5). Local forces and waves that stand out by themselves are taken apart first, or
+they would be smeared over the rest. What of a slow force the law could take up itself is neither in the curve nor in
+its band: no run tells it.
 """
 
 from __future__ import annotations
