@@ -173,7 +173,7 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
     assert found.best.axis == "x"
     assert found.best.of == 4
     assert found.words.startswith("The failure repeats at the same place in ")
-    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence"}
+    assert found.summary()[0].keys() == {"axis", "share", "p", "runs", "of", "evidence", "holds"}
     assert {a["axis"] for a in found.summary()} == {"x", "t", "v", "phase"}
 
 
@@ -254,9 +254,9 @@ def test_every_span_is_marked_in_its_runs_colour(patched):
     pieces, line = deconvolved(solution)
     spans = failing_spans(solution, runs)
     looks = style.run_looks(runs)
-    found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4}]
+    found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
     figure = plots.missing_force(figures_of(pieces, line), spans, looks, found)
-    assert figure.get_suptitle() == "The force that the model misses repeats with place in 3 of 4 runs"
+    assert figure.get_suptitle() == "The force that the model misses repeats with place"
     place = next(ax for ax in figure.axes if "displacement x" in ax.get_xlabel())
     bars = {tuple(np.round(b.get_xdata(), 3)): b.get_color() for b in place.lines if b.get_linewidth() == 3.0}
     for s in spans:

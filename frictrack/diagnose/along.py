@@ -39,7 +39,7 @@ class Axis:
     def summary(self) -> dict[str, Any]:
         """JSON of one axis."""
         found = {"axis": self.axis, "share": round(self.share, 4), "p": self.p, "runs": self.runs, "of": self.of}
-        found |= {"evidence": round(self.evidence, 1)}
+        found |= {"evidence": round(self.evidence, 1), "holds": self.holds}
         return found | ({} if self.frequency is None else {"frequency": self.frequency})
 
 

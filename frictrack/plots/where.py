@@ -70,10 +70,9 @@ def missing_force(
 
 
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
-    if not repeats or repeats[0]["p"] > 0.01 or repeats[0]["runs"] < 2:
+    if not repeats or not repeats[0]["holds"]:
         return "The force that the model misses"
-    best = repeats[0]
-    return f"The force that the model misses repeats with {WORDS[best['axis']]} in {best['runs']} of {best['of']} runs"
+    return f"The force that the model misses repeats with {WORDS[repeats[0]['axis']]}"
 
 
 def _told(found: Mapping[str, Any] | None) -> str:
