@@ -16,7 +16,7 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow
 from frictrack.fit.simulated.pieces import Piece, spans_of
-from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.fit.simulated.trial import TIE_ALPHA, is_loose
@@ -30,6 +30,7 @@ SIZES = ("amplitude", "depth")
 BELIEVED = 0.05  # of friction: size of a cause that the runs do not tell
 UNTOLD = 10.0  # rise of chi-squared below which the runs do not tell a size
 CLOSEST = 2  # of these starts that are refined
+FAR = 1000.0  # chi-squared beyond which a rival is too far away for the runs at hand to answer as they did
 OWN_STEPS, STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
 
 
@@ -126,8 +127,10 @@ class Duel:
         tau = spread(truth, piece.run + 1)
         layout, p = extended(self.fitted, span, film.phase, free=True)
         p, start = _placed(rival, layout, piece, (p, np.array(film.start), tau))
-        problem = rival.problem.over(layout, [*self.ideal, piece])
-        found = refine(problem, p, [*self.fitted.starts, start], tau=tau, max_steps=STEPS)
+        starts = [*self.fitted.starts, start]
+        found = refine(_Beside(self.fitted, layout, piece), p, starts, tau=tau, max_steps=STEPS)
+        if found.objective > FAR:
+            found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=STEPS)
         told, q = extended(truth, span, film.phase)
         held, count = restraint(told, q, tau), unknowns(told)
         return min(self._bic(s, held, count) for s in (found, _loosened(found, self.rival.effect, tau)))
@@ -137,6 +140,24 @@ class Duel:
         fixed = unknowns(self.truth.solution.problem.layout) - unknowns(self.truth.believed.problem.layout)
         price = unknowns(rival.problem.layout) - count - fixed
         return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
+
+
+class _Beside(Problem):
+    """A planned run beside the runs at hand, which answer as they do about a fitted law and are not followed again."""
+
+    def __init__(self, fitted: Solution, layout: Layout, piece: Piece) -> None:
+        super().__init__(layout.model, layout, [*fitted.problem.pieces, piece])
+        self._fitted = fitted
+        there = {name: i for i, name in enumerate(layout.names)}
+        self._there = [there[name] for name in fitted.problem.layout.names]
+
+    def _respond(self, i: int, p: Array, start: Array) -> Response:
+        if i == len(self._fitted.responses):
+            return super()._respond(i, p, start)
+        about = self._fitted.responses[i]
+        active = [self._there[k] for k in about.active]
+        left = about.r - about.jac @ (p[active] - self._fitted.p[about.active])
+        return replace(about, active=active, r=left, r_full=left)
 
 
 def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
