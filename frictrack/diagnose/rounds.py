@@ -24,7 +24,6 @@ from frictrack.records import Array
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
 LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
 MOST_SIMULATED = 6
-DOUBTFUL = 2 * SAME  # that an effect falls short along the motion: what falls shorter cannot stand for another
 PLAIN = 3  # unknowns of an effect that is no mixture of others
 MOST_PARTED = 6  # effects beside which a second one is looked for then
 AS_GOOD = 0.95  # of the best evidence: what a candidate along the motion must promise to be simulated
@@ -126,43 +125,22 @@ def _paid(law: Beside, layout: Layout) -> float:
 def rivals(best: Tried, others: Sequence[Tried]) -> tuple[str, ...]:
     """Effects whose best fit to what `best` predicts differs by less than an expected chi-squared of `SAME`.
 
-    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation.
-    """
-    out = []
-    for other in _followed(best, others):
-        if other.effect.name == best.effect.name or other.solution is None:
-            continue
-        behind = other.law.objective - best.law.objective
-        if behind > NEAR or best.delta_bic - other.delta_bic > 2 * SAME:
-            continue
-        if separation(best.law, other.law) < SAME:
-            out.append(other.effect.name)
-    return tuple(out)
-
-
-def _followed(best: Tried, others: Sequence[Tried]) -> list[Tried]:
-    """The same, simulated where along the motion they explain nearly what the best one does, and would if it is true.
-
-    Whether such a one stands out by itself is not asked: the true cause may stand out less than its double.
+    One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation. Whether one
+    stands out by itself is not asked: the true cause may stand out less than its double.
     """
     true = next((t.along for t in others if t.effect.name == best.effect.name), None)
-    if true is None or not best.law.problem.simulates:
-        return list(others)
-    return [t if t.solution is not None else _followed_one(best, true, t) for t in others]
+    near = [t for t in others if t.effect.name != best.effect.name and best.delta_bic - t.delta_bic < 2 * SAME]
+    return tuple(t.effect.name for t in near if _stands_for(t, best, true))
 
 
-def _followed_one(best: Tried, true: tuple[Beside, Trial], other: Tried) -> Tried:
-    law, trial = true
-    if other.along is None or other.along[1].misfit - trial.misfit > NEAR:
-        return other
-    try:
-        if shortfall(law, trial, other.along[1]) > DOUBTFUL:
-            return other
-        grown = simulated(law, other.along[1])
-    except FrictrackError:
-        return other
-    behind = information(grown) - information(best.law)
-    return replace(other, solution=grown, delta_bic=best.delta_bic - behind)
+def _stands_for(other: Tried, best: Tried, true: tuple[Beside, Trial] | None) -> bool:
+    """Whether another effect explains what the best one does, and would if that were true."""
+    if other.solution is not None:
+        return other.law.objective - best.law.objective < NEAR and separation(best.law, other.law) < SAME
+    if true is None or other.along is None or not best.law.problem.simulates:
+        return False
+    (law, trial), rival = true, other.along[1]
+    return rival.misfit - trial.misfit < NEAR and shortfall(law, trial, rival) < SAME
 
 
 def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:
