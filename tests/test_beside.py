@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, Spec, measured, study
+from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.fit import fit
@@ -21,10 +21,11 @@ from frictrack.fit.simulated.pieces import pieces_of, reference_of
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import refine
 from frictrack.fit.simulated.traced import traced
-from frictrack.fit.simulated.trial import bare, shortfall, tried
+from frictrack.fit.simulated.trial import bare, deepened, shortfall, tried
 from frictrack.fit.unknowns.scatter import basis_of
 from frictrack.friction import free_section
 from frictrack.simulate.rows import Rows
+from frictrack.simulate.slide import Conditions, simulate
 
 LAW = ["coulomb", "stribeck", "viscous"]
 SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.06), Spec(-4.0, 1, 0.06))
@@ -169,3 +170,31 @@ def test_a_run_that_rested_before_it_was_pushed_begins_with_that_rest():
     _, places, speeds = first.path.before
     assert speeds[0] == 0.0  # unbent: a state that follows the motion begins at nothing
     assert places[0] == pytest.approx(0.01, abs=2e-6)
+
+
+BLOWS = {  # speed m/s, mass over the first one, frames: impulse N s and moment s
+    (4.0, 1.0, 645): (0.0076, 0.1425),
+    (5.76, 1.0, 888): (0.0025, 0.1589),
+    (7.52, 1.0, 466): None,
+    (5.76, 0.5, 813): (0.0018, 0.1224),
+    (-7.52, 1.0, 467): (-0.0084, 0.0593),
+    (-5.76, 1.0, 900): (-0.0026, 0.1781),
+    (-4.0, 1.0, 674): None,
+}
+
+
+def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
+    law = {"coulomb": {"F_c": 17.05}, "drag": {"c": 0.1514}}
+    rng, runs = np.random.default_rng(8), []
+    for i, ((speed, ratio, frames), blow) in enumerate(BLOWS.items()):
+        struck = {"collision": {"J": blow[0], "time": blow[1], "width": 5.5e-4}} if blow else {}
+        t, mass = np.arange(frames) / FPS, 0.731 * ratio
+        held = Conditions(mass, ratio * (1 + 0.03 * rng.standard_normal()), ratio)
+        slide = simulate(models.of(law | struck), law | struck, held, t, (0.0 if speed > 0 else 0.8, speed))
+        runs.append(measured(t, slide.x, sigma=2.7e-5, mass=mass, name=f"r{i}", rng=rng, valid=np.ones(frames, bool)))
+    beside_law = beside(fit(["coulomb", "drag"], runs).solution)
+    collision, series = effects.get("collision"), one_series(beside_law)
+    scans = [scan(beside_law, family, series) for family in families(beside_law, collision)]
+    (found,) = deepened(beside_law, [tried(beside_law, collision, scans, series.own[:, 0])])
+    times = {n[len("collision.time") :]: p for n, p in zip(found.layout.names, found.p, strict=True) if ".time" in n}
+    assert times == {f"[r{i}]": pytest.approx(b[1], abs=4e-3) for i, b in enumerate(BLOWS.values()) if b}

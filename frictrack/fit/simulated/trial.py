@@ -26,7 +26,6 @@ APART = 3  # steps of the grid within which a second pick is the same one
 WORTH = 0.5  # of the best rise that a place must promise
 POOR = 0.02  # beyond chance, of chi-squared, for something to stand wrong
 STRONG = 2.0  # chi-squared per frame of a law that may stand far from the true one
-DEEPENED = 4  # trials whose events are found again then
 ROUGH, LAST = 4, 25  # steps of a refinement: of every place, and of the best two
 CLOSE, ENOUGH = 1e-3, 1e-6  # share of the misfit that a step must promise
 
@@ -108,40 +107,42 @@ def _best(law: Beside, effect: Effect, starts: Iterable[Start]) -> Trial:
 
 
 def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:
-    """Where no trial leaves the noise, or much is missing, each with all that scans quickly where it belongs beside it.
+    """Trials that may be the best, where they were not found in one go.
 
-    The law may stand where it stood without the effect. Events of single runs were found one by one: the best of these
-    are found again beside each other.
+    Events of single runs were found one by one beside a law that lacked them all. And where no trial leaves the noise,
+    or much is missing, the law may stand where it stood without the effect: all that scans quickly is found again.
     """
+    misfit = bare(law)
+    half = WORTH * max((misfit - t.misfit for t in trials), default=0.0)
+    trials = [_events(law, t) if has_own_scan(t.effect) and misfit - t.misfit > half else t for t in trials]
     frames = sum(len(b.data) for b in law.blocks)
     enough = frames * (1 + POOR) + 3 * np.sqrt(2 * frames)
-    if not trials or (bare(law) < STRONG * frames and min(t.misfit for t in trials) < enough):
+    if not trials or (misfit < STRONG * frames and min(t.misfit for t in trials) < enough):
         return trials
-    order = sorted((t if t.misfit < enough else _exchanged(law, t, "") for t in trials), key=lambda t: t.misfit)
-    if order[0].misfit < enough:
-        return order
-    near = [_events(law, t) if has_own_scan(t.effect) else t for t in order[:DEEPENED]]
-    return near + order[DEEPENED:]
+    return sorted((t if t.misfit < enough else _exchanged(law, t) for t in trials), key=lambda t: t.misfit)
 
 
-def _exchanged(law: Beside, trial: Trial, effect: str) -> Trial:
+def _exchanged(law: Beside, trial: Trial) -> Trial:
     problem = _projected(law, trial.layout)
-    state = Search(problem.along, problem.tau).exchanged(problem, problem.at(trial.p), effect)
+    state = Search(problem.along, problem.tau).exchanged(problem, problem.at(trial.p), "")
     return _trial(trial.effect, *_finished(problem, state))
 
 
 def _events(law: Beside, trial: Trial) -> Trial:
-    """Events of single runs beside each other, those that gain less than their price left out."""
-    found = _exchanged(law, trial, trial.effect.name)
-    problem = _projected(law, found.layout)
-    search, price = Search(problem.along, problem.tau), PULSE_PRICE * np.log(law.solution.problem.n_frames)
-    gone = {pair for pair in search.idle(problem.at(found.p), price) if pair[0] == trial.effect.name}
-    if not gone:
-        return found
-    p = dict(zip(found.layout.names, found.p, strict=True))
-    layout = replace(found.layout, absent=found.layout.absent | gone)
+    """Events of single runs beside each other, in every run that gains more than their price by one."""
+    name, price = trial.effect.name, PULSE_PRICE * np.log(law.solution.problem.n_frames)
+    layout = replace(trial.layout, absent=law.solution.problem.layout.absent)
     problem = _projected(law, layout)
-    return _trial(trial.effect, *_finished(problem, problem.at(np.array([p[name] for name in layout.names]))))
+    search = Search(problem.along, problem.tau)
+    there = dict(zip(trial.layout.names, trial.p, strict=True))
+    p = np.array([there.get(n, v) for n, v in zip(layout.names, search.first(), strict=True)])
+    state = search.afresh(problem, problem.at(p), name)
+    found = dict(zip(layout.names, problem.along.law(state.numbers, state.coefficients), strict=True))
+    gone = {pair for pair in search.idle(state, price) if pair[0] == name}
+    kept = replace(layout, absent=layout.absent | gone)
+    problem = _projected(law, kept)
+    new = _trial(trial.effect, *_finished(problem, problem.at(np.array([found[n] for n in kept.names]))))
+    return min(new, trial, key=lambda t: t.misfit + price * len(t.layout.slots))
 
 
 def _finished(problem: Projected, state: State) -> tuple[Projected, State]:
