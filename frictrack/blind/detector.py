@@ -33,7 +33,7 @@ OVERSAMPLED = 4  # forms of a scan that are one: its steps are a quarter of a re
 POWER = 0.95
 SLOW = 0.02  # m/s, below which a run is taken for stuck
 SMALL = 1e-6  # relative step of a number of the law
-LEAST_SCATTER = 1e-4
+LEAST_SCATTER, MOST_SCATTER, SCATTERS = 1e-4, 0.5, 40
 
 
 @cache
@@ -103,6 +103,14 @@ class Detector:
 
     def trace(self, truth: Truth) -> Array:
         """What nothing but the hidden causes explains, in units of the noise; its square is the rise."""
+        return self._unexplained(*self._changes(truth))
+
+    def surely(self, truth: Truth) -> float:
+        """Rise where nobody tells the scatter of the levels: one as large as is likeliest takes its part."""
+        return self._surely(*self._changes(truth))
+
+    def _changes(self, truth: Truth) -> tuple[list[Array], list[Mask]]:
+        """Of every run the change of the recorded x (n,) by the hidden causes, and the frames in which both move."""
         shifts = []
         for seen, run in zip(self._seen, truth.runs, strict=True):
             if not run.values:
@@ -110,7 +118,7 @@ class Detector:
                 continue
             full = truth.slide(run)
             shifts.append((full.x + full.shift - seen.slide.x, seen.moves & _moving(full)))
-        return self._unexplained([d for d, _ in shifts], [use for _, use in shifts])
+        return [d for d, _ in shifts], [use for _, use in shifts]
 
     def unit(self, effect: Effect, values: list[Numbers]) -> Array:
         """The same to first order in a cause's size, for an effect with its numbers in every run (none: absent)."""
@@ -163,6 +171,24 @@ class Detector:
         a = a / np.where(norm > 0, norm, 1.0)
         left_over: Array = d - a @ np.linalg.lstsq(a, d, rcond=1e-11)[0]
         return left_over
+
+    def _surely(self, moved: list[Array], use: list[Mask]) -> float:
+        """Rise by changes of x, and the scatter of the levels that is likeliest (Harville 1977)."""
+        pairs = enumerate(zip(self._seen, moved, use, strict=True))
+        split = [self._split(i, seen, change, frames) for i, (seen, change, frames) in pairs]
+        a, d, n = np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split]), len(self._seen)
+        norm = np.linalg.norm(a[:, :-n], axis=0)
+        law, _ = np.linalg.qr(a[:, :-n] / np.where(norm > 0, norm, 1.0))
+        levels, d = (q - law @ (law.T @ q) for q in (a[:, -n:], d))
+        gram, on_levels = levels.T @ levels, levels.T @ d
+        known = max(self.bare.scatter, LEAST_SCATTER)
+
+        def likely(tau: float) -> float:
+            left = float(d @ d - on_levels @ np.linalg.solve(gram + np.eye(n) / tau**2, on_levels))
+            return left + float(np.linalg.slogdet(np.eye(n) + tau**2 * gram)[1])
+
+        least = min(likely(tau) for tau in np.geomspace(known, max(MOST_SCATTER, 2 * known), SCATTERS))
+        return max(least - float(np.linalg.slogdet(np.eye(n) + known**2 * gram)[1]), 0.0)
 
     def _split(self, i: int, seen: _Seen, moved: Array, frames: Mask) -> tuple[Array, Array]:
         """A change (n,) and the answers to law and levels (n, P + runs) of one run, whitened, its start removed."""

@@ -125,6 +125,7 @@ def _scaled(effect: Effect, shape: list[Numbers], factor: float) -> list[Numbers
 def _checked(detector: Detector, effect: Effect, values: list[Numbers]) -> Hidden | None:
     """The study with the cause in it and its trace; None where it is too large a part of the friction.
 
+    The trace is as long as it stays where the scatter of the levels has to be estimated, as every diagnosis must.
     None, too, where its trace is not the one of first order: near a stop a law can do what its slopes do not tell.
     """
     if effect.acts_on == "force" and not effect.memory and detector.share(effect, values) > LARGEST:
@@ -135,7 +136,7 @@ def _checked(detector: Detector, effect: Effect, values: list[Numbers]) -> Hidde
         first = detector.unit(effect, values)
         if float(first @ trace) < LIKE * float(np.linalg.norm(first) * np.linalg.norm(trace)):
             return None
-    return truth, trace
+    return truth, trace * min(np.sqrt(detector.surely(truth)) / max(float(np.linalg.norm(trace)), 1e-300), 1.0)
 
 
 def _grown(detector: Detector, effect: Effect, shape: list[Numbers], size: float) -> Hidden | None:
