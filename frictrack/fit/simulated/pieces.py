@@ -145,8 +145,8 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
 def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning: bool = False) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    Under a law that passes stops and reversals (`turning`), a run with a measured drive is one piece. A mass that is
-    to be fitted is counted in units of the reference.
+    Under a law that passes stops and reversals (`turning`), a run that has some, and a measured drive, is one piece. A
+    mass that is to be fitted is counted in units of the reference.
     Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
     """
     if run.mass is None and run.drive is None:
@@ -156,7 +156,7 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
     begin = begin_of(run, reference)
-    if turning and run.drive is not None:
+    if turning and run.drive is not None and len(moving_sections(run)) > 1:
         return [_turning(run, index, noise, begin)]
     made = []
     for section in moving_sections(run):
