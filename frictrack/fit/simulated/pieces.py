@@ -156,7 +156,7 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
     begin = begin_of(run, reference)
-    if turning and run.drive is not None and len(moving_sections(run)) > 1:
+    if turning and run.drive is not None and _stops(run):
         return [_turning(run, index, noise, begin)]
     made = []
     for section in moving_sections(run):
@@ -170,6 +170,11 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
             "look at its velocity, or give free = [t0, t1]"
         )
     return made
+
+
+def _stops(run: Run) -> bool:
+    """Whether a run stops or reverses, and moves on for more than a flicker."""
+    return sum(s.stop - s.start >= MIN_FRAMES for s in moving_sections(run)) > 1
 
 
 def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
