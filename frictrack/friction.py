@@ -200,7 +200,7 @@ def _smear(run: Run) -> int:
     """Frames over which a low-pass would smear something abrupt: half a period of its cut-off, where that is known."""
     if not np.isfinite(run.motion.cutoff):
         return run.motion.guard
-    period = 1.0 / (run.motion.cutoff * float(np.median(np.diff(run.motion.t))))
+    period = 1.0 / (run.motion.cutoff * _interval(run))
     return int(min(np.ceil(period / 2.0), len(run.motion) // 8))
 
 
@@ -212,18 +212,29 @@ def _event(run: Run, row: int) -> tuple[int, int] | None:
 
 def _leaps(run: Run, start: int, stop: int) -> Mask:
     """Frames (n,) whose speed was not there just before and is lost at once: no push but a frame that was lost."""
-    speed = np.abs(run.motion.v)
-    window, usual = _quick(run), float(np.median(np.abs(run.motion.a[start : stop + 1])))
+    speed, window = np.abs(run.motion.v), _window(run)
     i = np.arange(len(speed))
     beside = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
-    lost = speed - beside
-    interval = float(np.median(np.diff(run.motion.t)))
-    return np.asarray((beside < PUSHED * speed) & (lost > IMPACT_FACTOR * usual * window * interval / 2.0))
+    return np.asarray((beside < PUSHED * speed) & (speed - beside > _sudden(run, start, stop)))
 
 
-def _quick(run: Run) -> int:
+def _interval(run: Run) -> float:
+    return float(np.median(np.diff(run.motion.t)))
+
+
+def _window(run: Run) -> int:
     """Frames within which an impact takes half of the speed, as far as a low-pass shows it."""
-    return max(round(IMPACT_TIME / float(np.median(np.diff(run.motion.t)))), 2 * _smear(run))
+    return max(round(IMPACT_TIME / _interval(run)), 2 * _smear(run))
+
+
+def _hard(run: Run, first: int, stop: int) -> float:
+    """Acceleration far beyond the usual one of a stretch, m/s^2."""
+    return IMPACT_FACTOR * float(np.median(np.abs(run.motion.a[first : stop + 1])))
+
+
+def _sudden(run: Run, first: int, stop: int) -> float:
+    """Loss of speed within the window, m/s, that no slide of a stretch brings about."""
+    return _hard(run, first, stop) * _window(run) * _interval(run) / 2.0
 
 
 def _impact(run: Run, first: int, stop: int) -> int | None:
@@ -232,20 +243,17 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     Speed that is there again soon after was never lost: a frame was.
     """
     v, a = run.motion.v, np.abs(run.motion.a)
-    interval = float(np.median(np.diff(run.motion.t)))
-    quick = round(IMPACT_TIME / interval)
-    window = _quick(run)
+    window = _window(run)
     i = np.arange(first, min(stop + 1, len(v) - 1))
     j = np.minimum(i + window, len(v) - 1)
-    far = IMPACT_FACTOR * float(np.median(a[first : stop + 1]))
-    beside = [k * quick for k in range(3)]
+    beside = [k * round(IMPACT_TIME / _interval(run)) for k in range(3)]
     way = np.sign(v[i])
     had = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in beside], axis=0)
     left = np.max([way * v[np.minimum(j + k, len(v) - 1)] for k in beside], axis=0)
     loss = had - left
-    hits = i[(loss > 0.5 * had) & (loss > far * window * interval / 2.0)]
+    hits = i[(loss > 0.5 * had) & (loss > _sudden(run, first, stop))]
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
-    quiet = np.flatnonzero(a[first:hardest] <= far)
+    quiet = np.flatnonzero(a[first:hardest] <= _hard(run, first, stop))
     return int(first + quiet[-1]) if len(quiet) else first

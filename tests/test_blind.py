@@ -117,9 +117,8 @@ def test_the_linear_trace_is_the_simulated_one_of_a_small_cause(name: str):
 def test_a_scatter_that_is_not_known_takes_what_levels_could_explain_and_nothing_else():
     for name, values, kept in (("texture", CAUSES["texture"], (0.95, 1.0)), ("slope", {"F": 0.01}, (0.0, 0.5))):
         truth = holding(replace(TRUTH, scatter=0.0), **{name: values})
-        detector = Detector(truth)
-        left = detector.trace(truth)
-        assert kept[0] <= detector.surely(truth) / float(left @ left) <= kept[1] + 1e-9
+        left, rise = Detector(truth).shown(truth)
+        assert kept[0] <= rise / float(left @ left) <= kept[1] + 1e-9
 
 
 def test_the_limit_is_seen_in_95_of_100_repeats():
@@ -202,8 +201,8 @@ def test_a_draw_hides_what_it_says_at_the_size_it_says():
         truth = draw(20 + turn, "one", ORDER.index(name))
         assert truth.hidden == (name,)
         detector = Detector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs)))
-        left = detector.trace(truth)
-        rise = min(float(left @ left), detector.surely(truth))
+        left, surely = detector.shown(truth)
+        rise = min(float(left @ left), surely)
         assert np.sqrt(rise / detector.limit(made(name))) == pytest.approx(truth.size[0], rel=0.06)
         assert SIZES[0] <= truth.size[0] <= SIZES[1]
 

@@ -103,11 +103,12 @@ class Detector:
 
     def trace(self, truth: Truth) -> Array:
         """What nothing but the hidden causes explains, in units of the noise; its square is the rise."""
-        return self._unexplained(*self._changes(truth))
+        return self._unexplained(*self._split(*self._changes(truth)))
 
-    def surely(self, truth: Truth) -> float:
-        """Rise where nobody tells the scatter of the levels: one as large as is likeliest takes its part."""
-        return self._surely(*self._changes(truth))
+    def shown(self, truth: Truth) -> tuple[Array, float]:
+        """The trace, and the rise where nobody tells the scatter of the levels: the likeliest one takes its part."""
+        split = self._split(*self._changes(truth))
+        return self._unexplained(*split), self._surely(*split)
 
     def _changes(self, truth: Truth) -> tuple[list[Array], list[Mask]]:
         """Of every run the change of the recorded x (n,) by the hidden causes, and the frames in which both move."""
@@ -123,7 +124,7 @@ class Detector:
     def unit(self, effect: Effect, values: list[Numbers]) -> Array:
         """The same to first order in a cause's size, for an effect with its numbers in every run (none: absent)."""
         moved = [self._answer(seen, effect, own) for seen, own in zip(self._seen, values, strict=True)]
-        return self._unexplained(moved, [seen.moves for seen in self._seen])
+        return self._unexplained(*self._split(moved, [seen.moves for seen in self._seen]))
 
     def designs(self, effect: Effect, values: list[Numbers]) -> list[tuple[Slide, Mask, Array, Array]]:
         """Of every run: motion, frames in which it moves (m of them), answers of x to start (2), law and level, effect.
@@ -158,25 +159,20 @@ class Detector:
             out[seen.moves] = seen.linear.respond(g, np.zeros((2, 1)))[1][:, 0, 0]
         return out
 
-    def _unexplained(self, moved: list[Array], use: list[Mask]) -> Array:
-        """What is left of changes of x, over the noise, when starts, law and levels are fitted again."""
-        pairs = enumerate(zip(self._seen, moved, use, strict=True))
-        split = [self._split(i, seen, change, frames) for i, (seen, change, frames) in pairs]
+    def _unexplained(self, a: Array, d: Array) -> Array:
+        """What is left of whitened changes d (N,), over the noise, when law and levels are fitted again."""
         n = len(self._seen)
-        held = np.zeros((n, split[0][1].shape[1]))
+        held = np.zeros((n, a.shape[1]))
         held[:, -n:] = np.eye(n) / max(self.bare.scatter, LEAST_SCATTER)
-        a = np.vstack([*(part for _, part in split), held])
-        d = np.concatenate([*(row for row, _ in split), np.zeros(n)])
+        a, d = np.vstack([a, held]), np.append(d, np.zeros(n))
         norm = np.linalg.norm(a, axis=0)
         a = a / np.where(norm > 0, norm, 1.0)
         left_over: Array = d - a @ np.linalg.lstsq(a, d, rcond=1e-11)[0]
         return left_over
 
-    def _surely(self, moved: list[Array], use: list[Mask]) -> float:
-        """Rise by changes of x, and the scatter of the levels that is likeliest (Harville 1977)."""
-        pairs = enumerate(zip(self._seen, moved, use, strict=True))
-        split = [self._split(i, seen, change, frames) for i, (seen, change, frames) in pairs]
-        a, d, n = np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split]), len(self._seen)
+    def _surely(self, a: Array, d: Array) -> float:
+        """Rise by whitened changes d (N,) where the scatter of the levels is the likeliest one (Harville 1977)."""
+        n = len(self._seen)
         norm = np.linalg.norm(a[:, :-n], axis=0)
         law, _ = np.linalg.qr(a[:, :-n] / np.where(norm > 0, norm, 1.0))
         levels, d = (q - law @ (law.T @ q) for q in (a[:, -n:], d))
@@ -190,7 +186,13 @@ class Detector:
         least = min(likely(tau) for tau in np.geomspace(known, max(MOST_SCATTER, 2 * known), SCATTERS))
         return max(least - float(np.linalg.slogdet(np.eye(n) + known**2 * gram)[1]), 0.0)
 
-    def _split(self, i: int, seen: _Seen, moved: Array, frames: Mask) -> tuple[Array, Array]:
+    def _split(self, moved: list[Array], use: list[Mask]) -> tuple[Array, Array]:
+        """Answers to law and levels (N, P + runs) and changes of x (N,) of all runs, whitened, their starts removed."""
+        pairs = enumerate(zip(self._seen, moved, use, strict=True))
+        split = [self._split_run(i, seen, change, frames) for i, (seen, change, frames) in pairs]
+        return np.vstack([part for _, part in split]), np.concatenate([row for row, _ in split])
+
+    def _split_run(self, i: int, seen: _Seen, moved: Array, frames: Mask) -> tuple[Array, Array]:
         """A change (n,) and the answers to law and levels (n, P + runs) of one run, whitened, its start removed."""
         whole = np.zeros((len(moved), seen.block.shape[1]))
         whole[seen.moves] = seen.block

@@ -131,12 +131,13 @@ def _checked(detector: Detector, effect: Effect, values: list[Numbers]) -> Hidde
     if effect.acts_on == "force" and not effect.memory and detector.share(effect, values) > LARGEST:
         return None
     truth = _placed(detector, values)
-    trace = detector.trace(truth)
+    trace, rise = detector.shown(truth)
+    size = float(np.linalg.norm(trace))
     if not effect.memory:
         first = detector.unit(effect, values)
-        if float(first @ trace) < LIKE * float(np.linalg.norm(first) * np.linalg.norm(trace)):
+        if float(first @ trace) < LIKE * float(np.linalg.norm(first)) * size:
             return None
-    return truth, trace * min(np.sqrt(detector.surely(truth)) / max(float(np.linalg.norm(trace)), 1e-300), 1.0)
+    return truth, trace * min(np.sqrt(rise) / max(size, 1e-300), 1.0)
 
 
 def _grown(detector: Detector, effect: Effect, shape: list[Numbers], size: float) -> Hidden | None:

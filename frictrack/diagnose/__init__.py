@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from frictrack.diagnose.search import Candidate, Diagnosis, diagnose
+from frictrack.diagnose.search import diagnose
+from frictrack.diagnose.verdict import Candidate, Diagnosis
 
 __all__ = ["Candidate", "Diagnosis", "diagnose"]

@@ -45,8 +45,14 @@ class Axis:
 
 def ordered(axes: Sequence[Axis]) -> list[Axis]:
     """The likeliest first; of those between which the likelihood does not decide, the one that foretells most."""
-    near = max(a.evidence for a in axes) - DECISIVE
-    return sorted(axes, key=lambda a: (not a.holds, a.evidence <= near, -a.share if a.evidence > near else -a.evidence))
+    near = _near(axes)
+    return sorted(axes, key=lambda a: (not a.holds, a not in near, -a.share if a in near else -a.evidence))
+
+
+def _near(axes: Sequence[Axis]) -> list[Axis]:
+    """Those between which and the likeliest one the likelihood does not decide, itself among them."""
+    top = max(a.evidence for a in axes)
+    return [a for a in axes if a.evidence > top - DECISIVE]
 
 
 def told(axes: Sequence[Axis]) -> str:
@@ -61,8 +67,7 @@ def told(axes: Sequence[Axis]) -> str:
         where = f"{where} ({best.frequency:.3g} Hz)"
     how_often = f" in {best.runs} of {best.of} runs" if best.runs > 1 else ""
     words = f"The failure repeats {where}{how_often}: {why}."
-    near = max(a.evidence for a in axes) - DECISIVE
-    like = [a.axis for a in axes[1:] if a.evidence > near]
+    like = [a.axis for a in _near(axes) if a is not best]
     if like:
         names = {"x": "place", "t": "time since release", "v": "velocity", "phase": "phase"}
         words += (

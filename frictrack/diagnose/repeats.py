@@ -141,7 +141,8 @@ def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) ->
         found.append(replace(_judged(axis, made, excess), evidence=likely[axis] - own))
     phase = in_phase(law, runs, rng, draws)
     found.append(Axis("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own))
-    return Repeats(ordered(found), told(ordered(found)), curves)
+    found = ordered(found)
+    return Repeats(found, told(found), curves)
 
 
 def _likelihoods(solution: Solution) -> tuple[dict[str, float], float]:

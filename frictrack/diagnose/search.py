@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,12 @@ from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
 from frictrack.diagnose.plainer import plainer
-from frictrack.diagnose.repeats import Repeats
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
 from frictrack.diagnose.sampled import sampled
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.verdict import Candidate, Diagnosis
 from frictrack.diagnose.where import where_it_fails
 from frictrack.diagnose.whole import uncut
 from frictrack.effects import Effect
@@ -35,100 +35,10 @@ from frictrack.records import Array
 from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
-NO_WORSE = 1.002  # times the held-out error before: a change of that size is none
 MOST_ROUNDS = 6  # of adding and looking again
 LISTED = 3  # candidates whose held-out error and rivals are computed
 
 Progress = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One effect tried on top of the model, refined, with its evidence."""
-
-    effect: str
-    acts_on: str
-    parameters: dict[str, Any]
-    p: float
-    delta_bic: float
-    heldout_before: float | None = None  # m
-    heldout_after: float | None = None
-    heldout: str | None = None
-    indistinguishable_from: tuple[str, ...] = ()
-    words: dict[str, str] = field(default_factory=dict)
-    unit: str = "um"  # of the held-out errors: um of displacement, or N where friction was measured
-
-    @property
-    def helps(self) -> bool:
-        """Whether the held-out error falls with it, or stays: a run's own level hides what only runs together show."""
-        if self.heldout_after is None or self.heldout_before is None:
-            return True
-        return self.heldout_after < NO_WORSE * self.heldout_before
-
-    def summary(self) -> dict[str, Any]:
-        """Entry of the JSON of `frictrack diagnose`."""
-        held = {"before": self.heldout_before, "after": self.heldout_after}
-        factor = 1e6 if self.unit == "um" else 1.0
-        return {
-            "effect": self.effect,
-            "acts_on": self.acts_on,
-            "parameters": self.parameters,
-            "p": self.p,
-            "delta_bic": self.delta_bic,
-            **{f"heldout_rms_{when}_um": None for when in held},
-            **{f"heldout_rms_{when}_{self.unit}": None if e is None else e * factor for when, e in held.items()},
-            "heldout": self.heldout,
-            "indistinguishable_from": list(self.indistinguishable_from),
-            "words": self.words,
-        }
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What is missing in a fitted model, how sure, and what these runs could have shown."""
-
-    model: list[str]
-    verdict: str
-    missing: list[str]
-    noise_um: float | None
-    reduced_chi2: float
-    p_lack_of_fit: float
-    fails_at: list[dict[str, Any]]
-    candidates: list[Candidate]
-    unexplained: dict[str, Any] | None
-    detection_limits: dict[str, dict[str, Any]]
-    remarks: list[str]
-    figures: dict[str, dict[str, Array]]
-    noise_N: float | None = None  # where friction was measured
-    next_experiment: list[dict[str, Any]] = field(default_factory=list)
-    evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
-    repeats: Repeats = field(default_factory=Repeats)  # whether the failure is common to the runs, and along which axis
-
-    @property
-    def best(self) -> Candidate | None:
-        """The candidate with the strongest evidence."""
-        return self.candidates[0] if self.candidates else None
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON of `frictrack diagnose`."""
-        return {
-            "model": self.model,
-            "verdict": self.verdict,
-            "evidence": [e.summary() for e in self.evidence],
-            "missing": self.missing,
-            "noise_um": self.noise_um,
-            **({} if self.noise_N is None else {"noise_N": self.noise_N}),
-            "reduced_chi2": self.reduced_chi2,
-            "p_lack_of_fit": self.p_lack_of_fit,
-            "fails_at": self.fails_at,
-            "repeats": self.repeats.summary(),
-            "repeats_words": self.repeats.words,
-            "candidates": [c.summary() for c in self.candidates],
-            "unexplained": self.unexplained,
-            "next_experiment": self.next_experiment,
-            "detection_limits": self.detection_limits,
-            "remarks": self.remarks,
-        }
 
 
 @one_thread()

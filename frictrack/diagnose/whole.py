@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.simulated.pieces import Piece, pieces_of
+from frictrack.fit.simulated.pieces import sections_of
 from frictrack.fit.simulated.solve import Solution, settle_scatter
 from frictrack.fit.unknowns.rules import MASS
-from frictrack.friction import free_section
 
 WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 
@@ -21,16 +20,11 @@ def uncut(fit: Fit) -> Solution | None:
     if not any(fit.lengths) or MASS in old.model:
         return None
     fine = max(e.fine for e in old.model.effects)
-    pieces = [p.refined(fine) for p in _stretches(fit)]
+    sections = sections_of(fit.runs, fit.reference, turning=old.model.turns)
+    pieces = [p.refined(fine) for own in sections for p in own]
     problem = old.over(old.layout, pieces)
     try:
         solution = settle_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
     except FrictrackError:
         return None
     return solution if solution.objective < WILD * problem.n_frames else None
-
-
-def _stretches(fit: Fit) -> list[Piece]:
-    turning = fit.solution.problem.model.turns
-    parts = [pieces_of(r, i, free_section(r)[0], fit.reference, turning=turning) for i, r in enumerate(fit.runs)]
-    return [p for own in parts for p in own]

@@ -27,7 +27,7 @@ from frictrack.fit.series import (
     spans_of_series,
 )
 from frictrack.fit.simulated.growth import grow, without
-from frictrack.fit.simulated.pieces import Piece, Reference, pieces_of, reference_of, spans_of
+from frictrack.fit.simulated.pieces import Piece, Reference, reference_of, sections_of, spans_of
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.segments import divided, segment_frames
 from frictrack.fit.simulated.solve import refine
@@ -37,7 +37,6 @@ from frictrack.fit.sure.certainty import Certainty, certainty, with_certainty
 from frictrack.fit.sure.profile import Profile, profile
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.fit.unknowns.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
-from frictrack.friction import free_section
 from frictrack.models import Model
 from frictrack.records import Array, Run
 from frictrack.threads import one_thread
@@ -102,7 +101,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
     sought = is_sought(fitted)
-    sections = _sections(fitted, reference, law)
+    sections = sections_of(fitted, reference, turning=law.turns)
     if sought:
         law, mass = with_mass(law), guessed([p for own in sections for p in own])
         sections = [[in_units(p, mass) for p in own] for own in sections]
@@ -139,11 +138,6 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
     how = route.search, route.over, np.random.default_rng(route.seed)
     solution, optima = search_series(law, pieces, (names, _fps(fitted)), how)
     return _finish(Found(solution, None, *optima), runs, reference, (route, lengths))
-
-
-def _sections(runs: Sequence[Run], reference: Reference, law: Model) -> list[list[Piece]]:
-    """The stretches of every run that the law can be followed along: of one direction, unless it turns."""
-    return [pieces_of(run, i, free_section(run)[0], reference, turning=law.turns) for i, run in enumerate(runs)]
 
 
 def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
@@ -249,7 +243,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         pieces = series_pieces(fitted, reference.load)
     else:
         reference = reference_of(fitted, float(saved["reference_mass"]))
-        pieces = _divided(_sections(fitted, reference, law), lengths)
+        pieces = _divided(sections_of(fitted, reference, turning=law.turns), lengths)
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
     spans = spans_of_series(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
     layout = Layout(law, tuple(r.name for r in fitted), spans, absent)

@@ -10,13 +10,12 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.fit.series import is_series, series_pieces
-from frictrack.fit.simulated.pieces import Piece, Reference, pieces_of
+from frictrack.fit.simulated.pieces import Piece, Reference, sections_of
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.segments import divided, segment_frames
 from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.fit.simulated.start import until_stop
 from frictrack.fit.unknowns.layout import Layout
-from frictrack.friction import free_section
 from frictrack.records import Array, Mask, Run
 
 TURNS = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # phases at which a swing of the run's own is tried
@@ -46,7 +45,7 @@ def _happens(effect: Effect) -> bool:
 
 def _pieces(solution: Solution, run: Run, reference: Reference) -> list[Piece]:
     model = solution.problem.model
-    sections = pieces_of(run, 0, free_section(run)[0], reference)
+    (sections,) = sections_of([run], reference, turning=False)
     fine = max(e.fine for e in model.effects)
     return [piece.refined(fine) for piece in divided(sections, segment_frames(model, sections, run))]
 

@@ -128,7 +128,7 @@ class Duel:
         layout, p = extended(self.fitted, span, film.phase, free=True)
         p, start = _placed(rival, layout, piece, (p, np.array(film.start), tau))
         starts = [*self.fitted.starts, start]
-        found = refine(_Beside(self.fitted, layout, piece), p, starts, tau=tau, max_steps=STEPS)
+        found = refine(_Recalled(self.fitted, layout, piece), p, starts, tau=tau, max_steps=STEPS)
         if found.objective > FAR:
             found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=STEPS)
         told, q = extended(truth, span, film.phase)
@@ -142,7 +142,7 @@ class Duel:
         return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
 
 
-class _Beside(Problem):
+class _Recalled(Problem):
     """A planned run beside the runs at hand, which answer as they do about a fitted law and are not followed again."""
 
     def __init__(self, fitted: Solution, layout: Layout, piece: Piece) -> None:

@@ -14,7 +14,7 @@ from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
-from frictrack.friction import CERTAIN, is_moving, moving_sections, release_time
+from frictrack.friction import CERTAIN, free_section, is_moving, moving_sections, release_time
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
@@ -156,10 +156,11 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     noise = relative_noise(disp.sigma_x, use)
     noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
     begin = begin_of(run, reference)
-    if turning and run.drive is not None and _stops(run):
+    sections = moving_sections(run)
+    if turning and run.drive is not None and _stops(sections):
         return [_turning(run, index, noise, begin)]
     made = []
-    for section in moving_sections(run):
+    for section in sections:
         rows = np.arange(len(disp))[section]
         rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
         if len(rows) >= MIN_FRAMES:
@@ -172,9 +173,14 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     return made
 
 
-def _stops(run: Run) -> bool:
-    """Whether a run stops or reverses, and moves on for more than a flicker."""
-    return sum(s.stop - s.start >= MIN_FRAMES for s in moving_sections(run)) > 1
+def sections_of(runs: Sequence[Run], reference: Reference, *, turning: bool) -> list[list[Piece]]:
+    """The stretches of every run that a law can be followed along: of one direction, unless it passes turns."""
+    return [pieces_of(run, i, free_section(run)[0], reference, turning=turning) for i, run in enumerate(runs)]
+
+
+def _stops(sections: Sequence[slice]) -> bool:
+    """Whether a run that moves in these stretches stops or reverses, and moves on for more than a flicker."""
+    return sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1
 
 
 def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
