@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.plots.style import run_looks
-from frictrack.report.numbers import number
+from frictrack.report.numbers import MINUS, number
 from frictrack.report.tables import Table, spans, table
 from frictrack.results import ModelResults, Results
 
@@ -73,8 +73,10 @@ def _repeats(found: Sequence[Mapping[str, Any]]) -> Table:
             AXES[r["axis"]] + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
-            number(r["p"], 2),
+            f"{r['evidence']:+.0f}".replace("-", MINUS),
+            "yes" if r["holds"] else "no",
         )
         for r in found
     ]
-    return table(("the failure repeats with", "misfit that the other runs foretell", "runs", "p"), rows, (1, 2, 3))
+    headings = ("does it repeat with", "misfit that the other runs foretell", "runs", "evidence", "repeats")
+    return table(headings, rows, (1, 2, 3))
