@@ -172,6 +172,17 @@ def test_a_run_that_rested_before_it_was_pushed_begins_with_that_rest():
     assert places[0] == pytest.approx(0.01, abs=2e-6)
 
 
+def test_a_record_that_begins_with_its_push_begins_at_rest():
+    t = np.arange(300) / 2000
+    x = 0.01 + 40.0 * t**2
+    run = measured(t, x, sigma=1e-5, rng=np.random.default_rng(4), drive=np.full(300, 40.0))
+    first = pieces_of(run, 0, free_section(run)[0], reference_of([run]))[0]
+    assert first.path.before[2, 0] == 0.0
+    moving = measured(t, x + 2.0 * t, sigma=1e-5, rng=np.random.default_rng(4), drive=np.full(300, 40.0))
+    first = pieces_of(moving, 0, free_section(moving)[0], reference_of([moving]))[0]
+    assert first.path.before[2, 0] == pytest.approx(2.0, abs=0.2)  # bent already
+
+
 BLOWS = {  # speed m/s, mass over the first one, frames: impulse N s and moment s
     (4.0, 1.0, 645): (0.0076, 0.1425),
     (5.76, 1.0, 888): (0.0025, 0.1589),

@@ -29,6 +29,7 @@ from frictrack.blind.write import table, write_study
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.growth import without
 from frictrack.flow import Session, open_study
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
@@ -273,6 +274,17 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
     assert found[0] == name
     assert ("camera_shake" in found) == (name == "vibration")
     assert not {"texture", "vibration"} - {name} & set(found)
+
+
+def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path):
+    truth = draw(9004, "two", 4)
+    write_study(truth, tmp_path)
+    session = Session(open_study(tmp_path / "study.toml"))
+    session.fit()
+    whole = exact(truth, session.tried.fit(session.tried.current()[0]).solution)
+    for name, size, rise in zip(truth.hidden, truth.size, truth.rise, strict=True):
+        assert size >= SIZES[0]
+        assert without(whole, name).objective - whole.objective == pytest.approx(rise, rel=0.1)
 
 
 # --- seal and benchmark

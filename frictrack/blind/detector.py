@@ -33,6 +33,7 @@ OVERSAMPLED = 4  # forms of a scan that are one: its steps are a quarter of a re
 POWER = 0.95
 SLOW = 0.02  # m/s, below which a run is taken for stuck
 SMALL = 1e-6  # relative step of a number of the law
+STEP = 1e-3  # relative step of a number of a cause that does not enter linearly
 LEAST_SCATTER, MOST_SCATTER, SCATTERS = 1e-4, 0.5, 40
 
 
@@ -126,6 +127,17 @@ class Detector:
         moved = [self._answer(seen, effect, own) for seen, own in zip(self._seen, values, strict=True)]
         return self._unexplained(*self._split(moved, [seen.moves for seen in self._seen]))
 
+    def tangent(self, effect: Effect, values: list[Numbers]) -> Array:
+        """How the trace changes with every free number of a cause, (N, k): all that it can take beside another one."""
+        here, out = self.unit(effect, values), []
+        there = [i for i, own in enumerate(values) if own]
+        for p in (p for p in effect.parameters if p.fixed is None):
+            for rows in [[i] for i in there] if p.per_run else [there]:
+                step = 1.0 if p.linear else STEP * max(abs(values[rows[0]][effect.name][p.name]), STEP)
+                moved = [_moved(own, effect.name, p.name, step) if i in rows else own for i, own in enumerate(values)]
+                out.append((self.unit(effect, moved) - here) / step)
+        return np.column_stack(out)
+
     def designs(self, effect: Effect, values: list[Numbers]) -> list[tuple[Slide, Mask, Array, Array]]:
         """Of every run: motion, frames in which it moves (m of them), answers of x to start (2), law and level, effect.
 
@@ -206,6 +218,18 @@ class Detector:
         part[frames, :laws] = rest[:, :-1]
         part[frames, laws + i] = rest[:, -1]
         return left, part
+
+
+def beside(trace: Array, columns: Array) -> Array:
+    """What is left of a trace (N,) when so many columns (N, k) are fitted beside it."""
+    norm = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norm > 0] / norm[norm > 0]
+    return np.asarray(trace - columns @ np.linalg.lstsq(columns, trace, rcond=1e-9)[0])
+
+
+def _moved(own: Numbers, effect: str, name: str, step: float) -> Numbers:
+    """The numbers of a cause with one of them changed."""
+    return {effect: own[effect] | {name: own[effect][name] + step}}
 
 
 def _moving(slide: Slide) -> Mask:

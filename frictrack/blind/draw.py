@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.blind.detector import Detector
+from frictrack.blind.detector import Detector, beside
 from frictrack.blind.foreign import FOREIGN
-from frictrack.blind.hide import hide
+from frictrack.blind.hide import SIZES, Hidden, hide
 from frictrack.blind.truth import Numbers, RunTruth, Truth, made
 from frictrack.errors import FrictrackError
+from frictrack.records import Array
 
 KINDS = ("one", "none", "two", "foreign", "fault")
 LAWS = (  # base laws, and how often each is drawn
@@ -26,7 +27,6 @@ PUSH = 0.012  # s
 LONGEST, MOST = 0.25, 900  # s and frames of a run
 RESTS = 8  # frames after a stop
 LEAST = 80  # frames of a run
-APART = 0.5  # correlation of two traces beyond which one stands for the other
 TRIES, PATIENCE = 60, 6  # per name; of one with memory, whose motion takes long
 NAMES = 8  # names tried until one can be seen
 FILM = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
@@ -178,19 +178,30 @@ def _frames(bare: Truth, run: RunTruth) -> int:
 
 
 def _hidden(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
-    """The study with its causes in; None where one cannot be seen, or two cannot be told apart."""
+    """The study with its causes in; None where one cannot be seen, alone or beside the other."""
     truth, detector = bare, Detector(bare)
-    asked, traces = [], []
+    hidden = []
     for name in names:
         found = hide(detector, name, rng)
         if found is None:
             return None
-        (alone, trace), size = found
-        asked.append(size)
-        traces.append(trace)
-        runs = zip(truth.runs, alone.runs, strict=True)
+        hidden.append(found)
+        runs = zip(truth.runs, found[0][0].runs, strict=True)
         truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
-    if len(traces) == 2 and abs(float(traces[0] @ traces[1])) > APART * np.prod([np.linalg.norm(t) for t in traces]):
-        return None
+    sizes, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
+    if len(names) == 2:
+        traces = [_left(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
+        limits = [np.sqrt(detector.limit(made(name))) for name in names]
+        sizes = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
+        if min(sizes) < SIZES[0]:
+            return None
     rises: Any = tuple(float(t @ t) for t in traces)
-    return replace(truth, hidden=names, size=tuple(asked), rise=rises)
+    return replace(truth, hidden=names, size=sizes, rise=rises)
+
+
+def _left(detector: Detector, trace: Array, other: str, alone: Hidden) -> Array:
+    """What is left of a cause's trace where the numbers of the other one are free beside it."""
+    truth, its_own = alone
+    effect = made(other)
+    values = [run.values for run in truth.runs]
+    return beside(trace, its_own[:, None] if effect.memory else detector.tangent(effect, values))

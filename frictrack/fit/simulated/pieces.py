@@ -14,7 +14,7 @@ from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
-from frictrack.friction import CERTAIN, free_section, is_moving, moving_sections, release_time
+from frictrack.friction import CERTAIN, MOVING, free_section, is_moving, moving_sections, release_time
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
@@ -23,7 +23,7 @@ Rows = NDArray[np.int_]
 
 KNOWN = 0.5  # share of frames in which a series must be known to count
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
-RESTS = 4  # frames before a run moves for certain that are enough to say that it rested
+RESTS = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
 
 
 @dataclass(frozen=True)
@@ -237,17 +237,23 @@ def _way(run: Run) -> tuple[float, Array, Array]:
     """
     release, motion = release_time(run), run.motion
     moves, since = is_moving(run), motion.t >= release
-    certain = np.abs(motion.v) > CERTAIN * motion.sigma_v
-    rest = np.flatnonzero(~moves[: int(np.argmax(certain))])
-    rested = len(rest) > 0 and rest[-1] + 1 >= RESTS
-    if rested:
-        since = since & (np.arange(len(since)) > rest[-1])
-    way = np.stack([motion.t - release, motion.x, motion.v])[:, since]
-    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
-    if not rested:
-        return release, way, slid
-    still = np.array([motion.t[rest[-1]] - release, np.mean(motion.x[rest]), 0.0])
-    return release, np.column_stack([still, way]), np.concatenate([[0.0], slid])
+    way = np.stack([motion.t - release, motion.x, motion.v])
+    if rest := _rest(run):
+        way[1:, :rest] = np.array([[np.mean(motion.x[:rest])], [0.0]])
+        since[:rest] = True
+    way = way[:, since]
+    return release, way, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
+
+
+def _rest(run: Run) -> int:
+    """Frames at the beginning of a record in which the run rests; none where it moves from the first one."""
+    motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
+    still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
+    if len(still) == 0:
+        return 0
+    v, sigma = motion.v[still], motion.sigma_v[still]
+    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(still)))
+    return int(still[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
 
 
 def _until(way: Array, t: float) -> Array:
