@@ -246,14 +246,16 @@ def _way(run: Run) -> tuple[float, Array, Array]:
 
 
 def _rest(run: Run) -> int:
-    """Frames at the beginning of a record in which the run rests; none where it moves from the first one."""
+    """Frames at the beginning of a record in which the run rests; none where it slides from the first one.
+
+    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain.
+    """
     motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
     still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
-    if len(still) == 0:
-        return 0
-    v, sigma = motion.v[still], motion.sigma_v[still]
-    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(still)))
-    return int(still[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
+    rows = still if len(still) else np.array([0])
+    v, sigma = motion.v[rows], motion.sigma_v[rows]
+    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
+    return int(rows[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
 
 
 def _until(way: Array, t: float) -> Array:
