@@ -183,17 +183,6 @@ def test_a_record_that_begins_with_its_push_begins_at_rest():
     assert first.path.before[2, 0] == pytest.approx(2.0, abs=0.2)  # bent already
 
 
-def test_a_push_that_begins_with_the_record_begins_at_rest_though_smoothing_bends_its_end():
-    t, push = np.arange(900) / 6000, 0.012
-    inside, after = np.minimum(t, push), np.maximum(t - push, 0.0)
-    turn = 2 * np.pi / push
-    x = 800.0 * (inside**2 / 4 + (np.cos(turn * inside) - 1) / (2 * turn**2) + push / 2 * after)
-    drive = 280.0 * np.sin(turn / 2 * inside) ** 2 * (t < push)
-    run = measured(t, x, sigma=6e-6, rng=np.random.default_rng(5), drive=drive)
-    first = pieces_of(run, 0, free_section(run)[0], reference_of([run]))[0]
-    assert first.path.before[2, 0] == 0.0
-
-
 BLOWS = {  # speed m/s, mass over the first one, frames: impulse N s and moment s
     (4.0, 1.0, 645): (0.0076, 0.1425),
     (5.76, 1.0, 888): (0.0025, 0.1589),

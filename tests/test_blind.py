@@ -287,6 +287,20 @@ def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path
         assert without(whole, name).objective - whole.objective == pytest.approx(rise, rel=0.1)
 
 
+@pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends
+def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp_path: Path):
+    law = {"coulomb": {"F_c": 1.09}, "stribeck": {"F_s": 0.31, "v_s": 0.24, "delta": 1.0}, "viscous": {"F_v": 0.137}}
+    slow = RunTruth("r1", 2.46, 1.0, 1.0, int(0.06 * fps))
+    runs = (slow, *(replace(slow, name=f"r{i}", speed=v) for i, v in enumerate((4.0, -5.4), 2)))
+    pushed = replace(TRUTH, model=tuple(law), law=law, mass=0.24, fps=fps, noise=6e-6, push=0.012, runs=runs)
+    truth = holding(replace(pushed, hidden=("presliding",)), presliding={"stiffness": 2.7e-3, "exponent": 1.0})
+    write_study(truth, tmp_path)
+    session = Session(open_study(tmp_path / "study.toml"))
+    session.fit()
+    whole = exact(truth, session.tried.fit(session.tried.current()[0]).solution)
+    assert whole.chi2 < 0.01  # the true law at the true motion leaves nothing
+
+
 # --- seal and benchmark
 
 

@@ -41,7 +41,7 @@ def travel(path: Path) -> tuple[Array, Array]:
 
 def past(path: Path) -> Path | None:
     """The run's motion just before a path, once for every individual; None where it begins at rest or with the run."""
-    if path.before is None or path.before.shape[1] == 0 or path.s[0] == 0:
+    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
         return None
     t, x, v = path.before[:, -LATELY:]
     count = len(path.starts)

@@ -242,14 +242,21 @@ def _way(run: Run) -> tuple[float, Array, Array]:
         way[1:, :rest] = np.array([[np.mean(motion.x[:rest])], [0.0]])
         since[:rest] = True
     way = way[:, since]
-    return release, way, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
+    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
+    if rest:  # it rested before the record, too
+        earlier = np.array([2 * way[0, 0] - way[0, 1], way[1, 0], 0.0])
+        way, slid = np.column_stack([earlier, way]), np.append(0.0, slid)
+    return release, way, slid
 
 
 def _rest(run: Run) -> int:
-    """Frames at the beginning of a record in which the run rests; none where it slides from the first one.
+    """Frames at the beginning of a record in which a free mass rests; none where it slides from the first one.
 
-    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain.
+    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain. What a load
+    cell holds may rest under any force.
     """
+    if run.friction_N is not None:
+        return 0
     motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
     still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
     rows = still if len(still) else np.array([0])
