@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import glob
-import os
-import tempfile
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from frictrack.errors import FrictrackError
+from frictrack.files import replace_text
 from frictrack.flow import Progress, Session, open_study, silent
 
 HEAD = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")
@@ -84,11 +84,8 @@ def _run_row(run: dict[str, Any]) -> dict[str, Any]:
 def _write(path: Path, rows: list[dict[str, Any]]) -> None:
     """The table, replaced whole."""
     names = list(dict.fromkeys([*HEAD, *(name for row in rows for name in row)]))
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, suffix=".part", delete=False, newline="", encoding="utf-8"
-    ) as f:
-        writer = csv.DictWriter(f, names)
-        writer.writeheader()
-        writer.writerows(rows)
-    Path(f.name).chmod(0o644)
-    os.replace(f.name, path)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, names)
+    writer.writeheader()
+    writer.writerows(rows)
+    replace_text(path, table.getvalue())

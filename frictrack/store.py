@@ -8,8 +8,6 @@ empty attribute, a dictionary is a subgroup. Every group that a stage wrote carr
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -21,6 +19,7 @@ import h5py
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.files import alone, replaced
 from frictrack.results import plain
 
 VERSION = version("frictrack")
@@ -138,38 +137,12 @@ def _reading(path: Path) -> Iterator[h5py.File]:
 @contextmanager
 def _replacing(path: Path) -> Iterator[h5py.File]:
     """A new file with the old one's groups, which takes the old one's place when the block ends well."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}_", suffix=".part", dir=path.parent)
-    except OSError as e:
-        raise FrictrackError(f"cannot write results into {path.parent}: {e.strerror}") from e
-    os.close(handle)
-    part = Path(name)
-    try:
-        with h5py.File(part, "w") as file:
-            file.attrs.update(schema=SCHEMA, version=VERSION)
-            if path.exists():
-                with _reading(path) as old:
-                    _copy(old, file)
-            yield file
-        _commit(part, path)
-    except OSError as e:
-        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
-    finally:
-        with suppress(FileNotFoundError):
-            part.unlink()
-
-
-def _commit(part: Path, path: Path) -> None:
-    """Move the finished file into place so that a power cut leaves the old one or the new one."""
-    part.chmod(0o644)
-    with part.open("rb") as f:
-        os.fsync(f.fileno())
-    part.replace(path)
-    with suppress(OSError):  # some systems cannot open a folder
-        folder = os.open(path.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
+    with alone(path.parent), replaced(path) as part, h5py.File(part, "w") as file:
+        file.attrs.update(schema=SCHEMA, version=VERSION)
+        if path.exists():
+            with _reading(path) as old:
+                _copy(old, file)
+        yield file
 
 
 def _copy(old: h5py.File, new: h5py.File) -> None:

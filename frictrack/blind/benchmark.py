@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -25,6 +24,7 @@ from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
 from frictrack.blind.write import write_study
 from frictrack.errors import FrictrackError
+from frictrack.files import replace_text
 from frictrack.flow import Progress, silent
 from frictrack.results import plain
 
@@ -129,10 +129,7 @@ def _keep(path: Path, row: Outcome, key: str) -> None:
 
 def _replace(path: Path, value: Any) -> None:
     """A JSON file, replaced whole."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".part", delete=False, encoding="utf-8") as f:
-        json.dump(value, f, indent=1, ensure_ascii=False)
-    Path(f.name).chmod(0o644)
-    os.replace(f.name, path)
+    replace_text(path, json.dumps(value, indent=1, ensure_ascii=False))
 
 
 def _spread(

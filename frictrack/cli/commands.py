@@ -38,7 +38,7 @@ def working(study: Path) -> Iterator[Session]:
 
     opened = open_study(study)
     with bars() as progress:
-        yield Session(opened, progress)
+        yield Session(opened, progress, who="cli")
 
 
 def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:

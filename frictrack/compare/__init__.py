@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the models in the order in which they were tried, and the spans where the last one fails."""
+    """Errors of the models in the order in which they were tried, and the spans where the current one fails."""
 
     models: list[dict[str, Any]]
     fails_at: list[dict[str, Any]]
@@ -38,19 +38,20 @@ class Comparison:
 
 
 @one_thread()
-def compare(fits: Fit | Sequence[Fit]) -> Comparison:
-    """Errors of every model tried, and where the last one fails."""
+def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
+    """Errors of every model tried, and where the `current` one fails: the last, when nothing is said."""
     tried = [fits] if isinstance(fits, Fit) else list(fits)
     if not tried:
         raise FrictrackError("expected at least one fitted model to compare but got none; run `frictrack fit` first")
-    last = tried[-1].fits.values() if isinstance(tried[-1], GroupFits) else [tried[-1]]
-    spans = [span for f in last for span in failing_spans(f.solution, f.runs)]
+    chosen = tried[current]
+    parts = chosen.fits.values() if isinstance(chosen, GroupFits) else [chosen]
+    spans = [span for f in parts for span in failing_spans(f.solution, f.runs)]
     return Comparison([_entry(i, f) for i, f in enumerate(tried, 1)], spans)
 
 
-def history(fits: Sequence[Fit]) -> Comparison:
+def history(fits: Sequence[Fit], current: int = -1) -> Comparison:
     """The same for a whole session: the error of every model, in order."""
-    return compare(list(fits))
+    return compare(list(fits), current)
 
 
 def _entry(i: int, fit: Fit) -> dict[str, Any]:

@@ -14,9 +14,11 @@ from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
 from frictrack.fit import certainty
+from frictrack.flow import changes
 from frictrack.flow.beside import sensor_rows
 from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlaid
+from frictrack.flow.ledger import Ledger
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.summary import summary
@@ -24,7 +26,7 @@ from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.store import Entry, Stamp
-from frictrack.study import Study, load, write_study
+from frictrack.study import Study, load, nearest, write_study
 
 
 def open_study(path: str | Path, *, bare: bool = False) -> Study:
@@ -32,7 +34,11 @@ def open_study(path: str | Path, *, bare: bool = False) -> Study:
 
     A `bare` one may have no runs yet. Raises `FrictrackError` (usage) with every fault.
     """
-    study = load(path, bare=bare)
+    return checked(load(path, bare=bare))
+
+
+def checked(study: Study) -> Study:
+    """The same of a study that was read."""
     faults = []
     for run in study.runs:
         if run.scale is not None:
@@ -72,15 +78,50 @@ def _fault(check: Callable[[], Any], what: str) -> list[str]:
     return []
 
 
+EDITS = ("fit", "add", "remove")  # of the model
+CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
+    "edit": changes.edit,
+    "take_in": changes.take_in,
+    "leave_out": changes.leave_out,
+    "use": changes.use,
+    "undo": changes.undo,
+    "redo": changes.redo,
+}
+
+
 class Session:
     """One study, its runs and the models tried on it."""
 
-    def __init__(self, study: Study, progress: Progress = silent) -> None:
-        self.study = study
+    def __init__(
+        self, study: Study, progress: Progress = silent, *, who: str = "python", seen: int | None = None
+    ) -> None:
         self.progress = progress
-        self.runs = [RunWork(study, run, progress) for run in study.runs]
-        self.tried = Tried(study, self.runs, progress)
+        self.ledger = Ledger(study.output, who, seen)
+        self._take(study)
+
+    def _take(self, study: Study) -> None:
+        self.study = study
+        self.runs = [RunWork(study, run, self.progress) for run in study.runs]
+        self.tried = Tried(study, self.runs, self.progress, self.ledger)
         self.path = study.output / "study.h5"
+
+    def apply(self, do: str, **told: Any) -> dict[str, Any]:
+        """One command that changes the study, by its name and words: the door of the log, of jobs and of scripts.
+
+        Raises `FrictrackError` for an unknown command, or where the study was changed since it was `seen`.
+        """
+        self.ledger.check()
+        if do in CHOICES:
+            return self._chosen(do, **told)
+        if do not in EDITS:
+            raise FrictrackError(f"expected a command but got {do!r}; {nearest(do, (*EDITS, *CHOICES))}", usage=True)
+        result: dict[str, Any] = getattr(self, do)(**told)
+        return result
+
+    def _chosen(self, do: str, **told: Any) -> dict[str, Any]:
+        found = CHOICES[do](self, **told)
+        self._take(open_study(self.study.path, bare=True))
+        return found
 
     def bring_up_to(self, stage: str) -> list[RunWork]:
         """Do every run up to a stage of its table; a table has no recording and no track to do."""
@@ -118,7 +159,7 @@ class Session:
         self.bring_up_to("friction")
         group, spec = self._first(asked) if not self.tried.groups else self.tried.current()
         if replace(spec, **asked) != spec:
-            group, spec = self.tried.append(replace(spec, **asked))
+            group, spec = self.tried.append(replace(spec, **asked), model=model, **how)
         if profiles or draws:
             self._make_sure(group, profiles, draws, spec.seed)
         return {**self._summary(group), "scale_error": self._scale_error()}
@@ -154,13 +195,17 @@ class Session:
         """Errors of all models tried, and where the current one fails: JSON of `compare`."""
 
         def make() -> dict[str, Any]:
-            return {"summary": json.dumps(self._named(compare(self._fits()).summary()))}
+            return {"summary": json.dumps(self._named(compare(self._fits(), self._place()).summary()))}
 
         return self._summarised("comparison", make, self._history_key())
 
     def history(self) -> dict[str, Any]:
         """Every model tried, in order, with its errors: JSON of `history`."""
-        return self._named(history(self._fits()).summary())
+        return self._named(history(self._fits(), self._place()).summary())
+
+    def _place(self) -> int:
+        """Of the current model among those tried."""
+        return self.tried.groups.index(self.tried.current()[0])
 
     def _named(self, summary: dict[str, Any]) -> dict[str, Any]:
         """The models under the names that they have in the store."""
@@ -214,7 +259,8 @@ class Session:
         spec = spec.edited(edit) if seed is None else replace(spec.edited(edit), seed=seed)
         spec.model(self.study.effects)
         before = self._summary(group)
-        return before, self._summary(self.tried.append(spec)[0])
+        do = "add" if edit[0] == "+" else "remove"
+        return before, self._summary(self.tried.append(spec, do, effect=edit[1:], seed=spec.seed)[0])
 
     def run(self, seed: int = 0) -> dict[str, Any]:
         """Everything: JSON of `run`."""
@@ -235,8 +281,9 @@ class Session:
     def restart(self) -> None:
         """Forget the models tried; what was measured stays."""
         if self.path.exists():
-            store.write(self.path, {}, remove=("models", "comparison", "diagnosis", "papers"))
-        self.tried = Tried(self.study, self.runs, self.progress)
+            with self.ledger.turn("restart"):
+                store.write(self.path, {}, remove=("models", "comparison", "diagnosis", "papers"))
+        self._take(self.study)
 
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
@@ -253,7 +300,7 @@ class Session:
             models=tried,
             comparison=comparison,
             diagnosis=diagnosis,
-            figures=tried[-1].figures,
+            figures=tried[self._place()].figures,
             papers=papers,
             notes=notes,
         )
@@ -280,7 +327,7 @@ class Session:
     def _history_key(self) -> str:
         self.bring_up_to("friction")
         self.tried.current()
-        return digest([self.tried.key(self.tried.spec(group)) for group in self.tried.groups])
+        return digest([self._place(), *(self.tried.key(self.tried.spec(group)) for group in self.tried.groups)])
 
     def _summarised(
         self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None

@@ -14,12 +14,15 @@ from frictrack.effects.settings import Settings, check_ties, definitions
 from frictrack.fit import fit, restore, state
 from frictrack.fit.papers import GENERATIONS
 from frictrack.fit.sure.certainty import merged
+from frictrack.flow.ledger import Ledger
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
 from frictrack.results import ModelResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import EffectTable, Study
+
+STALE = ("comparison", "diagnosis")  # they speak of the model that was current before
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,10 @@ def _settings(tables: Iterable[EffectTable]) -> list[Settings]:
 class Tried:
     """The list of models of a study in ``study.h5``; the last one is current."""
 
-    def __init__(self, study: Study, runs: list[RunWork], progress: Progress) -> None:
+    def __init__(self, study: Study, runs: list[RunWork], progress: Progress, ledger: Ledger) -> None:
         self.study = study
         self.path = study.output / "study.h5"
+        self.ledger = ledger
         self.progress = progress
         self._works = runs
         self._fits: dict[str, Any] = {}
@@ -122,15 +126,29 @@ class Tried:
         """What was asked for in a group."""
         return Spec.parse(store.attributes(self.path, f"models/{group}")["settings"])
 
+    @property
+    def head(self) -> str | None:
+        """The group of the model in force, as it stands in the store."""
+        held = (group for group in reversed(self.groups) if store.attributes(self.path, f"models/{group}")["current"])
+        return next(held, None)
+
     def current(self) -> tuple[str, Spec]:
-        """The model in force: the last one; the study file's when there is none, or when it was changed there."""
-        groups = self.groups
-        if not groups:
+        """The model in force; the study file's when there is none, or when it was changed there."""
+        head = self.head
+        if head is None:
             return self.append(Spec(self.study.model, domain=self.domain()))
-        last = self.spec(groups[-1])
+        spec = self.spec(head)
         if store.attributes(self.path, "models")["study_model"] != self._asked:
-            return self.append(replace(last, base=self.study.model, edits=()))
-        return groups[-1], last
+            return self.append(replace(spec, base=self.study.model, edits=()))
+        return head, spec
+
+    def use(self, group: str) -> None:
+        """Make a model current that was tried before."""
+        store.write(self.path, {}, remove=STALE, marks=self._marks(group))
+
+    def _marks(self, head: str) -> dict[str, dict[str, Any]]:
+        """Attributes of the models once that one is current."""
+        return {f"models/{group}": {"current": group == head} for group in self.groups}
 
     @property
     def _asked(self) -> str:
@@ -141,17 +159,17 @@ class Tried:
         """Where a load cell measured friction, forces are compared; else displacements."""
         return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
 
-    def append(self, spec: Spec) -> tuple[str, Spec]:
-        """Fit a model, put it at the end of the list and make it current."""
-        group = f"{len(self.groups) + 1}_{spec.name}"
+    def append(self, spec: Spec, do: str = "fit", **told: Any) -> tuple[str, Spec]:
+        """Fit a model, put it at the end of the list and make it current; the log has the command that asked for it."""
         fitted = self._fit(spec)
-        marks = {"models": {"study_model": self._asked}} | {
-            f"models/{earlier}": {"current": False} for earlier in self.groups[-1:]
-        }
-        links = {f"runs/{work.run.name}": work.path.name for work in self._works}
-        entry = {f"models/{group}": self._entry(spec, fitted, current=True)}
-        stale = ("comparison", "diagnosis")  # they speak of the model before
-        store.write(self.path, entry, remove=stale, links=links, marks=marks)
+        with self.ledger.turn(do, **(told or {"model": spec.name})) as change:
+            group, head = f"{len(self.groups) + 1}_{spec.name}", self.head
+            marks = {"models": {"study_model": self._asked}} | self._marks(group)
+            links = {f"runs/{work.run.name}": work.path.name for work in self._works}
+            entry = {f"models/{group}": self._entry(spec, fitted, current=True)}
+            store.write(self.path, entry, remove=STALE, links=links, marks=marks)
+            change.before = {} if head is None else {"current": head}
+            change.after = {"current": group}
         self._fits[group] = fitted
         return group, spec
 
@@ -163,7 +181,7 @@ class Tried:
                 self._fits[group] = self._restored(group)
             else:
                 self._fits[group] = self._fit(spec)
-                entry = self._entry(spec, self._fits[group], current=group == self.groups[-1])
+                entry = self._entry(spec, self._fits[group], current=group == self.head)
                 store.write(self.path, {f"models/{group}": entry}, remove=("diagnosis",))  # a link into what was
         return self._fits[group]
 

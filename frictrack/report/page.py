@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import base64
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import count
@@ -19,7 +16,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
-from frictrack.errors import FrictrackError
+from frictrack.files import replace_text
 from frictrack.records import Array
 from frictrack.report import budgets, measured, record, settle, tables, unexplained, where, words
 from frictrack.report.numbers import formula, quantity
@@ -48,29 +45,7 @@ def write(results: Results, path: Path) -> Path:
 
     Raises `FrictrackError` when the folder cannot be written.
     """
-    return save(render(results), path)
-
-
-def save(text: str, path: Path) -> Path:
-    """Write a page to `path`, whole or not at all, and return the path.
-
-    Raises `FrictrackError` when the folder cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".report_", suffix=".part", dir=path.parent)
-        part = Path(name)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            part.chmod(0o644)
-            part.replace(path)
-        finally:
-            with suppress(FileNotFoundError):
-                part.unlink()
-    except OSError as e:
-        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
-    return path
+    return replace_text(path, render(results))
 
 
 def render(results: Results) -> str:

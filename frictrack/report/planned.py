@@ -9,9 +9,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from frictrack.files import replace_text
 from frictrack.plots.plan import apart, falling
 from frictrack.report.numbers import size, typed
-from frictrack.report.page import Draw, save
+from frictrack.report.page import Draw
 from frictrack.report.tables import Table, code, table
 
 
@@ -20,7 +21,7 @@ def write(plan: Mapping[str, Any], path: Path) -> Path:
 
     Raises `FrictrackError` when the folder cannot be written.
     """
-    return save(render(plan), path)
+    return replace_text(path, render(plan))
 
 
 def render(plan: Mapping[str, Any]) -> str:

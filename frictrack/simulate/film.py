@@ -15,6 +15,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.files import replaced
 
 Frame = NDArray[Any]
 Put = Callable[[Frame], object]
@@ -77,12 +78,8 @@ def _whole(path: Path) -> Iterator[Path]:
         path.mkdir(exist_ok=True)
         yield path
         return
-    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replaced(path) as part:
+        yield part
 
 
 @contextmanager

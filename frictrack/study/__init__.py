@@ -4,8 +4,9 @@
 were measured by something other than a camera.
 """
 
-from frictrack.study.load import Study, load
-from frictrack.study.schema import EffectTable, RunTable
+from frictrack.study.edit import edited, with_runs, without_run
+from frictrack.study.load import Study, load, parse
+from frictrack.study.schema import EffectTable, RunTable, nearest
 from frictrack.study.tables import TableData, read_clocked, read_table
 from frictrack.study.write import TABLES, find_recordings, write_study
 
@@ -15,9 +16,14 @@ __all__ = [
     "RunTable",
     "Study",
     "TableData",
+    "edited",
     "find_recordings",
     "load",
+    "nearest",
+    "parse",
     "read_clocked",
     "read_table",
+    "with_runs",
+    "without_run",
     "write_study",
 ]

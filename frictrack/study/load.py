@@ -50,7 +50,11 @@ def load(path: str | Path, *, bare: bool = False) -> Study:
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    text = _read(path)
+    return parse(path, _read(path), bare=bare)
+
+
+def parse(path: Path, text: str, *, bare: bool = False) -> Study:
+    """The same of a study file's text, which need not be written yet."""
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:

@@ -96,14 +96,9 @@ def write_study(
         document.add(tomlkit.comment(line))
     document["study"] = _section({"name": path.resolve().parent.name} | known, ("name", *STUDY), STUDY, commented)
     document["camera"] = _section(known, tuple(CAMERA), CAMERA, commented)
-    runs = tomlkit.aot()
-    for recording, name in zip(recordings, _names(recordings), strict=True):
-        table = tomlkit.table()
-        table["name"] = name
-        kind = "table" if recording.suffix.lower() in TABLES else "video"
-        table[kind] = Path(os.path.relpath(recording, path.parent)).as_posix()
-        runs.append(table)
-    document["run"] = runs
+    document["run"] = tomlkit.aot()
+    for run in run_tables(recordings, path.parent):
+        document["run"].append(tomlkit.item(run))
     text = tomlkit.dumps(document)
     for words in (RUN, EFFECT) if commented else ():
         text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
@@ -147,7 +142,16 @@ def _section(
     return table
 
 
-def _names(recordings: Sequence[Path]) -> list[str]:
-    """The stems, or the whole names where two stems are the same."""
-    stems = [p.stem.casefold() for p in recordings]
-    return [p.stem if stems.count(p.stem.casefold()) == 1 else p.name for p in recordings]
+def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = ()) -> list[dict[str, str]]:
+    """``[[run]]`` of every recording, its path relative to the study's folder.
+
+    It is named by its stem, or by its whole name where two stems are the same or one is taken.
+    """
+    stems = [p.stem.casefold() for p in recordings] + [name.casefold() for name in taken]
+    return [
+        {
+            "name": p.stem if stems.count(p.stem.casefold()) == 1 else p.name,
+            "table" if p.suffix.lower() in TABLES else "video": Path(os.path.relpath(p, folder)).as_posix(),
+        }
+        for p in recordings
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.files import replaced
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
 
@@ -40,24 +41,30 @@ def overlay_video(
     tracks = (track, *others)
     stride = max(1, -(-recording.n_frames // max(frames, 1)))
     zoom = max(1, -(-WIDTH // recording.shape[1]))
-    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+    with replaced(path) as part:
+        _written(part, recording.frames(step=stride), (zoom, stride), tracks)
+    return path
+
+
+def _written(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks: Sequence[Track]) -> None:
+    """Every frame with what was tracked in it; `steps` are the zoom and the frames from one to the next."""
+    zoom, stride = steps
     writer: cv2.VideoWriter | None = None
     low, high = 0.0, 1.0
     try:
-        for k, frame in enumerate(recording.frames(step=stride)):
+        for k, frame in enumerate(frames):
             if writer is None:
                 low, high = _limits(frame)
-                size = (_even(recording.shape[1] * zoom), _even(recording.shape[0] * zoom + BAR * len(tracks)))
-                writer = _writer(partial, size)
+                rows, columns = frame.shape[:2]
+                size = (_even(columns * zoom), _even(rows * zoom + BAR * len(tracks)))
+                writer = _writer(path, size)
             picture = _drawn(_canvas(frame, (low, high), zoom), tracks, k * stride, zoom)
             writer.write(_fitted(picture, size))
     finally:
         if writer is not None:
             writer.release()
     if writer is None:
-        raise FrictrackError(f"{recording.path.name}: expected frames to draw on but none can be read")
-    partial.replace(path)
-    return path
+        raise FrictrackError("expected frames to draw on but none can be read")
 
 
 def _even(length: int) -> int:

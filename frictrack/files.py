@@ -1,0 +1,76 @@
+"""Files that are replaced whole or not at all, and folders into which one writes at a time."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from frictrack.errors import FrictrackError
+
+PATIENCE = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Nobody else writes into this folder of results meanwhile; readers never wait. May be entered again inside.
+
+    Raises `FrictrackError` when the folder cannot be written, or another frictrack does not let go of it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", timeout=PATIENCE, is_singleton=True)
+        lock.acquire()
+    except Timeout as e:
+        raise FrictrackError(f"another frictrack holds {folder}; wait for it or stop it") from e
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {folder}: {e.strerror or e}") from e
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.
+
+    Raises `FrictrackError` when it cannot be written, and leaves what was there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}_", suffix=f".part{path.suffix}", dir=path.parent)
+    except OSError as e:
+        raise FrictrackError(f"cannot write into {path.parent}: {e.strerror}") from e
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        _commit(part, path)
+    except OSError as e:
+        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+
+
+def _commit(part: Path, path: Path) -> None:
+    part.chmod(0o644)
+    with part.open("rb") as f:
+        os.fsync(f.fileno())
+    part.replace(path)
+    with suppress(OSError):  # some systems cannot open a folder
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+
+
+def replace_text(path: Path, text: str) -> Path:
+    """Write a text in UTF-8, its line ends as they are, whole or not at all; returns the path."""
+    with replaced(path) as part:
+        part.write_bytes(text.encode())
+    return path

@@ -1,0 +1,90 @@
+"""A study file's text with one key changed: comments, order and spaces stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from frictrack.errors import FrictrackError
+from frictrack.study.write import run_tables
+
+MANY = {"run": "name", "effect": "effect"}  # tables of which there are several, and the key that tells them apart
+
+
+def edited(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
+    """The text with `key` of ``[table]``, or of that ``[[table]]`` which is called so, set; None takes it away.
+
+    An ``[[effect]]`` that is not there yet is made. Raises `FrictrackError` where the text is no TOML, or holds no
+    such run.
+    """
+    document = _parsed(text)
+    home = _home(document, table, which)
+    if value is None:
+        home.pop(key, None)
+    else:
+        home[key] = _item(value)
+    return tomlkit.dumps(document)
+
+
+def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
+    """The text with a ``[[run]]`` more for each recording; paths relative to the `folder` of the study file."""
+    document = _parsed(text)
+    runs = document.setdefault("run", tomlkit.aot())
+    for run in run_tables(recordings, folder, [_called(run, "run") for run in runs]):
+        runs.append(_apart(tomlkit.item(run)))
+    return tomlkit.dumps(document)
+
+
+def without_run(text: str, name: str) -> str:
+    """The text without the ``[[run]]`` of that name; its recording and its results stay where they are."""
+    document = _parsed(text)
+    home = _home(document, "run", name)
+    document["run"].remove(home)
+    return tomlkit.dumps(document)
+
+
+def _parsed(text: str) -> tomlkit.TOMLDocument:
+    try:
+        return tomlkit.parse(text)
+    except TOMLKitError as e:
+        raise FrictrackError(f"the study file is not valid TOML: {e}", usage=True) from e
+
+
+def _home(document: tomlkit.TOMLDocument, table: str, which: str | None) -> Any:
+    """The table that holds the key."""
+    if table not in MANY:
+        return document.setdefault(table, tomlkit.table())
+    tables = document.setdefault(table, tomlkit.aot())
+    for one in tables:
+        if _called(one, table) == which:
+            return one
+    if table == "run":
+        known = ", ".join(f'"{_called(one, table)}"' for one in tables) or "none"
+        raise FrictrackError(f'expected a run of the study file but got "{which}"; it has {known}', usage=True)
+    tables.append(_apart(tomlkit.item({MANY[table]: which})))
+    return tables[-1]
+
+
+def _apart(table: Any) -> Any:
+    """A table with an empty line before it."""
+    table.trivia.indent = "\n"
+    return table
+
+
+def _called(table: Mapping[str, Any], kind: str) -> str:
+    """The name of a table; that of a run is its recording's where it has none."""
+    name = table.get(MANY[kind])
+    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem
+
+
+def _item(value: Any) -> Any:
+    """A dictionary stands in one line, as the other keys do."""
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    made = tomlkit.inline_table()
+    made.update({key: _item(part) for key, part in value.items()})
+    return made
