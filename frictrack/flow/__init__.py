@@ -10,6 +10,18 @@ from frictrack.flow.demo import demo
 from frictrack.flow.planned import plan
 from frictrack.flow.session import Session, open_study, start_study
 from frictrack.flow.stages import Progress, silent
+from frictrack.flow.stored import stored
 from frictrack.flow.tried import Spec, own_effects
 
-__all__ = ["Progress", "Session", "Spec", "demo", "open_study", "own_effects", "plan", "silent", "start_study"]
+__all__ = [
+    "Progress",
+    "Session",
+    "Spec",
+    "demo",
+    "open_study",
+    "own_effects",
+    "plan",
+    "silent",
+    "start_study",
+    "stored",
+]

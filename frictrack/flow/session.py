@@ -15,16 +15,14 @@ from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError, gather
 from frictrack.fit import certainty
 from frictrack.flow import changes
-from frictrack.flow.beside import sensor_rows
-from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
-from frictrack.flow.quality import quality
 from frictrack.flow.stages import Progress, RunWork, digest, silent
+from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
-from frictrack.results import ModelResults, Results, RunResults, plain
+from frictrack.results import Results, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import Study, load, nearest, write_study
 
@@ -287,37 +285,30 @@ class Session:
 
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
-        comparison = self.compare()
-        diagnosis = self.diagnose(self._seed() if seed is None else seed)
-        tried = tuple(self.tried.results(group) for group in self.tried.groups)
-        papers, notes = self._papers()
-        return Results(
-            name=self.study.name,
-            path=self.study.path,
-            output=self.study.output,
-            version=store.VERSION,
-            runs=tuple(run_results(work) for work in self.runs),
-            models=tried,
-            comparison=comparison,
-            diagnosis=diagnosis,
-            figures=tried[self._place()].figures,
-            papers=papers,
-            notes=notes,
-        )
+        for work in self.runs:
+            for stage in work.stages:
+                work.get(stage)
+        self.compare()
+        self.diagnose(self._seed() if seed is None else seed)
+        notes = self._papers()
+        return replace(stored(self.study), notes=notes)
 
     def _seed(self) -> int:
         """The seed of the last diagnosis."""
         held = store.stamp(self.path, "diagnosis")
         return int(json.loads(held.settings)["seed"]) if held else 0
 
-    def _papers(self) -> tuple[ModelResults | None, tuple[str, ...]]:
-        """The papers' route beside ours, or in words why not; friction that was measured has no other route."""
-        if any(run.friction_N is not None for run in self.tried.runs):
-            return None, ()
-        try:
-            return self.tried.papers(), ()
-        except FrictrackError as e:
-            return None, (f"the papers' route (force domain, SGA) was not possible: {e}",)
+    def _papers(self) -> tuple[str, ...]:
+        """Bring the papers' route beside ours up to date, or say why there is none.
+
+        Friction that was measured has no other route.
+        """
+        if all(run.friction_N is None for run in self.tried.runs):
+            try:
+                self.tried.papers()
+            except FrictrackError as e:
+                return (f"the papers' route (force domain, SGA) was not possible: {e}",)
+        return ()
 
     def _fits(self) -> list[Any]:
         self.bring_up_to("friction")
@@ -339,42 +330,3 @@ class Session:
             store.write(self.path, {group: Entry(make(), stamp)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
-
-
-def run_results(work: RunWork) -> RunResults:
-    """Every stage of one run, brought up to date."""
-    done = {name: work.get(name) for name in work.stages}
-    seen = _quality(done)
-    notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
-    notes += sensor_rows(work)["notes"]
-    return RunResults(
-        name=work.run.name,
-        source=work.written(work.run.source),
-        displacement=done["displacement"],
-        filtered=done["filtered"],
-        motion=done["motion"],
-        happenings=done["events"],
-        cutoff=done["cutoff"],
-        friction=done["friction"],
-        film=done.get("recording"),
-        track=done.get("track"),
-        tracks=done.get("tracks", {}),
-        sensors=done["sensors"],
-        quality=seen,
-        budget=budgeted(work, seen),
-        role=work.run.role,
-        group=work.run.group,
-        settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},
-        hashes={name: work.key(name) for name in work.stages},
-        notes=tuple(dict.fromkeys(notes)),
-    )
-
-
-def _quality(done: dict[str, Any]) -> dict[str, Any]:
-    """What a film says of its own measurement; nothing for a table."""
-    if "track" not in done:
-        return {}
-    found: dict[str, Any] = plain(
-        quality(done["recording"], done["track"], done["tracks"], done["displacement"].pixel_pitch)
-    )
-    return found

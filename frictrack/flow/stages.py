@@ -64,10 +64,14 @@ class Stage:
 
 
 class RunWork:
-    """One run on its way: what is stored is read, what is missing or stale is made and stored."""
+    """One run on its way: what is stored is read, what is missing or stale is made and stored.
 
-    def __init__(self, study: Study, run: RunTable, progress: Progress = silent) -> None:
+    Of a run that is `kept` all that is stored counts as current: nothing is made, no recording is opened.
+    """
+
+    def __init__(self, study: Study, run: RunTable, progress: Progress = silent, *, kept: bool = False) -> None:
         self.study = study
+        self.kept = kept
         self.run = run
         self.path = study.output / f"{run.name}.h5"
         self.stages = FILM if run.video else TABLE
@@ -115,8 +119,19 @@ class RunWork:
         stamp = store.stamp(self.path, name)
         return stamp is not None and stamp.key == self.key(name)
 
+    def agrees(self, name: str) -> bool:
+        """Whether a stage and all before it were made with the keys that the study file has now; opens no recording."""
+        stamp, inputs = store.stamp(self.path, name), self.stages[name].inputs
+        return stamp is not None and stamp.settings == self._spelled(name) and all(self.agrees(i) for i in inputs)
+
+    def _spelled(self, name: str) -> str:
+        return json.dumps(self.settings(name), sort_keys=True)
+
     def key(self, name: str) -> str:
         """Hash of everything the stage depends on."""
+        if self.kept:
+            stamp = store.stamp(self.path, name)
+            return stamp.key if stamp else "never made"
         if name not in self._keys:
             settings = self.settings(name)
             self._keys[name] = digest([name, store.VERSION, settings, self._from(name)])
@@ -172,7 +187,7 @@ class RunWork:
         stage = self.stages[name]
         with self.filmed() if name == "tracks" else nullcontext():  # the track may be made on the way
             made = self._called(stage, [self.get(i) for i in stage.inputs])
-        stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
+        stamp = Stamp(self.key(name), digest(self._from(name)), self._spelled(name))
         store.write(self.path, {name: Entry(made, stamp)})
         return made
 

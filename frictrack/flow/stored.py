@@ -1,0 +1,86 @@
+"""What a study has come to, read from its HDF5 files alone: nothing is measured, fitted or checked again.
+
+    results = stored(open_study("study.toml"))
+
+A run that was not measured to its end is left out, a model that was not diagnosed has no diagnosis.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from frictrack import store
+from frictrack.flow.beside import sensor_rows
+from frictrack.flow.budgets import budgeted
+from frictrack.flow.ledger import Ledger
+from frictrack.flow.quality import quality
+from frictrack.flow.stages import RunWork, silent
+from frictrack.flow.tried import Tried
+from frictrack.results import Results, RunResults, plain
+from frictrack.study import Study
+
+
+def stored(study: Study) -> Results:
+    """Runs, models, comparison and diagnosis as they lie in the results folder, however old."""
+    works = [RunWork(study, run, kept=True) for run in study.runs]
+    tried = Tried(study, works, silent, Ledger(study.output))
+    models = tuple(tried.results(group) for group in tried.groups)
+    current = next((model for model in models if model.current), None)
+    has_papers = "papers" in store.names(tried.path)
+    return Results(
+        name=study.name,
+        path=study.path,
+        output=study.output,
+        version=store.VERSION,
+        runs=tuple(run_results(work) for work in works if all(work.is_current(name) for name in work.stages)),
+        models=models,
+        comparison=_summary(tried, "comparison"),
+        diagnosis=current.diagnosis if current else None,
+        figures=current.figures if current else {},
+        papers=tried.results("papers") if has_papers else None,
+    )
+
+
+def _summary(tried: Tried, group: str) -> Any:
+    there = group in store.names(tried.path)
+    return json.loads(store.read(tried.path, group)["summary"]) if there else None
+
+
+def run_results(work: RunWork) -> RunResults:
+    """Every stage of one run, all that is known of it."""
+    done = {name: work.get(name) for name in work.stages}
+    seen = _quality(done)
+    notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
+    notes += sensor_rows(work)["notes"]
+    return RunResults(
+        name=work.run.name,
+        source=work.written(work.run.source),
+        displacement=done["displacement"],
+        filtered=done["filtered"],
+        motion=done["motion"],
+        happenings=done["events"],
+        cutoff=done["cutoff"],
+        friction=done["friction"],
+        film=done.get("recording"),
+        track=done.get("track"),
+        tracks=done.get("tracks", {}),
+        sensors=done["sensors"],
+        quality=seen,
+        budget=budgeted(work, seen),
+        role=work.run.role,
+        group=work.run.group,
+        settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},
+        hashes={name: work.key(name) for name in work.stages},
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _quality(done: dict[str, Any]) -> dict[str, Any]:
+    """What a film says of its own measurement; nothing for a table."""
+    if "track" not in done:
+        return {}
+    found: dict[str, Any] = plain(
+        quality(done["recording"], done["track"], done["tracks"], done["displacement"].pixel_pitch)
+    )
+    return found
