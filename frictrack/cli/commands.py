@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -281,6 +282,22 @@ def batch(
     if result["failed"]:
         n, total = len(result["failed"]), len(result["studies"])
         raise FrictrackError(f"{n} of {total} studies failed; {result['output']} says why")
+
+
+@app.command("app")
+def workbench(
+    study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
+    host: Annotated[str, typer.Option(help="whom to serve; others than this machine need the token")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="of the page")] = 5006,
+    token: Annotated[str | None, typer.Option(help="word that the page asks for (a new one on other hosts)")] = None,
+    browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
+) -> None:
+    """The workbench: the whole loop on a local page. Without a study it makes one from recordings."""
+    try:
+        server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
+    except ModuleNotFoundError as e:
+        raise FrictrackError(f'the workbench needs {e.name}; pip install "frictrack[app]"') from e
+    server.serve(study, host=host, port=port, token=token, show=browser)
 
 
 @app.command()

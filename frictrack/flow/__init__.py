@@ -8,19 +8,22 @@
 
 from frictrack.flow.demo import demo
 from frictrack.flow.planned import plan
+from frictrack.flow.script import script
 from frictrack.flow.session import Session, open_study, start_study
 from frictrack.flow.stages import Progress, silent
-from frictrack.flow.stored import stored
+from frictrack.flow.stored import attempted, stored
 from frictrack.flow.tried import Spec, own_effects
 
 __all__ = [
     "Progress",
     "Session",
     "Spec",
+    "attempted",
     "demo",
     "open_study",
     "own_effects",
     "plan",
+    "script",
     "silent",
     "start_study",
     "stored",

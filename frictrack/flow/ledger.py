@@ -74,8 +74,10 @@ class Ledger:
                 undone.append(done.pop())
             elif change.do == "redo":
                 done.append(undone.pop())
-            else:
-                done, undone = [*done, change] if change.before else [], []
+            elif change.do == "restart":
+                done, undone = [], []
+            elif change.before:
+                done, undone = [*done, change], []
         return done, undone
 
     def check(self) -> None:
@@ -91,7 +93,7 @@ class Ledger:
     def turn(self, do: str, **told: Any) -> Iterator[Change]:
         """Alone with the study: change it and say in `before` and `after` what it was and is; then it is logged.
 
-        A change without `before` cannot be undone, nor anything before it.
+        A change without `before` cannot be undone; a restart cannot, nor anything before it.
         """
         with alone(self.folder):
             self.check()

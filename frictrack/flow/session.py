@@ -260,6 +260,12 @@ class Session:
         do = "add" if edit[0] == "+" else "remove"
         return before, self._summary(self.tried.append(spec, do, effect=edit[1:], seed=spec.seed)[0])
 
+    def attempt(self, effect: str, path: Path) -> dict[str, Any]:
+        """Fit with one effect more and put the model into a file of its own: nothing of the study changes."""
+        self.bring_up_to("friction")
+        spec = self.tried.current()[1].edited(f"+{effect}")
+        return self.tried.attempt(spec, path)
+
     def run(self, seed: int = 0) -> dict[str, Any]:
         """Everything: JSON of `run`."""
         fit = self.fit()

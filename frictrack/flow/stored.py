@@ -8,6 +8,7 @@ A run that was not measured to its end is left out, a model that was not diagnos
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from frictrack import store
@@ -16,8 +17,8 @@ from frictrack.flow.budgets import budgeted
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import RunWork, silent
-from frictrack.flow.tried import Tried
-from frictrack.results import Results, RunResults, plain
+from frictrack.flow.tried import Tried, model_results
+from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.study import Study
 
 
@@ -40,6 +41,11 @@ def stored(study: Study) -> Results:
         figures=current.figures if current else {},
         papers=tried.results("papers") if has_papers else None,
     )
+
+
+def attempted(path: Path) -> ModelResults:
+    """The model of an attempt."""
+    return model_results(path, store.names(path, "models")[0])
 
 
 def _summary(tried: Tried, group: str) -> Any:

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from frictrack import effects, models, store
@@ -162,7 +163,8 @@ class Tried:
     def append(self, spec: Spec, do: str = "fit", **told: Any) -> tuple[str, Spec]:
         """Fit a model, put it at the end of the list and make it current; the log has the command that asked for it."""
         fitted = self._fit(spec)
-        with self.ledger.turn(do, **(told or {"model": spec.name})) as change:
+        asked = told or {"model": spec.base if isinstance(spec.base, str) else ",".join(spec.base)}
+        with self.ledger.turn(do, **asked) as change:
             group, head = f"{len(self.groups) + 1}_{spec.name}", self.head
             marks = {"models": {"study_model": self._asked}} | self._marks(group)
             links = {f"runs/{work.run.name}": work.path.name for work in self._works}
@@ -172,6 +174,12 @@ class Tried:
             change.after = {"current": group}
         self._fits[group] = fitted
         return group, spec
+
+    def attempt(self, spec: Spec, path: Path) -> dict[str, Any]:
+        """Fit a model into a file beside the study: JSON of `fit`."""
+        name = f"attempt_{spec.name}"
+        store.write(path, {f"models/{name}": self._entry(spec, self._fit(spec), current=False)})
+        return model_results(path, name).summary
 
     def fit(self, group: str) -> Any:
         """The fit of a group: rebuilt from the store when it is current, else made again."""
@@ -229,20 +237,7 @@ class Tried:
 
     def results(self, group: str) -> ModelResults:
         """A stored model as the report wants it; `group` may be ``papers``."""
-        inside = group if group == "papers" else f"models/{group}"
-        held = store.read(self.path, inside)
-        curves = store.names(self.path, f"{inside}/curves")
-        motion = store.names(self.path, f"{inside}/motion")
-        return ModelResults(
-            name=group,
-            equation=held["equation"],
-            summary=merged(json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))),
-            curves=tuple(store.read(self.path, f"{inside}/curves/{name}", Curve) for name in curves),
-            motion=tuple(store.read(self.path, f"{inside}/motion/{name}", Modelled) for name in motion),
-            current=bool(held["current"]),
-            diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
-            figures=held.get("diagnosis", {}).get("figures", {}),
-        )
+        return model_results(self.path, group)
 
     def _stamp(self, group: str) -> Stamp:
         return store.stamp(self.path, f"models/{group}") or Stamp()
@@ -257,3 +252,20 @@ class Tried:
             "motion": {told.run: told for told in fitted.motion},
         }
         return Entry(content, Stamp(self.key(spec), self.input_hash, spec.json()))
+
+
+def model_results(path: Path, group: str) -> ModelResults:
+    """A model of a study's file, or of an attempt's, as the report wants it; `group` may be ``papers``."""
+    inside = group if group == "papers" else f"models/{group}"
+    held = store.read(path, inside)
+    curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
+    return ModelResults(
+        name=group,
+        equation=held["equation"],
+        summary=merged(json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))),
+        curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
+        motion=tuple(store.read(path, f"{inside}/motion/{name}", Modelled) for name in motion),
+        current=bool(held["current"]),
+        diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
+        figures=held.get("diagnosis", {}).get("figures", {}),
+    )

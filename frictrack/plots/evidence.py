@@ -126,7 +126,7 @@ def scanned(curves: Mapping[str, Array]) -> str | None:
 
 
 @styled
-def scan(effect: str, curves: Mapping[str, Array]) -> Figure:
+def scan(effect: str, curves: Mapping[str, Array], width: float = style.WIDTH) -> Figure:
     """How far chi-squared falls with the effect, against the setting at which it was tried; others at their best.
 
     Raises ValueError for an effect without a setting that was scanned.
@@ -139,7 +139,8 @@ def scan(effect: str, curves: Mapping[str, Array]) -> Figure:
     written = _unit(effect, name)
     factor, shown = style.scaled(at, written)
     where = f"{number(factor * best, 2)} {style.unit(shown)}".strip()
-    figure = blank(3.2, f"{effect} stands out at a {_words(name)} near {where}")
+    title = f"{effect} stands out at a {_words(name)} near {where}"
+    figure = blank(3.2, title if width == style.WIDTH else f"{_words(name)} near {where}", width)
     ax = figure.subplots()
     ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
     ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)

@@ -1,0 +1,209 @@
+"""What a page has before its eyes: the study as its files say, the work that goes on, and the last word on both.
+
+The page keeps no state of its own but what is looked at. A change by the command line or another tab shows by itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import param
+
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study, start_study, stored
+from frictrack.flow.ledger import Ledger
+from frictrack.results import ModelResults, Results, RunResults
+from frictrack.study import RunTable, Study, find_recordings
+from frictrack.workbench import jobs
+from frictrack.workbench.jobs import Job
+
+NOBODY = "page"
+
+
+class Desk(param.Parameterized):
+    """One browser tab's view of a study; `seen` counts up whenever something else is to be shown."""
+
+    seen = param.Integer(default=0, doc="counts up when the study's files have changed")
+    said = param.String(default="", doc="the last word to the user: what was done, or why not")
+    wrong = param.Boolean(default=False, doc="whether that is a fault")
+    busy = param.Dict(default={}, doc="the work that goes on: do, done, total, what; empty when there is none")
+    run = param.String(default="", doc="the run that is looked at")
+    ghost = param.Parameter(default=None, doc="a model that was attempted, shown behind the current one")
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self.study: Study | None = None
+        self.results: Results | None = None
+        self.ledger: Ledger | None = None
+        self.rev = 0
+        self.job: Job | None = None
+        self._print: object = None
+        self._ended: set[str] = set()
+
+    # --- what is there
+
+    async def look(self) -> None:
+        """Read again what has changed in the files, and how far the work has come."""
+        self._watch()
+        if self._has_changed():
+            self._take(await asyncio.to_thread(_read, self.path))
+
+    def look_first(self) -> None:
+        """Read the files before there is a page to wait for them."""
+        self._has_changed()
+        self._take(_read(self.path))
+
+    def _has_changed(self) -> bool:
+        before, self._print = self._print, self._fingerprint()
+        return self._print != before
+
+    def _take(self, found: tuple[Study | None, Results | None] | FrictrackError) -> None:
+        if isinstance(found, FrictrackError):
+            self.tell(str(found), wrong=True)
+            return
+        self.study, self.results = found
+        if self.study is not None:
+            self.ledger = Ledger(self.study.output, NOBODY)
+            self.rev = self.ledger.rev
+            self._ended = {job.folder.name for job in jobs.listed(self.study) if job.state != jobs.RUNNING}
+            names = [run.name for run in self.study.runs]
+            if self.run not in names:
+                self.run = names[0] if names else ""
+        self.seen += 1
+
+    def _fingerprint(self) -> object:
+        """Times of all files from which the page is made."""
+        folder = self.study.output if self.study else self.path.parent
+        files = [self.path, *sorted(folder.glob("*.h5")), folder / "log.jsonl"]
+        return [(str(f), s.st_mtime_ns, s.st_size) for f in files if f.exists() for s in (f.stat(),)]
+
+    @property
+    def model(self) -> ModelResults | None:
+        """The current model, when one was fitted."""
+        return self.results.current if self.results else None
+
+    @property
+    def diagnosis(self) -> dict[str, Any] | None:
+        """What the diagnosis of the current model says."""
+        return self.results.diagnosis if self.results else None
+
+    @property
+    def runs(self) -> dict[str, RunTable]:
+        """Runs of the study file."""
+        return {run.name: run for run in self.study.runs} if self.study else {}
+
+    @property
+    def measured(self) -> RunResults | None:
+        """What was measured of the run that is looked at."""
+        return next((r for r in (self.results.runs if self.results else ()) if r.name == self.run), None)
+
+    @property
+    def recordings(self) -> list[str]:
+        """Recordings beside the study file that are not in the study yet."""
+        try:
+            found = find_recordings(self.path.parent)
+        except FrictrackError:
+            return []
+        used = {run.source.resolve() for run in self.runs.values()}
+        return [p.name for p in found if p.resolve() not in used]
+
+    def can(self, do: str) -> bool:
+        """Whether there is something to undo or to redo."""
+        done, undone = self.ledger.stacks() if self.ledger else ([], [])
+        return bool(done if do == "undo" else undone)
+
+    # --- what is done
+
+    def tell(self, words: str, *, wrong: bool = False) -> None:
+        """Say something to the user."""
+        self.param.update(said=words, wrong=wrong)
+
+    def begin(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
+        """Write the study file of some recordings; whether that went well."""
+        try:
+            start_study(self.path, [self.path.parent / name for name in recordings], keys)
+        except FrictrackError as e:
+            self.tell(str(e), wrong=True)
+            return False
+        self.tell(f"{self.path.name} is written")
+        return True
+
+    def do(self, do: str, **told: Any) -> bool:
+        """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
+        assert self.study is not None
+        try:
+            Session(open_study(self.path, bare=True), who=NOBODY, seen=self.rev).apply(do, **told)
+        except FrictrackError as e:
+            self.tell(str(e), wrong=True)
+            return False
+        self.rev = Ledger(self.study.output).rev
+        self.tell(f"{do}: done")
+        return True
+
+    def start(self, do: str, **told: Any) -> None:
+        """Long work, in a process of its own."""
+        if self.study is None:
+            return
+        try:
+            job = jobs.start(self.study, do, seen=self.rev, who=NOBODY, **told)
+        except FrictrackError as e:
+            self.tell(str(e), wrong=True)
+            return
+        self.job = job
+        self.busy = {"do": do, "done": 0, "total": 0, "what": "starts"}
+        self.tell("")
+
+    def cancel(self) -> None:
+        """End the work that goes on."""
+        if self.job is not None:
+            self.job.cancel()
+
+    def _watch(self) -> None:
+        """The work that goes on, also that of another tab or of a server that is gone."""
+        if self.job is None and self.study is not None:
+            going = (j for j in jobs.listed(self.study) if j.folder.name not in self._ended)
+            self.job = next((j for j in going if j.state == jobs.RUNNING), None)
+        if self.job is None:
+            return
+        state, spec = self.job.state, self.job.spec
+        if state == jobs.RUNNING:
+            lines = self.job.progress
+            now = {"do": spec["do"], "done": 0, "total": 0, "what": "starts"} | (lines[-1] if lines else {})
+            if now != self.busy:
+                self.busy = now
+            return
+        self._ended.add(self.job.folder.name)
+        ended, self.job, self.busy = self.job, None, {}
+        words = " ".join((spec["do"], *(str(v) for v in spec["told"].values() if v is not None)))
+        if state == jobs.DONE:
+            self.tell(f"{words}: done")
+            if spec["do"] == "attempt":
+                self._attempted(ended)
+            elif spec["do"] in ("add", "remove", "fit"):
+                self.ghost = None
+        elif state == jobs.FAILED:
+            self.tell(f"{words}: {ended.result['error']}", wrong=True)
+        else:
+            self.tell(f"{words}: {state}; what was finished stays, start it again to go on", wrong=True)
+
+    def _attempted(self, job: Job) -> None:
+        from frictrack.flow import attempted  # noqa: PLC0415
+
+        effect = job.spec["told"]["effect"]
+        self.ghost = replace(attempted(job.folder / "attempt.h5"), name=f"0_with {effect}")
+
+
+def _read(path: Path) -> tuple[Study | None, Results | None] | FrictrackError:
+    """The study and its results, none where there is no study file yet; or what is wrong with them."""
+    if not path.exists():
+        return None, None
+    try:
+        study = open_study(path, bare=True)
+        return study, stored(study)
+    except FrictrackError as e:
+        return e

@@ -1,0 +1,173 @@
+"""Tab 1, the film: which recordings, where the target is, how large a pixel is, how well it was followed."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+
+from frictrack.errors import FrictrackError
+from frictrack.files import replaced
+from frictrack.workbench import scenes
+from frictrack.workbench.desk import Desk
+from frictrack.workbench.films import Films
+from frictrack.workbench.linked import Linked
+from frictrack.workbench.widgets import button, heading, html, note, table
+
+TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
+LARGEST = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
+
+
+class FilmTab:
+    """Recordings in; target, reference and ruler drawn on the film; the track and its quality out."""
+
+    title = "1 Film"
+
+    def __init__(self, desk: Desk, films: Films) -> None:
+        self.desk, self.films = desk, films
+        self.linked = Linked(sizing_mode="stretch_width")
+        self.scene = scenes.Scene()
+        self.tool = pn.widgets.RadioButtonGroup(name="Draw", options=TOOLS, value="")
+        self.length = pn.widgets.TextInput(name="Length of the ruler", placeholder="100 mm", width=140)
+        self.shape: dict[str, Any] = {}
+        self.found = pn.widgets.CheckBoxGroup(name="Recordings in this folder", options=[], width=330)
+        self.drop = pn.widgets.FileDropper(name="or drop them here", multiple=True, max_file_size=LARGEST, width=330)
+        self.mass = pn.widgets.TextInput(name="Mass of the slider", placeholder="0.350 +/- 0.002 kg", width=160)
+        self.fps = pn.widgets.TextInput(name="Frames per second while filming", placeholder="4000", width=160)
+        self.scale = pn.widgets.TextInput(name="Scale", placeholder="0.5 mm/px", width=160)
+        self.go = button("Take them in", self._take_in, "primary")
+        self.audit = html("")
+        self.keys = pn.Column(self.mass, self.fps, self.scale)
+        self.more = pn.Column(
+            html(heading("Recordings in this folder that are not in the study")),
+            pn.FlexBox(pn.Column(self.found, self.drop), self.keys, self.go, align_items="flex-end", gap="14px"),
+        )
+        self.tools = pn.FlexBox(
+            self.tool,
+            self.length,
+            button("Use as scale", self._rule),
+            button("Take back what was drawn", self._undraw),
+            button("Track every film", lambda: desk.start("measure", stage="track"), "primary"),
+            align_items="flex-end",
+            gap="10px",
+        )
+        self.view = pn.Column(self.tools, self.linked, self.audit, self.more, sizing_mode="stretch_width")
+        self.tool.link(self.linked, value="tool")
+        self.linked.param.watch(self._drawn, "drawn")
+        self.linked.param.watch(self._wanted, "want")
+        self.linked.param.watch(self._selected, "selection")
+        self.drop.param.watch(self._dropped, "value")
+
+    def refresh(self) -> None:
+        """Show the study as it is now."""
+        new = self.desk.study is None
+        self.keys.visible, self.tools.visible = new, not new
+        self.found.options = self.desk.recordings
+        run = self.desk.measured
+        self.scene = scenes.tracked(run) if run else scenes.Scene()
+        self.linked.draw(self.scene)
+        self.films.show(self.linked, self.desk.run, 0, self.scene)
+        self.audit.object = self._audited()
+
+    # --- recordings
+
+    def _take_in(self) -> None:
+        names = list(self.found.value)
+        if not names:
+            return self.desk.tell("choose recordings in this folder, or drop them here first", wrong=True)
+        if self.desk.study is not None:
+            self.desk.do("take_in", recordings=names)
+        else:
+            keys = {"mass": self.mass.value, "fps": _number(self.fps.value), "scale": self.scale.value}
+            self.desk.begin(names, {key: value for key, value in keys.items() if value})
+        self.found.value = []
+        return None
+
+    def _dropped(self, event: Any) -> None:
+        """Store what was dropped beside the study file, under the last part of its name only."""
+        kept = []
+        for name, content in (event.new or {}).items():
+            try:
+                kept.append(stored_upload(self.desk.path.parent, name, content))
+            except FrictrackError as e:
+                self.desk.tell(str(e), wrong=True)
+        if kept:
+            self.found.options = self.desk.recordings
+            self.found.value = [name for name in kept if name in self.found.options]
+            self.desk.tell(f"{', '.join(kept)}: stored beside {self.desk.path.name}")
+
+    # --- what is drawn on the film
+
+    def _drawn(self, event: Any) -> None:
+        self.shape = dict(event.new)
+        tool, shape = self.shape.get("tool"), self.shape.get("shape")
+        if tool in ("target", "reference") and self.desk.runs:
+            self.desk.do("edit", table="run", which=self.desk.run, key=tool, value=shape)
+        elif tool == "ruler":
+            self.linked.film = {**self.linked.film, "shapes": {**self.linked.film.get("shapes", {}), "ruler": shape}}
+            self.desk.tell("now give the length of the ruler and use it as the scale")
+
+    def _rule(self) -> None:
+        if self.shape.get("tool") != "ruler" or not self.length.value:
+            return self.desk.tell("draw a ruler on the film and give its length, as 100 mm", wrong=True)
+        scale = {"points": self.shape["shape"], "length": self.length.value}
+        self.desk.do("edit", table="camera", key="scale", value=scale)
+        return None
+
+    def _undraw(self) -> None:
+        """The target and the reference are found by themselves again."""
+        for key in ("target", "reference"):
+            table = self.desk.runs.get(self.desk.run)
+            if table is not None and isinstance(getattr(table, key), tuple):
+                self.desk.do("edit", table="run", which=self.desk.run, key=key, value=None)
+
+    # --- looking
+
+    def _wanted(self, event: Any) -> None:
+        self.films.show(self.linked, self.desk.run, int(event.new["frame"]), self.scene)
+
+    def _selected(self, event: Any) -> None:
+        if event.new.get("middle") is not None:
+            self.films.show(self.linked, self.desk.run, int(event.new["middle"]), self.scene)
+
+    def _audited(self) -> str:
+        """Frame rate and time base in plain sight, what the tracker noticed, and its contact sheet."""
+        run = self.desk.measured
+        if run is None or run.film is None:
+            if not self.desk.run:
+                return note("Choose recordings, or drop them; then give mass, frame rate and scale.")
+            return note(f"{self.desk.run} is not measured to its end yet.")
+        rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
+        notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
+        return (
+            heading("Time base") + table(("what was looked at", "value", "verdict"), rows)
+            + (heading("Noticed") + f"<ul>{notes}</ul>" if notes else "")
+        )  # fmt: skip
+
+
+def stored_upload(folder: Path, name: str, content: bytes | str) -> str:
+    """Put an uploaded file into the study's folder and return its name there.
+
+    Of the name only the last part counts, so that it cannot leave the folder; another file of that name is not
+    overwritten. Raises `FrictrackError` for a name that is none.
+    """
+    last = Path(name.replace("\\", "/")).name
+    path = folder / last
+    if not last or last.startswith(".") or path.resolve().parent != folder.resolve():
+        raise FrictrackError(f'expected the name of a recording but got "{name}"')
+    data = content.encode() if isinstance(content, str) else content
+    if path.exists() and path.read_bytes() != data:
+        raise FrictrackError(f"{last} is there already with another content; rename one of them")
+    with replaced(path) as part:
+        part.write_bytes(data)
+    return last
+
+
+def _number(text: str | None) -> Any:
+    """A number where the text is one."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return text

@@ -1,0 +1,122 @@
+"""Long work in processes of their own, which speak through files: a page that dies loses nothing of them.
+
+jobs/0007/spec.json       what is to be done, and by whom
+jobs/0007/progress.jsonl  what was done so far, line by line
+jobs/0007/alive           held by the process as long as it lives
+jobs/0007/cancel          put there by who wants it to end; the process ends at once
+jobs/0007/result.json     what came of it, or why nothing did
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from frictrack.errors import FrictrackError
+from frictrack.files import alone, replace_text
+from frictrack.study import Study
+
+STARTING = 20.0  # s that a process may take until it holds its lock
+RUNNING, DONE, FAILED, CANCELLED, INTERRUPTED = "running", "done", "failed", "cancelled", "interrupted"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One piece of long work of a study, by its folder."""
+
+    folder: Path
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """``do``, ``told``, ``study``, ``seen`` and when it was asked for."""
+        found: dict[str, Any] = json.loads((self.folder / "spec.json").read_text(encoding="utf-8"))
+        return found
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What the work gave; empty as long as it goes on. A failure stands under ``error``."""
+        try:
+            found: dict[str, Any] = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        return found
+
+    @property
+    def progress(self) -> list[dict[str, Any]]:
+        """Lines of ``done``, ``total``, ``what``, oldest first; a last one that is half-written is left out."""
+        try:
+            lines = (self.folder / "progress.jsonl").read_bytes().split(b"\n")[:-1]
+        except FileNotFoundError:
+            return []
+        return [json.loads(line) for line in lines]
+
+    @property
+    def state(self) -> str:
+        """Running, done, failed, cancelled, or interrupted: its process was ended from outside."""
+        if result := self.result:
+            return FAILED if "error" in result else DONE
+        if self._held() or (time.time() - self.spec["at"] < STARTING and not (self.folder / "alive").exists()):
+            return RUNNING
+        if result := self.result:  # it came while we looked
+            return FAILED if "error" in result else DONE
+        return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
+
+    def _held(self) -> bool:
+        if not (self.folder / "alive").exists():
+            return False
+        lock = FileLock(self.folder / "alive", timeout=0)
+        try:
+            lock.acquire()
+        except Timeout:
+            return True
+        lock.release()
+        return False
+
+    def cancel(self) -> None:
+        """End it at once; what it had finished before stays."""
+        (self.folder / "cancel").touch()
+
+
+def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", **told: Any) -> Job:
+    """Start a piece of work: a command that changes the study, or one that brings it up to date.
+
+    Raises `FrictrackError` where another one of this study is still running.
+    """
+    folder = study.output / "jobs"
+    with alone(study.output):
+        busy = next((job for job in listed(study) if job.state == RUNNING), None)
+        if busy is not None:
+            raise FrictrackError(f"{busy.spec['do']} is still running; wait for it or cancel it")
+        number = max((int(job.folder.name) for job in listed(study)), default=0) + 1
+        made = folder / f"{number:04d}"
+        made.mkdir(parents=True)
+        spec = {"do": do, "told": told, "study": str(study.path.resolve()), "seen": seen, "who": who, "at": time.time()}
+        replace_text(made / "spec.json", json.dumps(spec))
+    with (made / "output.txt").open("wb") as output:
+        subprocess.Popen(
+            [sys.executable, "-m", "frictrack.workbench.work", str(made)],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+        )
+    return Job(made)
+
+
+def listed(study: Study) -> list[Job]:
+    """All pieces of work of a study, oldest first."""
+    return list(_listed(study.output / "jobs"))
+
+
+def _listed(folder: Path) -> Iterator[Job]:
+    for one in sorted(folder.glob("[0-9]*")):
+        if (one / "spec.json").exists():
+            yield Job(one)

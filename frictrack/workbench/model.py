@@ -1,0 +1,186 @@
+"""Tab 3, the model: its effects as blocks with their equation; add, remove, fix, bound; watch a search converge."""
+
+from __future__ import annotations
+
+import re
+from html import escape
+from typing import Any
+
+import panel as pn
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure as chart
+
+from frictrack import plots
+from frictrack.effects import catalogue
+from frictrack.flow import own_effects
+from frictrack.plots import number
+from frictrack.report.numbers import formula
+from frictrack.workbench.desk import Desk
+from frictrack.workbench.widgets import button, html, note
+
+SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
+MISFIT = re.compile(r"misfit ([-+.\deE]+)")
+
+
+class ModelTab:
+    """Blocks of the current model, and how it is fitted."""
+
+    title = "3 Model"
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self.head = html("")
+        self.blocks = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
+        self.choice = pn.widgets.Select(name="Effect", options=[], width=220)
+        self.words = html("", width=520)
+        self.search = pn.widgets.Select(name="Search", options=SEARCHES, width=120)
+        self.over = pn.widgets.Select(name="looks for", options=["all", "nonlinear"], width=120)
+        self.seed = pn.widgets.IntInput(name="Seed", value=0, width=80)
+        self.text = pn.widgets.TextInput(
+            name="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
+        )
+        self.source = ColumnDataSource({"generation": [], "misfit": []})
+        self.chart = self._charted()
+        self.view = pn.Column(
+            self.head,
+            self.blocks,
+            pn.FlexBox(
+                self.choice,
+                button("Add it", self._add, "primary"),
+                self.words,
+                align_items="flex-end",
+                gap="10px",
+            ),
+            pn.FlexBox(
+                self.text,
+                self.search,
+                self.over,
+                self.seed,
+                button("Fit", self._fit, "primary"),
+                align_items="flex-end",
+                gap="10px",
+            ),
+            self.chart,
+            sizing_mode="stretch_width",
+        )
+        self.choice.param.watch(lambda event: self._told(), "value")
+        desk.param.watch(self._converging, "busy")
+
+    def _charted(self) -> Any:
+        """The misfit of a global search, generation by generation."""
+        drawn = chart(height=220, width=640, y_axis_type="log", toolbar_location=None)
+        drawn.xaxis.axis_label, drawn.yaxis.axis_label = "generation", "misfit"
+        drawn.line("generation", "misfit", source=self.source, line_width=2, color="#0072b2")
+        return pn.Column(html(note("How the search converges:")), pn.pane.Bokeh(drawn), visible=False)
+
+    def refresh(self) -> None:
+        """Show the model that is current now."""
+        model = self.desk.model
+        tables = self.desk.study.effects if self.desk.study else ()
+        known = {e["name"]: e for e in catalogue(own_effects(tables))}
+        if model is None:
+            self.head.object = note("No model was fitted yet. Fit the one of the study file, or another one.")
+            self.blocks.objects = []
+            self.choice.options = []
+            return
+        self.head.object = f"<p class=ft-verdict>{formula(model.equation)}</p>" + "".join(
+            note(remark) for remark in model.summary.get("remarks", [])
+        )
+        names = model.summary["model"]
+        self.blocks.objects = [self._block(name, known.get(name.split(":")[0], {})) for name in names]
+        self.choice.options = [name for name in known if name not in names]
+        self.choice.value = self.choice.options[0]
+        self._told(known)
+
+    def _block(self, name: str, told: dict[str, Any]) -> pn.Column:
+        """One effect: its equation, and every parameter with what is known of it."""
+        rows: list[Any] = []
+        assert self.desk.model is not None
+        for full, value in self.desk.model.summary["parameters"].items():
+            effect, _, parameter = full.rpartition(".")
+            if effect == name and "[" not in parameter:
+                rows.append(self._parameter(name, parameter, value, told))
+        return pn.Column(
+            html(f"<h3 class=ft-h>{escape(name)}</h3>" + f"<p class=ft-note>{formula(told.get('equation', ''))}</p>"),
+            *rows,
+            button(f"Remove {name}", lambda: self.desk.start("remove", effect=name)),
+            width=400,
+            styles={"border": "1px solid #c8c8c8", "border-top": "5px solid #0072b2", "padding": "8px"},
+        )
+
+    def _parameter(self, effect: str, name: str, value: dict[str, Any], told: dict[str, Any]) -> pn.Column:
+        """A value with its standard deviation; a number in `fixed at` holds it, two in `between` bound it."""
+        written = next((t for t in (self.desk.study.effects if self.desk.study else ()) if t.effect == effect), None)
+        held = (written.fix if written else {}).get(name)
+        bounds = (written.bounds if written else {}).get(name)
+        default = next((p["bounds"] for p in told.get("parameters", []) if p["name"] == name), None)
+        fix = pn.widgets.TextInput(name="fixed at", value="" if held in (None, False) else f"{held:g}", width=90)
+        low, high = (
+            pn.widgets.TextInput(name=label, value="" if bounds is None else f"{bounds[i]:g}", width=90)
+            for i, label in enumerate(("at least", "at most"))
+        )
+        fix.param.watch(lambda e: self._set(effect, "fix", name, _floats(e.new)), "value")
+        for box in (low, high):
+            box.param.watch(lambda e: self._bound(effect, name, (low.value, high.value), default), "value")
+        said = number(value["value"]) if value["value"] is not None else "not determined"
+        error = f" ± {number(value['std'], 2)}" if value.get("std") else ""
+        reason = f" ({value['reason']})" if value.get("reason") else ""
+        return pn.Column(
+            html(f"<b>{formula(name)}</b> = {said}{error} {escape(plots.unit(value['unit']))}{escape(reason)}"),
+            pn.Row(fix, low, high),
+        )
+
+    def _bound(self, effect: str, name: str, written: tuple[str | None, str | None], default: Any) -> None:
+        """Both bounds together; one that is left empty is the library's."""
+        sides = [_floats(text) for text in written]
+        if all(side is None for side in sides):
+            return self._set(effect, "bounds", name, None)
+        wide = default or [None, None]
+        filled = [side if side is not None else wide[i] for i, side in enumerate(sides)]
+        if any(side is None for side in filled):
+            return self.desk.tell(f"give both bounds of {effect}.{name}: it has none of its own on that side")
+        return self._set(effect, "bounds", name, filled)
+
+    def _set(self, effect: str, key: str, name: str, value: Any) -> None:
+        """What the study file says of one parameter; the next fit heeds it."""
+        written = next((t for t in (self.desk.study.effects if self.desk.study else ()) if t.effect == effect), None)
+        old = dict(getattr(written, key)) if written else {}
+        new = {**old, name: value} if value is not None else {k: v for k, v in old.items() if k != name}
+        if new != old:
+            plain = {k: list(v) if isinstance(v, tuple) else v for k, v in new.items()}
+            self.desk.do("edit", table="effect", which=effect, key=key, value=plain or None)
+
+    def _told(self, known: dict[str, Any] | None = None) -> None:
+        """What the chosen effect is."""
+        tables = self.desk.study.effects if self.desk.study else ()
+        found = (known or {e["name"]: e for e in catalogue(own_effects(tables))}).get(self.choice.value)
+        if found:
+            self.words.object = note(f"{found['equation']}. Looks like {found['looks_like']}.")
+
+    def _add(self) -> None:
+        if self.choice.value:
+            self.desk.start("add", effect=self.choice.value)
+
+    def _fit(self) -> None:
+        self.source.data = {"generation": [], "misfit": []}
+        how = {"search": self.search.value, "over": self.over.value, "seed": self.seed.value}
+        self.desk.start("fit", model=(self.text.value or "").strip() or None, **how)
+
+    def _converging(self, event: Any) -> None:
+        """Draw on what the work says of its generations."""
+        job = self.desk.job
+        if job is None or event.new.get("do") != "fit":
+            return
+        lines = [(line["done"], MISFIT.search(line["what"])) for line in job.progress]
+        found = [(k, float(m[1])) for k, m in lines if m]
+        if found:
+            self.chart.visible = True
+            self.source.data = {"generation": [k for k, _ in found], "misfit": [m for _, m in found]}
+
+
+def _floats(text: str | None) -> float | None:
+    """A number, or none."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return None

@@ -1,0 +1,152 @@
+"""Tab 6, history and report: every model tried side by side, and all that a colleague can be given."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+
+import panel as pn
+from matplotlib.figure import Figure
+
+from frictrack import plots
+from frictrack.export import write
+from frictrack.flow import script
+from frictrack.plots import number
+from frictrack.results import Results
+from frictrack.workbench.desk import Desk
+from frictrack.workbench.widgets import button, html, note, table
+
+KINDS = ("svg", "png", "pdf")
+ERRORS = {
+    "rms_displacement_um": "residual / µm",
+    "heldout_rms_um": "held out / µm",
+    "heldout_rms_N": "held out / N",
+    "relative_force_error": "force error",
+    "reduced_chi2": "reduced chi²",
+}
+
+
+class RecordTab:
+    """The models in the order tried, and the files."""
+
+    title = "6 History and report"
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self.models = html("")
+        self.choice = pn.widgets.Select(name="Model", options={}, width=300)
+        self.kind = pn.widgets.RadioButtonGroup(name="Figures as", options=list(KINDS), value="svg")
+        self.link = html("")
+        self.view = pn.Column(
+            self.models,
+            pn.FlexBox(self.choice, button("Make it current", self._use), align_items="flex-end", gap="10px"),
+            pn.FlexBox(
+                button("Write the report", lambda: desk.start("report"), "primary"),
+                self._file("Report (HTML)", "report.html", self._report),
+                self._file("Tables (CSV)", "tables.zip", self._tables),
+                self._file("Everything (HDF5)", "hdf5.zip", self._stores),
+                self._file("Python script", "repeat.py", self._script),
+                gap="10px",
+            ),
+            pn.FlexBox(
+                self.kind, self._file("Figures", "figures.zip", self._figures), align_items="flex-end", gap="10px"
+            ),
+            self.link,
+            sizing_mode="stretch_width",
+        )
+
+    def _file(self, label: str, name: str, make: Callable[[], bytes | None]) -> pn.widgets.FileDownload:
+        def made() -> io.BytesIO:
+            return io.BytesIO(make() or b"")
+
+        return pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, button_type="default")
+
+    def refresh(self) -> None:
+        """Show the models tried."""
+        results = self.desk.results
+        models = results.models if results else ()
+        if not models:
+            self.models.object = note("No model was fitted yet.")
+            return
+        shown = [key for key in ERRORS if any(m.summary["errors"].get(key) is not None for m in models)]
+        rows = [
+            (
+                m.name.split("_")[0],
+                plots.plain_name(m.name) + (" (current)" if m.current else ""),
+                *(number(m.summary["errors"].get(key)) for key in shown),
+                (m.diagnosis or {}).get("verdict", ""),
+            )
+            for m in models
+        ]
+        head = ("", "model", *(ERRORS[key] for key in shown), "verdict")
+        self.models.object = table(head, rows, range(2, 2 + len(shown)))
+        self.choice.options = {plots.plain_name(m.name): m.name for m in models}
+        path = results.output / "report.html" if results else None
+        self.link.object = note(f"The report is {path}") if path and path.exists() else ""
+
+    def _use(self) -> None:
+        if self.choice.value:
+            self.desk.do("use", model=self.choice.value)
+
+    # --- files
+
+    def _results(self) -> Results:
+        assert self.desk.results is not None
+        return self.desk.results
+
+    def _report(self) -> bytes | None:
+        path = self._results().output / "report.html"
+        if path.exists():
+            return path.read_bytes()
+        self.desk.tell("write the report first", wrong=True)
+        return None
+
+    def _tables(self) -> bytes:
+        return zipped({path.name: path.read_bytes() for path in write(self._results(), "csv")})
+
+    def _stores(self) -> bytes:
+        return zipped({path.name: path.read_bytes() for path in sorted(self._results().output.glob("*.h5"))})
+
+    def _script(self) -> bytes:
+        assert self.desk.study is not None
+        return script(self.desk.study).encode()
+
+    def _figures(self) -> bytes:
+        kind = self.kind.value
+        return zipped({f"{name}.{kind}": drawn(made, kind) for name, made in figures(self._results()).items()})
+
+
+def figures(results: Results) -> dict[str, Figure]:
+    """Every figure of a study by its file's name."""
+    out: dict[str, Figure] = {}
+    for run in results.runs:
+        out[f"motion {run.name}"] = plots.motion(run)
+        if run.film is not None:
+            out[f"film {run.name}"] = plots.film(run)
+    for model in results.models:
+        out[f"model {model.name}"] = plots.fit(model, results.runs)
+        if model.diagnosis:
+            out[f"fails {model.name}"] = plots.failing(model, results.runs, model.diagnosis["fails_at"])
+            out[f"candidates {model.name}"] = plots.candidates(model.diagnosis)
+    if results.models:
+        out["history"] = plots.history(results.models)
+    return out
+
+
+def drawn(made: Figure, kind: str) -> bytes:
+    """A figure as a file."""
+    if kind == "svg":
+        return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
+    sheet = io.BytesIO()
+    made.savefig(sheet, format=kind, dpi=200)
+    return sheet.getvalue()
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """Files in one archive."""
+    sheet = io.BytesIO()
+    with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return sheet.getvalue()

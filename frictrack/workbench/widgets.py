@@ -1,0 +1,65 @@
+"""Small things that all tabs share: tables and cards in plain HTML, figures, buttons without icons from afar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Any
+
+import panel as pn
+from matplotlib.figure import Figure
+
+from frictrack import plots
+
+CSS = """
+:host, body { font-family: system-ui, sans-serif; font-size: 14px; color: #1a1a1a; }
+.ft-table { border-collapse: collapse; font-size: 14px; }
+.ft-table th, .ft-table td { border-bottom: 1px solid #d0d0d0; padding: 4px 10px; text-align: left; }
+.ft-table td.n { text-align: right; font-variant-numeric: tabular-nums; }
+.ft-card { border: 1px solid #c8c8c8; border-left: 6px solid #0072b2; padding: 8px 12px; background: #fff; }
+.ft-card.weak { border-left-color: #bbb; }
+.ft-card h3, .ft-h { font-size: 15px; margin: 0 0 4px 0; }
+.ft-note { color: #555; margin: 2px 0; }
+.ft-said { padding: 6px 10px; background: #e8f1f8; min-height: 1.4em; }
+.ft-said.wrong { background: #fbe3d6; border-left: 6px solid #d55e00; }
+.ft-verdict { font-size: 17px; font-weight: 600; }
+svg { max-width: 100%; height: auto; }
+"""
+
+
+def html(text: str, **more: Any) -> pn.pane.HTML:
+    """Ready HTML; what comes from files must be escaped."""
+    wide = {} if "width" in more else {"sizing_mode": "stretch_width"}
+    return pn.pane.HTML(text, stylesheets=[CSS], **wide, **more)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = ()) -> str:
+    """A table of texts; columns in `numbers` are set right."""
+    cells = ["".join(f"<th>{escape(str(h))}</th>" for h in head)]
+    for row in rows:
+        cells.append(
+            "".join(f"<td{' class=n' if i in numbers else ''}>{escape(str(v))}</td>" for i, v in enumerate(row))
+        )
+    return f"<table class=ft-table>{''.join(f'<tr>{c}</tr>' for c in cells)}</table>"
+
+
+def heading(text: str) -> str:
+    """A small heading."""
+    return f"<h2 class=ft-h>{escape(text)}</h2>"
+
+
+def note(text: str) -> str:
+    """A remark."""
+    return f"<p class=ft-note>{escape(text)}</p>"
+
+
+def figure(made: Figure) -> pn.pane.HTML:
+    """A figure as vectors."""
+    return html(plots.svg(made))
+
+
+def button(name: str, click: Callable[[], Any], kind: str = "default", **more: Any) -> pn.widgets.Button:
+    """A button that calls something without arguments."""
+    made = pn.widgets.Button(name=name, button_type=kind, **more)
+    made.on_click(lambda event: click())
+    return made
