@@ -5,7 +5,7 @@ plots.motion(run).savefig("v3.pdf")
 
 from frictrack.plots.budget import budget
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import candidates, history, limited, limits, passes, scan, scanned
+from frictrack.plots.evidence import candidates, gain, history, limited, limits, passes, scan, scanned
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.model import failing, fit, noise_um, routes
@@ -25,6 +25,7 @@ __all__ = [
     "film",
     "fit",
     "friction",
+    "gain",
     "history",
     "in_step",
     "limited",

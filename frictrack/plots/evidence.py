@@ -47,7 +47,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
         good = passes(c)
         look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
         ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
-        told = f" {_gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
+        told = f" {gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
         ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
     if logarithmic:
         ax.set_xscale("log")
@@ -65,7 +65,8 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _gain(delta_bic: float) -> str:
+def gain(delta_bic: float) -> str:
+    """Evidence with its sign, thousands apart."""
     return f"{delta_bic:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 

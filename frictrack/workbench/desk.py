@@ -126,7 +126,8 @@ class Desk(param.Parameterized):
     def begin(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
         """Write the study file of some recordings; whether that went well."""
         try:
-            start_study(self.path, [self.path.parent / name for name in recordings], keys)
+            known = {key: value for key, value in keys.items() if value}
+            start_study(self.path, [self.path.parent / name for name in recordings], known)
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return False

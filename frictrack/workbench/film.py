@@ -77,12 +77,10 @@ class FilmTab:
         names = list(self.found.value)
         if not names:
             return self.desk.tell("choose recordings in this folder, or drop them here first", wrong=True)
-        if self.desk.study is not None:
-            self.desk.do("take_in", recordings=names)
-        else:
-            keys = {"mass": self.mass.value, "fps": _number(self.fps.value), "scale": self.scale.value}
-            self.desk.begin(names, {key: value for key, value in keys.items() if value})
-        self.found.value = []
+        keys = {"mass": self.mass.value, "fps": _number(self.fps.value), "scale": self.scale.value}
+        new = self.desk.study is None
+        if self.desk.begin(names, keys) if new else self.desk.do("take_in", recordings=names):
+            self.found.value = []
         return None
 
     def _dropped(self, event: Any) -> None:

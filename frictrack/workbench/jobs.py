@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -101,13 +102,14 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
         spec = {"do": do, "told": told, "study": str(study.path.resolve()), "seen": seen, "who": who, "at": time.time()}
         replace_text(made / "spec.json", json.dumps(spec))
     with (made / "output.txt").open("wb") as output:
-        subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-m", "frictrack.workbench.work", str(made)],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
             start_new_session=True,
         )
+    Thread(target=process.wait, daemon=True).start()  # so that it does not stay behind when it has ended
     return Job(made)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import panel as pn
 
 from frictrack import plots
-from frictrack.plots import number
+from frictrack.plots import gain, number
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Films
@@ -76,7 +76,7 @@ class MissingTab:
         rivals = ", ".join(c["indistinguishable_from"])
         lines = [
             f"<h3>{escape(c['effect'])}</h3>",
-            f"<b>evidence {c['delta_bic']:+.0f}</b> (delta BIC), p = {number(c['p'], 1)}"
+            f"<b>evidence {gain(c['delta_bic'])}</b> (delta BIC), p = {number(c['p'], 1)}"
             + (f"; {fall}" if fall else ""),
             escape(words.get("what", "")),
             f"<i>Looks like</i> {escape(words['looks_like'])}" if words.get("looks_like") else "",

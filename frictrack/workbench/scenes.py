@@ -14,7 +14,7 @@ from frictrack.plots.style import BLUE, GREEN, ORANGE, PURPLE, RUNS, SIGMAS, SKY
 from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 
-BAND, FREE, MEASURED = "rgba(0,0,0,.14)", "rgba(0,158,115,.12)", "#333333"
+BAND, FREE, MEASURED = "#e0e0e0", "rgba(0,158,115,.12)", "#333333"
 TRACKS = (ORANGE, SKY, GREEN, PURPLE)
 
 

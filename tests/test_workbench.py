@@ -1,0 +1,387 @@
+"""The workbench in a real browser: the loop from film to fallen error, and all that may go wrong on the way.
+
+Every request of every page is logged: none may leave the machine. Screenshots go to `FRICTRACK_ARTEFACTS`, when set.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study, script
+from frictrack.workbench.film import stored_upload
+
+playwright = pytest.importorskip("playwright.sync_api")
+CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+ARGS = [
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+]
+INK = """(plots, [r, g, b, k]) => plots.map((plot) => {
+    const c = plot.querySelectorAll("canvas")[k], d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    let n = 0;
+    for (let i = 0; i < d.length; i += 4) n += d[i] === r && d[i + 1] === g && d[i + 2] === b;
+    return n;
+})"""
+FOCUSED = """() => {
+    let a = document.activeElement;
+    while (a.shadowRoot) a = a.shadowRoot.activeElement;
+    return a.tagName;
+}"""
+SAMPLES = Path(__file__).parent.parent / "sample_videos"
+HERE = re.compile(r"(https?|wss?)://(127\.0\.0\.1|localhost)[:/]|data:|blob:")
+SLOW = 120_000  # ms that work may take on a busy machine
+
+
+@dataclass
+class Server:
+    """A workbench that runs in a process of its own."""
+
+    study: Path
+    more: tuple[str, ...] = ()
+    process: subprocess.Popen[bytes] | None = None
+    port: int = 0
+
+    def start(self) -> Server:
+        if not self.port:
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                self.port = free.getsockname()[1]
+        words = [sys.executable, "-m", "frictrack", "app", str(self.study), "--no-browser", "--port", str(self.port)]
+        self.process = subprocess.Popen([*words, *self.more], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            with socket.socket() as knock:
+                if knock.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return self
+            time.sleep(0.1)
+        raise AssertionError("the server did not start")
+
+    def stop(self, how: int = signal.SIGTERM) -> None:
+        assert self.process is not None
+        self.process.send_signal(how)
+        self.process.wait(20)
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+
+@dataclass
+class Tab:
+    """One tab of the browser, and all that it asked for and complained of."""
+
+    page: playwright.Page
+    faults: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.page.on("request", lambda r: HERE.match(r.url) or self.faults.append(f"asked {r.url}"))
+        self.page.on("pageerror", lambda e: self.faults.append(f"error {e}"))
+        self.page.on(
+            "response", lambda r: r.status < 400 or "favicon" in r.url or self.faults.append(f"{r.status} {r.url}")
+        )
+
+    def _answered(self, answer: playwright.Response) -> None:
+        if answer.status >= 400 and "favicon" not in answer.url:
+            self.faults.append(f"{answer.status} {answer.url}")
+
+    def open(self, server: Server) -> Tab:
+        self.page.goto(server.address)
+        self.page.get_by_text("1 Film", exact=True).wait_for()
+        return self
+
+    def to(self, title: str) -> Tab:
+        self.page.get_by_text(title, exact=True).click()
+        return self
+
+    def click(self, name: str) -> Tab:
+        self.page.get_by_role("button", name=name, exact=True).click()
+        return self
+
+    def hears(self, words: str, within: int = SLOW) -> str:
+        """Wait until the page says so in its status line."""
+        line = self.page.locator(".ft-said", has_text=words)
+        line.wait_for(timeout=within)
+        return line.inner_text()
+
+    def sees(self, words: str | re.Pattern[str], within: int = SLOW) -> None:
+        self.page.get_by_text(words).first.wait_for(timeout=within)
+
+    def drag(self, plot: int, *, shift: bool = False) -> None:
+        """Over the middle of a plot."""
+        box = self.page.locator(".ft-plot").nth(plot).bounding_box()
+        assert box is not None
+        x, y, w, h = box["x"] + 74, box["y"] + 24, box["width"] - 84, box["height"] - 60
+        if shift:
+            self.page.keyboard.down("Shift")
+        self.page.mouse.move(x + 0.4 * w, y + 2)
+        self.page.mouse.down()
+        self.page.mouse.move(x + 0.6 * w, y + h - 2, steps=5)
+        self.page.mouse.up()
+        if shift:
+            self.page.keyboard.up("Shift")
+
+    def until(self, true: Callable[[], bool]) -> None:
+        """Wait until something holds."""
+        for _ in range(100):
+            if true():
+                return
+            self.page.wait_for_timeout(200)
+        assert true()
+
+    def ink(self, colour: tuple[int, int, int], layer: int = 1) -> list[int]:
+        """Pixels of a colour in every plot, on top of it (1) or below (0)."""
+        found: list[int] = self.page.locator(".ft-plot").evaluate_all(INK, [*colour, layer])
+        return found
+
+    def picture(self, name: str) -> None:
+        if folder := os.environ.get("FRICTRACK_ARTEFACTS"):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
+
+
+Open = Callable[[], Tab]
+CHOSEN, GHOST = (213, 94, 0), (187, 187, 187)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[playwright.Browser]:
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=ARGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(chromium: playwright.Browser) -> Iterator[Open]:
+    """Opens tabs; at the end none of them has asked anybody outside, or met an error."""
+    opened: list[Tab] = []
+
+    def new() -> Tab:
+        opened.append(Tab(chromium.new_page(viewport={"width": 1280, "height": 900})))
+        return opened[-1]
+
+    yield new
+    for one in opened:
+        one.page.close()
+    assert [fault for one in opened for fault in one.faults] == []
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with films and nothing else."""
+    folder = tmp_path_factory.mktemp("bench")
+    for film in SAMPLES.glob("*.avi"):
+        shutil.copy(film, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bench(films: Path) -> Iterator[Server]:
+    server = Server(films).start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def tables(study_file: Path) -> Iterator[Server]:
+    server = Server(study_file).start()
+    yield server
+    server.stop()
+
+
+def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
+    page = tab().open(bench)
+    for film in sorted(SAMPLES.glob("*.avi")):
+        if film.stem != "double_mass":
+            page.page.get_by_label(film.name).check()
+    for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm/px"}.items():
+        page.page.get_by_label(label).fill(value)
+    page.picture("1_films")
+    page.click("Take them in").hears("study.toml is written")
+    page.sees("frame 0 of 150")
+    page.click("Run everything").hears("run: done")
+    page.sees(re.compile(r"Tustin: reduced chi-squared .*missing"))
+    page.picture("2_measured")
+    for title in ("2 Motion", "3 Model", "4 Compare"):
+        page.to(title).page.wait_for_timeout(700)
+        page.picture(title.replace(" ", "_"))
+    page.to("5 What is missing?").sees("Missing: texture.")
+    page.click("Try texture").hears("attempt texture: done")
+    page.until(lambda: min(page.ink(GHOST, layer=0), default=0) > 50)
+    page.picture("5_tried")
+    page.click("Add texture").hears("add texture: done")
+    page.click("Find what is missing").hears("diagnose: done")
+    page.sees("Complete: nothing that the library knows is missing")
+    page.sees(re.compile("Held-out error falls from"))
+    page.picture("6_added")
+    page.to("6 History and report").sees("Tustin + texture (current)")
+    page.click("Undo").hears("undo: done")
+    page.sees("Tustin (current)")
+    page.click("Redo").hears("redo: done")
+    page.sees("Tustin + texture (current)")
+    page.click("Write the report").hears("report: done")
+    with page.page.expect_download() as got:
+        page.page.get_by_text("Report (HTML)", exact=True).click()
+    assert "texture" in Path(got.value.path()).read_text(encoding="utf-8")
+    page.picture("7_history")
+
+
+def test_what_is_selected_in_one_plot_shows_in_all_others_and_on_the_film(bench: Server, tab: Open) -> None:
+    page = tab().open(bench).to("4 Compare")
+    page.until(lambda: page.ink(CHOSEN) == [0] * 5)
+    page.drag(1)
+    page.page.locator(".ft-status", has_text="frames selected").wait_for()
+    page.until(lambda: min(page.ink(CHOSEN)) > 50)
+    page.until(lambda: re.search(r"frame [1-9]\d* of", page.page.locator(".ft-label").inner_text()) is not None)
+    page.picture("8_brushed")
+    page.page.keyboard.press("Escape")
+    page.until(lambda: page.ink(CHOSEN) == [0] * 5)
+
+
+def test_plots_answer_the_keyboard(bench: Server, tab: Open) -> None:
+    page = tab().open(bench).to("4 Compare")
+    page.until(lambda: page.ink(CHOSEN) == [0] * 5)
+    page.page.locator(".ft-plot canvas[tabindex]").first.focus()
+    page.page.keyboard.press("PageDown")
+    page.page.locator(".ft-status", has_text="frame 25").wait_for()
+    for _ in range(3):
+        page.page.keyboard.press("Shift+ArrowRight")
+    page.page.locator(".ft-status", has_text="4 frames selected").wait_for()
+    page.page.keyboard.press("Tab")  # and on to the next plot
+    assert page.page.evaluate(FOCUSED) == "CANVAS"
+
+
+def test_a_target_is_drawn_on_the_film_and_taken_back(bench: Server, tab: Open) -> None:
+    page = tab().open(bench)
+    page.sees("frame 0 of 150")
+    before = bench.study.joinpath("study.toml").read_text(encoding="utf-8")
+    page.click("target")
+    canvas = page.page.locator(".ft-frame")
+    film = canvas.bounding_box()
+    assert film is not None
+
+    def ready() -> bool:
+        page.page.mouse.move(film["x"] + 19, film["y"] + 9)
+        page.page.mouse.move(film["x"] + 20, film["y"] + 10)
+        return bool(canvas.evaluate("(c) => c.style.cursor") == "crosshair")
+
+    page.until(ready)
+    page.page.mouse.down()
+    page.page.mouse.move(film["x"] + 90, film["y"] + 50, steps=4)
+    page.page.mouse.up()
+    page.hears("edit: done")
+    assert re.search(r"target = \[\d+\.\d, \d+\.\d, \d+\.\d, \d+\.\d\]", bench.study.joinpath("study.toml").read_text())
+    page.click("Undo").hears("undo: done")
+    assert bench.study.joinpath("study.toml").read_text(encoding="utf-8") == before
+
+
+def test_the_script_of_a_session_repeats_it(bench: Server, tmp_path: Path) -> None:
+    folder = tmp_path / "again"
+    shutil.copytree(bench.study, folder)
+    study = open_study(folder / "study.toml")
+    before = Session(study).tried.groups
+    (folder / "repeat.py").write_text(script(study), encoding="utf-8")
+    subprocess.run([sys.executable, "repeat.py"], cwd=folder, check=True, capture_output=True)
+    assert [name.split("_", 1)[1] for name in Session(study).tried.groups] == [n.split("_", 1)[1] for n in before]
+
+
+def test_two_tabs_see_the_same_and_do_not_undo_each_other_unseen(tables: Server, tab: Open) -> None:
+    one, other = tab().open(tables).to("6 History and report"), tab().open(tables).to("6 History and report")
+    one.click("Run everything")
+    one.hears("run: done")
+    other.sees("coulomb + viscous (current)")
+    one.to("3 Model").page.get_by_label("fixed at").first.fill("2.0")
+    one.page.keyboard.press("Enter")
+    one.hears("edit: done")
+    other.page.get_by_role("button", name="Undo", disabled=False).wait_for()
+    other.click("Undo").hears("undo: done")
+    assert "F_c" not in tables.study.read_text(encoding="utf-8")
+
+
+def test_work_is_cancelled_and_found_again_after_a_reload(tables: Server, tab: Open) -> None:
+    page = tab().open(tables).to("3 Model")
+    page.page.get_by_label("Search").select_option("sga")
+    page.page.get_by_label("Another model").fill("tustin")
+    page.click("Fit")
+    page.sees(re.compile("sga: misfit"))
+    page.page.reload()
+    page.sees(re.compile("sga: misfit"))
+    page.picture("9_search")
+    page.click("Cancel")
+    page.hears("fit tustin sga all 0: cancelled")
+    page.click("Run everything").hears("run: done")
+
+
+def test_a_killed_server_loses_nothing(tables: Server, tab: Open) -> None:
+    page = tab().open(tables)
+    page.click("Run everything")
+    page.sees(re.compile("run: .+"))
+    tables.stop(signal.SIGKILL)
+    tables.start()
+    again = tab().open(tables).to("6 History and report")
+    again.sees("coulomb + viscous (current)")
+    page.faults.clear()  # its server was taken from it
+
+
+def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open) -> None:
+    (tmp_path / "broken.avi").write_bytes((SAMPLES / "fast.avi").read_bytes()[:4000])
+    server = Server(tmp_path).start()
+    try:
+        page = tab().open(server)
+        page.page.get_by_label("broken.avi").check()
+        for label, value in {"Mass of the slider": "0.35 kg", "Frames per second": "4000", "Scale": "0.5 mm"}.items():
+            page.page.get_by_label(label).fill(value)
+        page.click("Take them in").hears("px")  # of the scale
+        page.page.get_by_label("Scale").fill("0.5 mm/px")
+        page.click("Take them in").hears("broken.avi")
+        assert not (tmp_path / "study.toml").exists()
+        page.picture("10_broken")
+    finally:
+        server.stop()
+
+
+def test_a_page_for_others_asks_for_its_token(study_file: Path, tab: Open) -> None:
+    server = Server(study_file, ("--token", "sesame")).start()
+    try:
+        page = tab()
+        page.page.goto(server.address)
+        assert "token" in page.page.content()
+        page.page.goto(server.address + "?token=wrong")
+        assert "token" in page.page.content()
+        page.faults.clear()  # those were refused, as they should be
+        page.page.goto(server.address + "?token=sesame")
+        page.sees("1 Film")
+        page.page.goto(server.address)  # the cookie is enough now
+        page.sees("1 Film")
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("name", ["../outside.avi", "..\\outside.avi", "/etc/outside.avi", "a/../../outside.avi"])
+def test_an_uploaded_name_cannot_leave_the_folder(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    assert stored_upload(folder, name, b"film") == "outside.avi"
+    assert [p.name for p in tmp_path.rglob("*.avi")] == ["outside.avi"]
+    with pytest.raises(FrictrackError, match="another content"):
+        stored_upload(folder, name, b"another")
+
+
+@pytest.mark.parametrize("name", ["", "..", ".", "...", ".hidden", "a/.."])
+def test_an_uploaded_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(FrictrackError, match="expected the name of a recording"):
+        stored_upload(tmp_path, name, b"film")
