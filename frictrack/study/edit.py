@@ -10,7 +10,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack.errors import FrictrackError
-from frictrack.study.write import run_tables
+from frictrack.study.write import apart, run_tables
 
 MANY = {"run": "name", "effect": "effect"}  # tables of which there are several, and the key that tells them apart
 
@@ -35,7 +35,7 @@ def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
     document = _parsed(text)
     runs = document.setdefault("run", tomlkit.aot())
     for run in run_tables(recordings, folder, [_called(run, "run") for run in runs]):
-        runs.append(_apart(tomlkit.item(run)))
+        runs.append(apart(tomlkit.item(run)))
     return tomlkit.dumps(document)
 
 
@@ -65,14 +65,8 @@ def _home(document: tomlkit.TOMLDocument, table: str, which: str | None) -> Any:
     if table == "run":
         known = ", ".join(f'"{_called(one, table)}"' for one in tables) or "none"
         raise FrictrackError(f'expected a run of the study file but got "{which}"; it has {known}', usage=True)
-    tables.append(_apart(tomlkit.item({MANY[table]: which})))
+    tables.append(apart(tomlkit.item({MANY[table]: which})))
     return tables[-1]
-
-
-def _apart(table: Any) -> Any:
-    """A table with an empty line before it."""
-    table.trivia.indent = "\n"
-    return table
 
 
 def _called(table: Mapping[str, Any], kind: str) -> str:

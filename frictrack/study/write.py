@@ -98,7 +98,7 @@ def write_study(
     document["camera"] = _section(known, tuple(CAMERA), CAMERA, commented)
     document["run"] = tomlkit.aot()
     for run in run_tables(recordings, path.parent):
-        document["run"].append(tomlkit.item(run))
+        document["run"].append(apart(tomlkit.item(run)))
     text = tomlkit.dumps(document)
     for words in (RUN, EFFECT) if commented else ():
         text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
@@ -155,3 +155,9 @@ def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = 
         }
         for p in recordings
     ]
+
+
+def apart(table: Any) -> Any:
+    """A table with an empty line before it."""
+    table.trivia.indent = "\n"
+    return table

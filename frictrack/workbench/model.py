@@ -6,16 +6,18 @@ import re
 from html import escape
 from typing import Any
 
+import numpy as np
 import panel as pn
-from bokeh.models import ColumnDataSource
-from bokeh.plotting import figure as chart
 
 from frictrack import plots
 from frictrack.effects import catalogue
 from frictrack.flow import own_effects
 from frictrack.plots import number
+from frictrack.plots.style import BLUE
 from frictrack.report.numbers import formula
 from frictrack.workbench.desk import Desk
+from frictrack.workbench.linked import Linked
+from frictrack.workbench.scenes import Scene, line, plot
 from frictrack.workbench.widgets import button, html, note
 
 SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
@@ -39,8 +41,7 @@ class ModelTab:
         self.text = pn.widgets.TextInput(
             name="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
         )
-        self.source = ColumnDataSource({"generation": [], "misfit": []})
-        self.chart = self._charted()
+        self.chart = Linked(width=640, visible=False)
         self.view = pn.Column(
             self.head,
             self.blocks,
@@ -65,13 +66,6 @@ class ModelTab:
         )
         self.choice.param.watch(lambda event: self._told(), "value")
         desk.param.watch(self._converging, "busy")
-
-    def _charted(self) -> Any:
-        """The misfit of a global search, generation by generation."""
-        drawn = chart(height=220, width=640, y_axis_type="log", toolbar_location=None)
-        drawn.xaxis.axis_label, drawn.yaxis.axis_label = "generation", "misfit"
-        drawn.line("generation", "misfit", source=self.source, line_width=2, color="#0072b2")
-        return pn.Column(html(note("How the search converges:")), pn.pane.Bokeh(drawn), visible=False)
 
     def refresh(self) -> None:
         """Show the model that is current now."""
@@ -162,7 +156,7 @@ class ModelTab:
             self.desk.start("add", effect=self.choice.value)
 
     def _fit(self) -> None:
-        self.source.data = {"generation": [], "misfit": []}
+        self.chart.visible = False
         how = {"search": self.search.value, "over": self.over.value, "seed": self.seed.value}
         self.desk.start("fit", model=(self.text.value or "").strip() or None, **how)
 
@@ -171,11 +165,19 @@ class ModelTab:
         job = self.desk.job
         if job is None or event.new.get("do") != "fit":
             return
-        lines = [(line["done"], MISFIT.search(line["what"])) for line in job.progress]
-        found = [(k, float(m[1])) for k, m in lines if m]
-        if found:
+        lines = [(told["done"], MISFIT.search(told["what"])) for told in job.progress]
+        found = np.array([(k, np.log10(float(m[1]))) for k, m in lines if m])
+        if len(found):
+            columns = {"generation": found[:, 0], "misfit": found[:, 1]}
+            falls = plot(
+                "How the search converges",
+                ("generation", "generation"),
+                "log10 misfit",
+                line("misfit", BLUE),
+                brush="x",
+            )
+            self.chart.draw(Scene(len(found), columns, [falls]))
             self.chart.visible = True
-            self.source.data = {"generation": [k for k, _ in found], "misfit": [m for _, m in found]}
 
 
 def _floats(text: str | None) -> float | None:
