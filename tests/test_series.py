@@ -20,7 +20,7 @@ from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.fit.series import covariance, series_pieces
-from frictrack.flow.session import Session, open_study
+from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run
 from frictrack.results import plain

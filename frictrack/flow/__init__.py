@@ -7,9 +7,10 @@
 """
 
 from frictrack.flow.demo import demo
+from frictrack.flow.opening import open_study, start_study
 from frictrack.flow.planned import plan
 from frictrack.flow.script import script
-from frictrack.flow.session import Session, open_study, start_study
+from frictrack.flow.session import Session
 from frictrack.flow.stages import Progress, silent
 from frictrack.flow.stored import attempted, stored
 from frictrack.flow.tried import Spec, own_effects

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
-from frictrack.study import Study, edited, parse, with_runs, without_run
+from frictrack.flow.opening import checked
+from frictrack.study import edited, parse, with_runs, without_run
 
 if TYPE_CHECKING:
     from frictrack.flow.session import Session
@@ -96,12 +97,6 @@ def _rewritten(path: Path, how: Callable[[str], str]) -> tuple[dict[str, str], d
     """
     before = path.read_bytes().decode()
     after = how(before)
-    _sound(path, after)
+    checked(parse(path, after, bare=True))
     replace_text(path, after)
     return {"toml": before}, {"toml": after}
-
-
-def _sound(path: Path, text: str) -> Study:
-    from frictrack.flow.session import checked  # noqa: PLC0415 - it knows the commands
-
-    return checked(parse(path, text, bare=True))

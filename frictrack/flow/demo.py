@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from frictrack.flow.session import Session, open_study
+from frictrack.flow.opening import open_study
+from frictrack.flow.session import Session
 from frictrack.flow.stages import Progress, silent
 
 ROUNDS = 4  # effects that may be added before the demo gives up

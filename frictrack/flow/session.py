@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from frictrack import effects, store
-from frictrack.calibration import parse_scale
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError
 from frictrack.fit import certainty
 from frictrack.flow import changes
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
+from frictrack.flow.opening import open_study
 from frictrack.flow.stages import Progress, RunWork, digest, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
@@ -24,57 +24,7 @@ from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
 from frictrack.store import Entry, Stamp
-from frictrack.study import Study, load, nearest, write_study
-
-
-def open_study(path: str | Path, *, bare: bool = False) -> Study:
-    """Read a study file and check all that can be checked before any work: scales, model, effects.
-
-    A `bare` one may have no runs yet. Raises `FrictrackError` (usage) with every fault.
-    """
-    return checked(load(path, bare=bare))
-
-
-def checked(study: Study) -> Study:
-    """The same of a study that was read."""
-    faults = []
-    for run in study.runs:
-        if run.scale is not None:
-            faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
-    faults += _fault(lambda: Spec(study.model).model(study.effects), "model")
-    try:
-        gather(faults, study.path.name)
-    except FrictrackError as e:
-        raise FrictrackError(str(e), usage=True) from e
-    return study
-
-
-def start_study(path: Path, recordings: Sequence[Path], keys: Mapping[str, Any]) -> Study:
-    """Write the study file of bare recordings and open it; nothing is left behind when they cannot be used.
-
-    Raises `FrictrackError`: (usage) where a study file is already, else what is wrong with a recording.
-    """
-    missing = [f"expected a recording {p} but there is no such file" for p in recordings if not p.exists()]
-    if missing:
-        raise FrictrackError("; ".join(missing), usage=True)
-    write_study(path, recordings, keys)
-    try:
-        study = open_study(path)
-        for work in Session(study).runs:
-            work.get("recording" if work.run.video else "displacement")
-    except FrictrackError:
-        path.unlink()
-        raise
-    return study
-
-
-def _fault(check: Callable[[], Any], what: str) -> list[str]:
-    try:
-        check()
-    except FrictrackError as e:
-        return [f"{what}: {e}"]
-    return []
-
+from frictrack.study import Study, nearest
 
 EDITS = ("fit", "add", "remove")  # of the model
 CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
