@@ -103,7 +103,7 @@ CAUSES = {
 @pytest.mark.parametrize("name", CAUSES)
 def test_the_ideal_rise_is_that_of_a_brute_force_likelihood_ratio(name: str, scatter: float):
     truth = holding(replace(TRUTH, scatter=scatter), **{name: CAUSES[name]})
-    left = Detector(truth).trace(truth)
+    left = Detector(truth).shown(truth)[0]
     assert float(left @ left) == pytest.approx(brute_force(truth), rel=0.02)
 
 
@@ -111,7 +111,7 @@ def test_the_ideal_rise_is_that_of_a_brute_force_likelihood_ratio(name: str, sca
 def test_the_linear_trace_is_the_simulated_one_of_a_small_cause(name: str):
     own = {name: CAUSES[name]}
     truth, detector = holding(TRUTH, **own), Detector(TRUTH)
-    simulated, linear = detector.trace(truth), detector.unit(made(name), [own] * len(truth.runs))
+    simulated, linear = detector.shown(truth)[0], detector.unit(made(name), [own] * len(truth.runs))
     assert np.linalg.norm(simulated - linear) < 0.03 * np.linalg.norm(simulated)
 
 

@@ -102,12 +102,11 @@ class Detector:
         forms = int(np.prod(scans)) * (runs if is_event(effect) else 1)
         return limit(freedom(effect, runs), max(1, forms // OVERSAMPLED))
 
-    def trace(self, truth: Truth) -> Array:
-        """What nothing but the hidden causes explains, in units of the noise; its square is the rise."""
-        return self._unexplained(*self._split(*self._changes(truth)))
-
     def shown(self, truth: Truth) -> tuple[Array, float]:
-        """The trace, and the rise where nobody tells the scatter of the levels: the likeliest one takes its part."""
+        """The trace: what nothing but the hidden causes explains, in units of the noise, its square the rise.
+
+        And the rise where nobody tells the scatter of the levels: the likeliest one takes its part.
+        """
         split = self._split(*self._changes(truth))
         return self._unexplained(*split), self._surely(*split)
 
@@ -176,11 +175,7 @@ class Detector:
         n = len(self._seen)
         held = np.zeros((n, a.shape[1]))
         held[:, -n:] = np.eye(n) / max(self.bare.scatter, LEAST_SCATTER)
-        a, d = np.vstack([a, held]), np.append(d, np.zeros(n))
-        norm = np.linalg.norm(a, axis=0)
-        a = a / np.where(norm > 0, norm, 1.0)
-        left_over: Array = d - a @ np.linalg.lstsq(a, d, rcond=1e-11)[0]
-        return left_over
+        return beside(np.append(d, np.zeros(n)), np.vstack([a, held]))
 
     def _surely(self, a: Array, d: Array) -> float:
         """Rise by whitened changes d (N,) where the scatter of the levels is the likeliest one (Harville 1977)."""
@@ -223,8 +218,8 @@ class Detector:
 def beside(trace: Array, columns: Array) -> Array:
     """What is left of a trace (N,) when so many columns (N, k) are fitted beside it."""
     norm = np.linalg.norm(columns, axis=0)
-    columns = columns[:, norm > 0] / norm[norm > 0]
-    return np.asarray(trace - columns @ np.linalg.lstsq(columns, trace, rcond=1e-9)[0])
+    columns = columns / np.where(norm > 0, norm, 1.0)
+    return np.asarray(trace - columns @ np.linalg.lstsq(columns, trace, rcond=1e-11)[0])
 
 
 def _moved(own: Numbers, effect: str, name: str, step: float) -> Numbers:

@@ -82,8 +82,10 @@ class Ledger:
 
     def check(self) -> None:
         """Raises `FrictrackError` where the study was changed since it was seen."""
+        if self.seen is None:
+            return
         changes = self.changes
-        if self.seen is not None and self.seen != len(changes):
+        if self.seen != len(changes):
             last = changes[-1] if changes else Change(0, "", "somebody", "restart")
             raise FrictrackError(
                 f"the study was changed meanwhile ({last.who}: {last.words}); look at it as it is now, then do it again"

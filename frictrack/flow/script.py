@@ -24,8 +24,9 @@ FILE = ("edit", "take_in", "leave_out")  # stand in the study file
 
 def script(study: Study) -> str:
     """A script that leads to the model that is current now; what was undone is not in it."""
-    done, _ = Ledger(study.output).stacks()
-    first = [change for change in Ledger(study.output).changes if change.do == "fit" and not change.before][-1:]
+    ledger = Ledger(study.output)
+    done, _ = ledger.stacks()
+    first = [change for change in ledger.changes if change.do == "fit" and not change.before][-1:]
     lines = [_line(change) for change in (*first, *done) if change.do not in FILE]
     return HEAD.format(name=study.name, file=study.path.name) + "".join(f"{line}\n" for line in lines) + TAIL
 

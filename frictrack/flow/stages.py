@@ -117,15 +117,7 @@ class RunWork:
     def is_current(self, name: str) -> bool:
         """Whether the stored result is what would be made today."""
         stamp = store.stamp(self.path, name)
-        return stamp is not None and stamp.key == self.key(name)
-
-    def agrees(self, name: str) -> bool:
-        """Whether a stage and all before it were made with the keys that the study file has now; opens no recording."""
-        stamp, inputs = store.stamp(self.path, name), self.stages[name].inputs
-        return stamp is not None and stamp.settings == self._spelled(name) and all(self.agrees(i) for i in inputs)
-
-    def _spelled(self, name: str) -> str:
-        return json.dumps(self.settings(name), sort_keys=True)
+        return stamp is not None and (self.kept or stamp.key == self.key(name))
 
     def key(self, name: str) -> str:
         """Hash of everything the stage depends on."""
@@ -187,7 +179,7 @@ class RunWork:
         stage = self.stages[name]
         with self.filmed() if name == "tracks" else nullcontext():  # the track may be made on the way
             made = self._called(stage, [self.get(i) for i in stage.inputs])
-        stamp = Stamp(self.key(name), digest(self._from(name)), self._spelled(name))
+        stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
         store.write(self.path, {name: Entry(made, stamp)})
         return made
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.plots.style import run_looks
-from frictrack.report.numbers import MINUS, number
+from frictrack.report.numbers import number
 from frictrack.report.tables import Table, spans, table
 from frictrack.results import ModelResults, Results
 
@@ -73,7 +73,7 @@ def _repeats(found: Sequence[Mapping[str, Any]]) -> Table:
             AXES[r["axis"]] + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
-            f"{r['evidence']:+.0f}".replace("-", MINUS),
+            plots.gain(r["evidence"]),
             "yes" if r["holds"] else "no",
         )
         for r in found

@@ -21,7 +21,7 @@ from frictrack.study import RunTable, Study, find_recordings
 from frictrack.workbench import jobs
 from frictrack.workbench.jobs import Job
 
-NOBODY = "page"
+WHO = "page"
 
 
 class Desk(param.Parameterized):
@@ -68,7 +68,7 @@ class Desk(param.Parameterized):
             return
         self.study, self.results = found
         if self.study is not None:
-            self.ledger = Ledger(self.study.output, NOBODY)
+            self.ledger = Ledger(self.study.output, WHO)
             self.rev = self.ledger.rev
             self._ended = {job.folder.name for job in jobs.listed(self.study) if job.state != jobs.RUNNING}
             names = [run.name for run in self.study.runs]
@@ -138,7 +138,7 @@ class Desk(param.Parameterized):
         """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
         assert self.study is not None
         try:
-            Session(open_study(self.path, bare=True), who=NOBODY, seen=self.rev).apply(do, **told)
+            Session(open_study(self.path, bare=True), who=WHO, seen=self.rev).apply(do, **told)
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return False
@@ -151,7 +151,7 @@ class Desk(param.Parameterized):
         if self.study is None:
             return
         try:
-            job = jobs.start(self.study, do, seen=self.rev, who=NOBODY, **told)
+            job = jobs.start(self.study, do, seen=self.rev, who=WHO, **told)
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return

@@ -13,7 +13,6 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
@@ -93,10 +92,11 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
     """
     folder = study.output / "jobs"
     with alone(study.output):
-        busy = next((job for job in listed(study) if job.state == RUNNING), None)
+        earlier = listed(study)
+        busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:
             raise FrictrackError(f"{busy.spec['do']} is still running; wait for it or cancel it")
-        number = max((int(job.folder.name) for job in listed(study)), default=0) + 1
+        number = max((int(job.folder.name) for job in earlier), default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
         spec = {"do": do, "told": told, "study": str(study.path.resolve()), "seen": seen, "who": who, "at": time.time()}
@@ -115,10 +115,4 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
 
 def listed(study: Study) -> list[Job]:
     """All pieces of work of a study, oldest first."""
-    return list(_listed(study.output / "jobs"))
-
-
-def _listed(folder: Path) -> Iterator[Job]:
-    for one in sorted(folder.glob("[0-9]*")):
-        if (one / "spec.json").exists():
-            yield Job(one)
+    return [Job(one) for one in sorted((study.output / "jobs").glob("[0-9]*")) if (one / "spec.json").exists()]

@@ -138,8 +138,10 @@ def drawn(made: Figure, kind: str) -> bytes:
     """A figure as a file."""
     if kind == "svg":
         return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
+    if kind == "png":
+        return plots.png(made, dpi=200)
     sheet = io.BytesIO()
-    made.savefig(sheet, format=kind, dpi=200)
+    made.savefig(sheet, format=kind)
     return sheet.getvalue()
 
 
