@@ -39,7 +39,7 @@ class Outcome:
     alike: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden cause: what nobody can tell from it
     noted: tuple[str, ...] = ()  # faults that the measuring chain told and took away by itself
     reduced_chi2: float | None = None  # after adding what was named
-    heldout: float | None = None  # held-out error over the noise, after adding
+    heldout: float | None = None  # held-out error over the true noise, of films the estimated one, after adding
     z: dict[str, float] = field(default_factory=dict)  # (found - true)/stated deviation of the law that was named
     overlap: float | None = None  # F1 of the frames where it fails
     limits: dict[str, float] = field(default_factory=dict)  # detection limits over the ideal detector's, nothing hidden
@@ -84,7 +84,8 @@ def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         limits=against_ideal(truth, said["detection_limits"]) if truth.kind == "none" and not named else {},
         seconds=seconds,
     )
-    return _added(session, truth, said, out) if named else _as_it_is(session, said, out)
+    noise = said["noise_um"] if truth.film else 1e6 * truth.noise
+    return _added(session, truth, noise, out) if named else _as_it_is(session, noise, out)
 
 
 def _group(said: dict[str, Any]) -> tuple[str, ...]:
@@ -102,13 +103,13 @@ def _compared(truth: Truth) -> bool:
     return bool(truth.hidden) and truth.kind != "foreign" and not retimed
 
 
-def _as_it_is(session: Session, said: dict[str, Any], out: Outcome) -> Outcome:
+def _as_it_is(session: Session, noise: float, out: Outcome) -> Outcome:
     """Nothing to add: the errors of the law as it stands."""
     errors = session.fit()["errors"]
-    return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / said["noise_um"])
+    return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / noise)
 
 
-def _added(session: Session, truth: Truth, said: dict[str, Any], out: Outcome) -> Outcome:
+def _added(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcome:
     """What was named is added, one after the other."""
     for name in out.named:
         after = session.add(name)
@@ -116,7 +117,7 @@ def _added(session: Session, truth: Truth, said: dict[str, Any], out: Outcome) -
     return replace(
         out,
         reduced_chi2=errors["reduced_chi2"],
-        heldout=errors["heldout_rms_um"] / said["noise_um"],
+        heldout=errors["heldout_rms_um"] / noise,
         z=deviations(truth, out.named, after["parameters"]),
     )
 
