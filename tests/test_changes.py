@@ -11,7 +11,7 @@ import pytest
 from conftest import slide
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study
+from frictrack.flow import Session, open_study, stored
 from frictrack.flow.ledger import Ledger
 
 TEXT = """# our course
@@ -148,6 +148,24 @@ def test_recordings_are_taken_in_and_left_out(study_file: Path) -> None:
         session.apply("leave_out", run="none")
     with pytest.raises(FrictrackError, match="no such file"):
         session.apply("take_in", recordings=["fourth.csv"])
+
+
+def test_what_was_changed_since_the_results_were_made_is_told(study_file: Path) -> None:
+    def told() -> tuple[str, ...]:
+        return stored(open_study(study_file)).outdated
+
+    session = at_work(study_file)
+    assert told() == ()  # nothing is there that could be out of date
+    session.fit()
+    assert told() == ()
+    session.apply("edit", table="run", which="slow", key="free", value=["0.01 s", "0.09 s"])
+    session.apply("edit", table="effect", which="coulomb", key="fix", value={"F_c": 2.0})
+    session.apply("edit", table="study", key="mass", value="0.4 kg")
+    assert told() == ("mass", "free of slow", "what the model was fitted to")
+    at_work(study_file).fit()
+    assert told() == ()
+    study_file.write_text(study_file.read_text().replace('"viscous"', '"drag"'))
+    assert told() == ("what the model was fitted to",)
 
 
 def test_an_unknown_command_names_the_nearest(study_file: Path) -> None:

@@ -320,6 +320,7 @@ def test_two_tabs_see_the_same_and_do_not_undo_each_other_unseen(tables: Server,
     one.to("3 Model").page.get_by_label("fixed at").first.fill("2.0")
     one.page.keyboard.press("Enter")
     one.hears("edit: done")
+    other.sees("Changed since these results were made: what the model was fitted to.")
     other.page.get_by_role("button", name="Undo", disabled=False).wait_for()
     other.click("Undo").hears("undo: done")
     assert "F_c" not in tables.study.read_text(encoding="utf-8")

@@ -144,6 +144,12 @@ class RunWork:
         inside = value.is_relative_to(self.study.folder)
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
+    def changed(self) -> list[str]:
+        """Keys of the study file that have other values now than when the stored stages were made."""
+        held = {name: stamp for name in self.stages if (stamp := store.stamp(self.path, name)) is not None}
+        pairs = ((json.loads(stamp.settings), plain(self.settings(name))) for name, stamp in held.items())
+        return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
+
     def _from(self, name: str) -> list[str]:
         """Keys of the inputs and hashes of the files that a stage reads."""
         stage = self.stages[name]

@@ -8,6 +8,7 @@ A run that was not measured to its end is left out, a model that was not diagnos
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +41,28 @@ def stored(study: Study) -> Results:
         diagnosis=current.diagnosis if current else None,
         figures=current.figures if current else {},
         papers=tried.results("papers") if has_papers else None,
+        outdated=tuple(_outdated(works, tried)),
     )
 
 
 def attempted(path: Path) -> ModelResults:
     """The model of an attempt."""
     return model_results(path, store.names(path, "models")[0])
+
+
+def _outdated(works: list[RunWork], tried: Tried) -> Iterator[str]:
+    """Keys of the runs that were made from others than the study file has now, and the model, where that holds for it.
+
+    The files that they name are not opened: whether their content changed is only seen when the work is done again.
+    """
+    runs: dict[str, list[str]] = {}
+    for work in works:
+        for key in work.changed():
+            runs.setdefault(key, []).append(work.run.name)
+    for key, names in runs.items():
+        yield key if len(names) == len(works) else f"{key} of {', '.join(names)}"
+    if tried.is_stale():
+        yield "what the model was fitted to"
 
 
 def _summary(tried: Tried, group: str) -> Any:

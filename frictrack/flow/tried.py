@@ -143,6 +143,14 @@ class Tried:
             return self.append(replace(spec, base=self.study.model, edits=()))
         return head, spec
 
+    def is_stale(self) -> bool:
+        """Whether the model in force was fitted to other runs, or under other settings, than those of today."""
+        head = self.head
+        if head is None:
+            return False
+        asked = store.attributes(self.path, "models")["study_model"] == self._asked
+        return not asked or self._stamp(head).key != self.key(self.spec(head))
+
     def use(self, group: str) -> None:
         """Make a model current that was tried before."""
         store.write(self.path, {}, remove=STALE, marks=self._marks(group))

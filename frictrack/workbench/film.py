@@ -10,11 +10,11 @@ import panel as pn
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replaced
+from frictrack.report.tables import table
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Films
-from frictrack.workbench.linked import Linked
-from frictrack.workbench.widgets import button, heading, html, note, table
+from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.widgets import button, grid, heading, html, note
 
 TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
 LARGEST = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
@@ -26,9 +26,8 @@ class FilmTab:
     title = "1 Film"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.films = desk, films
-        self.linked = Linked(sizing_mode="stretch_width")
-        self.scene = scenes.Scene()
+        self.desk, self.bench = desk, Bench(desk, films)
+        self.linked = self.bench.linked
         self.tool = pn.widgets.RadioButtonGroup(name="Draw", options=TOOLS, value="")
         self.length = pn.widgets.TextInput(name="Length of the ruler", placeholder="100 mm", width=140)
         self.shape: dict[str, Any] = {}
@@ -56,8 +55,6 @@ class FilmTab:
         self.view = pn.Column(self.tools, self.linked, self.audit, self.more, sizing_mode="stretch_width")
         self.tool.link(self.linked, value="tool")
         self.linked.param.watch(self._drawn, "drawn")
-        self.linked.param.watch(self._wanted, "want")
-        self.linked.param.watch(self._selected, "selection")
         self.drop.param.watch(self._dropped, "value")
 
     def refresh(self) -> None:
@@ -66,9 +63,7 @@ class FilmTab:
         self.keys.visible, self.tools.visible = new, not new
         self.found.options = self.desk.recordings
         run = self.desk.measured
-        self.scene = scenes.tracked(run) if run else scenes.Scene()
-        self.linked.draw(self.scene)
-        self.films.show(self.linked, self.desk.run, 0, self.scene)
+        self.bench.draw(scenes.tracked(run) if run else scenes.Scene(), self.desk.run)
         self.audit.object = self._audited()
 
     # --- recordings
@@ -123,13 +118,6 @@ class FilmTab:
 
     # --- looking
 
-    def _wanted(self, event: Any) -> None:
-        self.films.show(self.linked, self.desk.run, int(event.new["frame"]), self.scene)
-
-    def _selected(self, event: Any) -> None:
-        if event.new.get("middle") is not None:
-            self.films.show(self.linked, self.desk.run, int(event.new["middle"]), self.scene)
-
     def _audited(self) -> str:
         """Frame rate and time base in plain sight, what the tracker noticed, and its contact sheet."""
         run = self.desk.measured
@@ -140,7 +128,7 @@ class FilmTab:
         rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
         notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
         return (
-            heading("Time base") + table(("what was looked at", "value", "verdict"), rows)
+            heading("Time base") + grid(table(("what was looked at", "value", "verdict"), rows))
             + (heading("Noticed") + f"<ul>{notes}</ul>" if notes else "")
         )  # fmt: skip
 

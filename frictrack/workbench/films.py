@@ -1,4 +1,4 @@
-"""The film beside the plots, for any tab: which recording is open, which frame is asked for."""
+"""Linked plots and the film beside them, for any tab: which recording is open, which frame is asked for."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from typing import Any
 
 from frictrack.errors import FrictrackError
 from frictrack.results import RunResults
+from frictrack.study import RunTable
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.frames import Frames
 from frictrack.workbench.linked import Linked
-from frictrack.workbench.scenes import TRACKS, Scene
+from frictrack.workbench.scenes import TRACKS, Scene, on_film, tracks
 
 
 class Films:
-    """The films of a study, opened when they are first looked at; shows their frames in linked plots."""
+    """The films of a study, opened when they are first looked at."""
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self) -> None:
         self._open: dict[str, Frames] = {}
 
     def frames(self, path: Any, fps: float | None) -> Frames:
@@ -26,35 +26,6 @@ class Films:
             self._open[key] = Frames(path, fps)
         return self._open[key]
 
-    def show(self, linked: Linked, run: str, number: int, scene: Scene | None = None) -> None:
-        """A frame of a run's film in the linked plots; nothing where the run has none."""
-        table = self.desk.runs.get(run)
-        if table is None or table.video is None:
-            linked.film = {}
-            return
-        try:
-            frames = self.frames(table.video, table.fps)
-            picture = frames[number]
-        except FrictrackError as e:
-            linked.film = {}
-            self.desk.tell(str(e), wrong=True)
-            return
-        film = {**frames.told, "label": run, **self._drawn(run, scene)}
-        if film != linked.film:
-            linked.film = film
-        linked.picture(picture)
-
-    def _drawn(self, run: str, scene: Scene | None) -> dict[str, Any]:
-        """What lies over the picture: tracks, and what the study file says of target, reference and ruler."""
-        results = self.desk.results.runs if self.desk.results else ()
-        measured = next((r for r in results if r.name == run), None)
-        place = next((r["first"] for r in (scene.runs if scene else ()) if r["name"] == run), 0)
-        table = self.desk.runs[run]
-        ruler = table.scale.get("points") if isinstance(table.scale, dict) and "length" in table.scale else None
-        drawn = {"target": table.target, "reference": table.reference, "ruler": ruler}
-        shapes = {key: [*shape] for key, shape in drawn.items() if isinstance(shape, tuple | list)}
-        return {"first": place, "tracks": _tracks(measured, scene) if measured else [], "shapes": shapes}
-
     def close(self) -> None:
         """Let go of all recordings."""
         for frames in self._open.values():
@@ -62,15 +33,65 @@ class Films:
         self._open.clear()
 
 
-def _tracks(run: RunResults, scene: Scene | None) -> list[dict[str, Any]]:
+class Bench:
+    """Linked plots with the film beside them: it shows the frame that is chosen in a plot, or asked for below it."""
+
+    def __init__(self, desk: Desk, films: Films) -> None:
+        self.desk, self.films = desk, films
+        self.linked = Linked(sizing_mode="stretch_width")
+        self.scene = Scene()
+        self.linked.param.watch(self._selected, "selection")
+        self.linked.param.watch(self._wanted, "want")
+
+    def draw(self, scene: Scene, run: str = "") -> None:
+        """Draw other data, and the first frame of a run; without data and run no film is shown."""
+        self.scene = scene
+        self.linked.draw(scene)
+        if run or not scene.rows:
+            self.show(run, 0)
+
+    def show(self, run: str, number: int) -> None:
+        """A frame of a run's film; nothing where the run has none."""
+        table = self.desk.runs.get(run)
+        if table is None or table.video is None:
+            self.linked.film = {}
+            return
+        try:
+            frames = self.films.frames(table.video, table.fps)
+            picture = frames[number]
+        except FrictrackError as e:
+            self.linked.film = {}
+            self.desk.tell(str(e), wrong=True)
+            return
+        film = {**frames.told, "label": run, **self._over(table)}
+        if film != self.linked.film:
+            self.linked.film = film
+        self.linked.picture(picture)
+
+    def _over(self, run: RunTable) -> dict[str, Any]:
+        """What lies over the picture: tracks, and what the study file says of target, reference and ruler."""
+        results = self.desk.results.runs if self.desk.results else ()
+        measured = next((r for r in results if r.name == run.name), None)
+        first = next((r["first"] for r in self.scene.runs if r["name"] == run.name), 0)
+        ruler = run.scale.get("points") if isinstance(run.scale, dict) and "length" in run.scale else None
+        drawn = {"target": run.target, "reference": run.reference, "ruler": ruler}
+        shapes = {key: [*shape] for key, shape in drawn.items() if isinstance(shape, tuple | list)}
+        return {"first": first, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
+
+    def _selected(self, event: Any) -> None:
+        if event.new.get("middle") is not None:
+            self.show(*self.scene.place(int(event.new["middle"])))
+
+    def _wanted(self, event: Any) -> None:
+        self.show(self.linked.film["label"], int(event.new["frame"]))
+
+
+def _tracks(run: RunResults, scene: Scene) -> list[dict[str, Any]]:
     """Boxes of the target and of what was tracked beside it, where the scene has their places."""
-    found = {"": run.track, **{n: t for n, t in run.tracks.items() if n != "backward"}} if run.track else {}
     out = []
-    for colour, (name, track) in zip(TRACKS, found.items(), strict=False):
-        x, y = (f"{name}_{axis}" if name else f"film_{axis}:{run.name}" for axis in "xy")
-        if scene is None or x not in scene.columns or track is None or track.target is None:
+    for colour, (name, track) in zip(TRACKS, tracks(run).items(), strict=False):
+        x, y = (on_film(name, axis, run) for axis in "xy")
+        if x not in scene.columns or track.target is None:
             continue
-        out.append(
-            {"name": name or "target", "x": x, "y": y, "w": track.target[2], "h": track.target[3], "colour": colour}
-        )
+        out.append({"name": name, "x": x, "y": y, "w": track.target[2], "h": track.target[3], "colour": colour})
     return out

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import panel as pn
+from markupsafe import Markup, escape
 
 from frictrack import plots
-from frictrack.plots import gain, number
+from frictrack.plots import number
+from frictrack.report import settle
+from frictrack.report.numbers import typed
+from frictrack.report.tables import Card, cards
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Films
-from frictrack.workbench.linked import Linked
-from frictrack.workbench.widgets import button, figure, heading, html, note, table
+from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.widgets import button, figure, grid, heading, html, note
 
 CARDS = 6
 VERDICTS = {
@@ -30,25 +32,21 @@ class MissingTab:
     title = "5 What is missing?"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.films = desk, films
+        self.desk, self.bench = desk, Bench(desk, films)
         self.head = html("")
         self.cards = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
-        self.linked = Linked(sizing_mode="stretch_width")
-        self.scene = scenes.Scene()
         self.falls = pn.Column(sizing_mode="stretch_width")
         self.next = html("")
         self.diagnose = button("Find what is missing", lambda: desk.start("diagnose"), "primary")
         self.view = pn.Column(
             pn.FlexBox(self.diagnose, gap="10px"),
             self.head,
-            self.linked,
+            self.bench.linked,
             self.cards,
             self.next,
             self.falls,
             sizing_mode="stretch_width",
         )
-        self.linked.param.watch(self._selected, "selection")
-        self.linked.param.watch(self._wanted, "want")
 
     def refresh(self) -> None:
         """Show the verdict on the current model."""
@@ -58,52 +56,41 @@ class MissingTab:
         if results is None or model is None or told is None:
             self.head.object = note("The current model was not diagnosed yet.")
             self.cards.objects, self.next.object = [], ""
-            self.linked.draw(scenes.Scene())
-            self.linked.film = {}
+            self.bench.draw(scenes.Scene())
             return
         self.head.object = _verdict(told)
         figures = results.figures
-        self.cards.objects = [self._card(c, figures.get(c["effect"], {})) for c in told["candidates"][:CARDS]]
+        self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(told)[:CARDS]]
         self.next.object = _next(told)
-        self.scene = scenes.residual(results, model, self.desk.ghost)
-        self.linked.draw(self.scene)
+        self.bench.draw(scenes.residual(results, model, self.desk.ghost))
 
-    def _card(self, c: dict[str, Any], curves: dict[str, Any]) -> pn.Column:
+    def _card(self, card: Card, curves: dict[str, Any]) -> pn.Column:
         """A candidate: how sure, what it is, where it shows, how to confirm it."""
-        words, good = c.get("words", {}), plots.passes(c)
-        held = c.get("heldout_rms_before_um"), c.get("heldout_rms_after_um")
-        fall = f"held-out error {number(held[0])} → {number(held[1])} µm" if None not in held else ""
-        rivals = ", ".join(c["indistinguishable_from"])
+        about = {
+            "Looks like": card.words["looks_like"],
+            "Here": card.words["here"],
+            "To confirm": card.words["confirm"],
+            "Not told apart from": ", ".join(card.rivals) if card.passes else "",
+        }
         lines = [
-            f"<h3>{escape(c['effect'])}</h3>",
-            f"<b>evidence {gain(c['delta_bic'])}</b> (delta BIC), p = {number(c['p'], 1)}"
-            + (f"; {fall}" if fall else ""),
-            escape(words.get("what", "")),
-            f"<i>Looks like</i> {escape(words['looks_like'])}" if words.get("looks_like") else "",
-            f"<i>To confirm</i>: {escape(words['confirm'])}" if words.get("confirm") else "",
-            f"<i>Cannot be told apart from</i> {escape(rivals)}" if rivals else "",
+            Markup("<b>{}</b>").format(card.rank),
+            card.words["what"],
+            *(Markup("<i>{}</i>: {}").format(head, words) for head, words in about.items() if words),
+            Markup("<small>{}</small>").format(Markup("; ").join(card.numbers)),
         ]
-        parts: list[Any] = [
-            html(f"<div class='ft-card{'' if good else ' weak'}'>{'<br>'.join(part for part in lines if part)}</div>")
-        ]
-        if good and plots.scanned(curves):
-            parts.append(figure(plots.scan(c["effect"], curves, width=5.0)))
-        name = c["effect"]
+        weak = "" if card.passes else " weak"
+        words = Markup("<br>").join(filter(None, lines))
+        parts: list[Any] = [html(f"<div class='ft-card{weak}'><h3>{escape(card.name)}</h3>{words}</div>")]
+        if card.passes and plots.scanned(curves):
+            parts.append(figure(plots.scan(card.name, curves, width=5.0)))
+        name, kind = card.name, "primary" if card.passes else "default"
         parts.append(
             pn.Row(
                 button(f"Try {name}", lambda: self.desk.start("attempt", effect=name)),
-                button(f"Add {name}", lambda: self.desk.start("add", effect=name), "primary" if good else "default"),
+                button(f"Add {name}", lambda: self.desk.start("add", effect=name), kind),
             )
         )
         return pn.Column(*parts, width=400)
-
-    def _selected(self, event: Any) -> None:
-        if event.new.get("middle") is not None:
-            run, frame = self.scene.place(int(event.new["middle"]))
-            self.films.show(self.linked, run, frame, self.scene)
-
-    def _wanted(self, event: Any) -> None:
-        self.films.show(self.linked, self.linked.film["label"], int(event.new["frame"]), self.scene)
 
 
 def _verdict(told: dict[str, Any]) -> str:
@@ -118,11 +105,7 @@ def _verdict(told: dict[str, Any]) -> str:
 
 
 def _next(told: dict[str, Any]) -> str:
-    """The runs that would settle what these cannot."""
-    rows = [
-        (e["what"], ", ".join(e.get("separates", [])), number(e.get("expected_delta_bic")))
-        for e in told.get("next_experiment") or []
-    ]
-    if not rows:
-        return ""
-    return heading("The next experiment") + table(("run", "tells apart", "expected evidence"), rows, (2,))
+    """The runs that would settle what these cannot, and what no run can."""
+    steps, words = settle.shown(told), "".join(note(typed(line)) for line in settle.hopeless(told))
+    menu = grid(settle.experiments(steps)) if steps else ""
+    return heading("The next experiment") + menu + words if menu or words else ""

@@ -70,8 +70,7 @@ class ModelTab:
     def refresh(self) -> None:
         """Show the model that is current now."""
         model = self.desk.model
-        tables = self.desk.study.effects if self.desk.study else ()
-        known = {e["name"]: e for e in catalogue(own_effects(tables))}
+        known = self._library()
         if model is None:
             self.head.object = note("No model was fitted yet. Fit the one of the study file, or another one.")
             self.blocks.objects = []
@@ -84,7 +83,17 @@ class ModelTab:
         self.blocks.objects = [self._block(name, known.get(name.split(":")[0], {})) for name in names]
         self.choice.options = [name for name in known if name not in names]
         self.choice.value = self.choice.options[0]
-        self._told(known)
+        self._told()
+
+    def _library(self) -> dict[str, dict[str, Any]]:
+        """Every effect that can be chosen, the study's own among them."""
+        tables = self.desk.study.effects if self.desk.study else ()
+        return {e["name"]: e for e in catalogue(own_effects(tables))}
+
+    def _written(self, effect: str, key: str) -> dict[str, Any]:
+        """What the study file says of an effect's parameters."""
+        tables = self.desk.study.effects if self.desk.study else ()
+        return next((dict(getattr(t, key)) for t in tables if t.effect == effect), {})
 
     def _block(self, name: str, told: dict[str, Any]) -> pn.Column:
         """One effect: its equation, and every parameter with what is known of it."""
@@ -104,9 +113,7 @@ class ModelTab:
 
     def _parameter(self, effect: str, name: str, value: dict[str, Any], told: dict[str, Any]) -> pn.Column:
         """A value with its standard deviation; a number in `fixed at` holds it, two in `between` bound it."""
-        written = next((t for t in (self.desk.study.effects if self.desk.study else ()) if t.effect == effect), None)
-        held = (written.fix if written else {}).get(name)
-        bounds = (written.bounds if written else {}).get(name)
+        held, bounds = (self._written(effect, key).get(name) for key in ("fix", "bounds"))
         default = next((p["bounds"] for p in told.get("parameters", []) if p["name"] == name), None)
         fix = pn.widgets.TextInput(name="fixed at", value="" if held in (None, False) else f"{held:g}", width=90)
         low, high = (
@@ -137,17 +144,15 @@ class ModelTab:
 
     def _set(self, effect: str, key: str, name: str, value: Any) -> None:
         """What the study file says of one parameter; the next fit heeds it."""
-        written = next((t for t in (self.desk.study.effects if self.desk.study else ()) if t.effect == effect), None)
-        old = dict(getattr(written, key)) if written else {}
+        old = self._written(effect, key)
         new = {**old, name: value} if value is not None else {k: v for k, v in old.items() if k != name}
         if new != old:
             plain = {k: list(v) if isinstance(v, tuple) else v for k, v in new.items()}
             self.desk.do("edit", table="effect", which=effect, key=key, value=plain or None)
 
-    def _told(self, known: dict[str, Any] | None = None) -> None:
+    def _told(self) -> None:
         """What the chosen effect is."""
-        tables = self.desk.study.effects if self.desk.study else ()
-        found = (known or {e["name"]: e for e in catalogue(own_effects(tables))}).get(self.choice.value)
+        found = self._library().get(self.choice.value)
         if found:
             self.words.object = note(f"{found['equation']}. Looks like {found['looks_like']}.")
 

@@ -10,8 +10,7 @@ import panel as pn
 from frictrack import plots
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Films
-from frictrack.workbench.linked import Linked
+from frictrack.workbench.films import Bench, Films
 from frictrack.workbench.widgets import button, figure, html, note
 
 
@@ -21,9 +20,7 @@ class MotionTab:
     title = "2 Motion"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.films = desk, films
-        self.linked = Linked(sizing_mode="stretch_width")
-        self.scene = scenes.Scene()
+        self.desk, self.bench = desk, Bench(desk, films)
         self.cutoff = pn.widgets.DiscreteSlider(name="Cut-off of a plain low-pass / Hz", options=[1.0], width=420)
         self.price = html("")
         self.words = html("")
@@ -39,21 +36,17 @@ class MotionTab:
                 align_items="flex-end",
                 gap="10px",
             ),
-            self.linked,
+            self.bench.linked,
             self.trade,
             sizing_mode="stretch_width",
         )
         self.cutoff.param.watch(lambda event: self._priced(), "value")
-        self.linked.param.watch(self._moved, "moved")
-        self.linked.param.watch(self._wanted, "want")
-        self.linked.param.watch(self._selected, "selection")
+        self.bench.linked.param.watch(self._moved, "moved")
 
     def refresh(self) -> None:
         """Show the run that is looked at."""
         run = self.desk.measured
-        self.scene = scenes.motion(run) if run else scenes.Scene()
-        self.linked.draw(self.scene)
-        self.films.show(self.linked, self.desk.run, 0, self.scene)
+        self.bench.draw(scenes.motion(run) if run else scenes.Scene(), self.desk.run)
         if run is None:
             self.words.object = note("This run is not measured to its end yet: bring it up to date.")
             self.trade.objects = []
@@ -88,10 +81,3 @@ class MotionTab:
     def _moved(self, event: Any) -> None:
         begin, end = (f"{v:.4g} ms" for v in event.new["span"])
         self._edit("free", [begin, end])
-
-    def _wanted(self, event: Any) -> None:
-        self.films.show(self.linked, self.desk.run, int(event.new["frame"]), self.scene)
-
-    def _selected(self, event: Any) -> None:
-        if event.new.get("middle") is not None:
-            self.films.show(self.linked, self.desk.run, int(event.new["middle"]), self.scene)

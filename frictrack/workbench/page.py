@@ -18,7 +18,7 @@ from frictrack.workbench.missing import MissingTab
 from frictrack.workbench.model import ModelTab
 from frictrack.workbench.motion import MotionTab
 from frictrack.workbench.record import RecordTab
-from frictrack.workbench.widgets import button, html
+from frictrack.workbench.widgets import button, html, note
 
 LOOK = 150  # ms between two looks at the files
 
@@ -28,7 +28,7 @@ class Page:
 
     def __init__(self, path: Path) -> None:
         self.desk = desk = Desk(path)
-        self.films = films = Films(desk)
+        self.films = films = Films()
         self.tabs: list[Any] = [
             FilmTab(desk, films),
             MotionTab(desk, films),
@@ -38,6 +38,7 @@ class Page:
             RecordTab(desk),
         ]
         self.head = html("", width=400)
+        self.old = html("", visible=False)
         self.said = html("")
         self.run = pn.widgets.Select(name="Run", options=[], width=180)
         self.bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
@@ -47,7 +48,7 @@ class Page:
         self.whole = button("Run everything", lambda: desk.start("run"), "success")
         self.shelf = pn.Tabs(*((tab.title, tab.view) for tab in self.tabs), dynamic=True, sizing_mode="stretch_width")
         self.run.link(desk, value="run")
-        self._shown: dict[int, object] = {}
+        self._shown: dict[object, object] = {}  # what the head and each tab were last made from
         self._busy = False
         desk.param.watch(self._told, ["said", "wrong"])
         desk.param.watch(self._working, "busy")
@@ -62,6 +63,7 @@ class Page:
                 gap="10px",
             ),
             pn.Row(self.bar, self.doing, self.cancel),
+            self.old,
             self.said,
             self.shelf,
             sizing_mode="stretch_width",
@@ -90,11 +92,10 @@ class Page:
     def _show(self) -> None:
         """Bring up to date what is above, and the tab that is looked at."""
         now, active = (self.desk.seen, self.desk.run, id(self.desk.ghost)), self.shelf.active
-        if self._shown.get(-1) != now:
-            self._headed()
-        if self._shown.get(active) != now:
-            self.tabs[active].refresh()
-        self._shown |= {-1: now, active: now}
+        for part, refresh in ((self.head, self._headed), (self.tabs[active], self.tabs[active].refresh)):
+            if self._shown.get(part) != now:
+                refresh()
+                self._shown[part] = now
 
     def _headed(self) -> None:
         """The study in one line: model, error, verdict."""
@@ -111,6 +112,9 @@ class Page:
             verdict = (desk.diagnosis or {}).get("verdict", "not diagnosed")
             words = f"{plots.plain_name(model.name)}: reduced chi-squared {number(chi2)}, {verdict}"
         self.head.object = f"<b>{escape(name)}</b><br>{escape(words)}"
+        old = desk.results.outdated if desk.results else ()
+        self.old.visible = bool(old)
+        self.old.object = note(f"Changed since these results were made: {'; '.join(old)}. Run everything again.")
 
     def _told(self, *events: Any) -> None:
         kind = " wrong" if self.desk.wrong else ""

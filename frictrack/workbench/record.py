@@ -12,19 +12,12 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.export import write
 from frictrack.flow import script
-from frictrack.plots import number
+from frictrack.report.tables import history
 from frictrack.results import Results
 from frictrack.workbench.desk import Desk
-from frictrack.workbench.widgets import button, html, note, table
+from frictrack.workbench.widgets import button, grid, html, note
 
 KINDS = ("svg", "png", "pdf")
-ERRORS = {
-    "rms_displacement_um": "residual / µm",
-    "heldout_rms_um": "held out / µm",
-    "heldout_rms_N": "held out / N",
-    "relative_force_error": "force error",
-    "reduced_chi2": "reduced chi²",
-}
 
 
 class RecordTab:
@@ -69,18 +62,7 @@ class RecordTab:
         if not models:
             self.models.object = note("No model was fitted yet.")
             return
-        shown = [key for key in ERRORS if any(m.summary["errors"].get(key) is not None for m in models)]
-        rows = [
-            (
-                m.name.split("_")[0],
-                plots.plain_name(m.name) + (" (current)" if m.current else ""),
-                *(number(m.summary["errors"].get(key)) for key in shown),
-                (m.diagnosis or {}).get("verdict", ""),
-            )
-            for m in models
-        ]
-        head = ("", "model", *(ERRORS[key] for key in shown), "verdict")
-        self.models.object = table(head, rows, range(2, 2 + len(shown)))
+        self.models.object = grid(history(models))
         self.choice.options = {plots.plain_name(m.name): m.name for m in models}
         path = results.output / "report.html" if results else None
         self.link.object = note(f"The report is {path}") if path and path.exists() else ""

@@ -15,6 +15,7 @@ from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 
 BAND, FREE, MEASURED = "#e0e0e0", "rgba(0,158,115,.12)", "#333333"
+TARGET = "target"
 TRACKS = (ORANGE, SKY, GREEN, PURPLE)
 
 
@@ -89,34 +90,33 @@ def tracked(run: RunResults) -> Scene:
     track = run.track
     if track is None:
         return Scene()
-    columns = {
-        "t": 1e3 * track.t,
-        "x": track.x_px,
-        "y": track.y_px,
-        "sigma": 1e3 * track.sigma_px,
-        "score": track.score,
-    }
-    columns |= {f"{name}_{axis}": q for name, other in run.tracks.items() for axis, q in _places(other)}
-    columns |= on_film(run)
+    columns = {"t": 1e3 * track.t, "sigma": 1e3 * track.sigma_px, "score": track.score}
+    columns |= places(run)
     time = ("t", "time / ms")
     shown = [
-        plot("Place in the picture", time, "x / px", line("x", MEASURED), brush="x"),
-        plot("Height in the picture", time, "y / px", line("y", MEASURED), brush="x"),
+        plot("Place in the picture", time, "x / px", line(on_film(TARGET, "x", run), MEASURED), brush="x"),
+        plot("Height in the picture", time, "y / px", line(on_film(TARGET, "y", run), MEASURED), brush="x"),
         plot("Standard deviation of the place", time, "sigma / 0.001 px", dots("sigma", BLUE)),
         plot("Match score", time, "score", dots("score", GREEN)),
     ]
     return Scene(len(track), columns, shown, [_run(run, 0, len(track))])
 
 
-def on_film(run: RunResults) -> dict[str, Array]:
-    """Where the target is in every frame of the run's own film, px."""
-    if run.track is None:
-        return {}
-    return {f"film_{axis}:{run.name}": q for axis, q in _places(run.track)}
+def tracks(run: RunResults) -> dict[str, Track]:
+    """The target and all that was tracked beside it."""
+    beside = {name: track for name, track in run.tracks.items() if name != "backward"}
+    return {TARGET: run.track, **beside} if run.track is not None else {}
 
 
-def _places(track: Track) -> tuple[tuple[str, Array], tuple[str, Array]]:
-    return ("x", track.x_px), ("y", track.y_px)
+def on_film(name: str, axis: str, run: RunResults) -> str:
+    """The column that says where something was in every frame of a run's own film, px."""
+    return f"{name}_{axis}:{run.name}"
+
+
+def places(run: RunResults) -> dict[str, Array]:
+    """Where the target and all beside it are in every frame of the run's own film, px."""
+    found = {name: {"x": track.x_px, "y": track.y_px} for name, track in tracks(run).items()}
+    return {on_film(name, axis, run): q for name, place in found.items() for axis, q in place.items()}
 
 
 def motion(run: RunResults) -> Scene:
@@ -131,7 +131,7 @@ def motion(run: RunResults) -> Scene:
     }
     bands = [_around(columns, name, columns[name], sigma) for name, sigma in (("v", m.sigma_v), ("a", m.sigma_a))]
     around = _around(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
-    columns |= on_film(run)
+    columns |= places(run)
     time = ("t", "time / ms")
     free = _free(run)
     shade = [span(*free, FREE, "free section")] if free else []
@@ -166,7 +166,7 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
     firsts = np.cumsum([0, *(len(run.motion) for run in runs)])
     parts = [_rows(run, model, ghost) for run in runs]
     columns = {key: np.concatenate([part[key] for part in parts]) for key in (parts[0] if parts else {})}
-    columns |= {key: place for run in runs for key, place in on_film(run).items()}
+    columns |= {key: place for run in runs for key, place in places(run).items()}
     unit = residual_unit(model)
     left = f"measured minus modelled / {unit}"
     now = dots("left", by_run=True, main=True)

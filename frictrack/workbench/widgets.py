@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from html import escape
+from collections.abc import Callable
 from typing import Any
 
 import panel as pn
+from markupsafe import escape
 from matplotlib.figure import Figure
 
 from frictrack import plots
+from frictrack.report.tables import Table
 
 CSS = """
 :host, body { font-family: system-ui, sans-serif; font-size: 14px; color: #1a1a1a; }
@@ -33,14 +34,12 @@ def html(text: str, **more: Any) -> pn.pane.HTML:
     return pn.pane.HTML(text, stylesheets=[CSS], **wide, **more)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = ()) -> str:
-    """A table of texts; columns in `numbers` are set right."""
-    cells = ["".join(f"<th>{escape(str(h))}</th>" for h in head)]
-    for row in rows:
-        cells.append(
-            "".join(f"<td{' class=n' if i in numbers else ''}>{escape(str(v))}</td>" for i, v in enumerate(row))
-        )
-    return f"<table class=ft-table>{''.join(f'<tr>{c}</tr>' for c in cells)}</table>"
+def grid(table: Table) -> str:
+    """A table of the report."""
+    heads = "".join(f"<th>{escape(head)}</th>" for head in table.heads)
+    kinds = [" class=n" if i in table.numeric else "" for i in range(len(table.heads))]
+    rows = ("".join(f"<td{k}>{escape(c)}</td>" for k, c in zip(kinds, row, strict=True)) for row in table.rows)
+    return f"<table class=ft-table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
 def heading(text: str) -> str:
