@@ -169,6 +169,23 @@ def test_leaving_the_frame_is_nan_with_the_reason():
     assert np.nanmax(np.abs(error(result, x))) < 0.02
 
 
+def test_what_looks_alike_and_stands_is_not_taken_for_a_target_that_has_left():
+    x, tall = 60 + 2.6 * np.arange(N), (128, 240)
+    source = block_film(x, np.full(N, 30.0), size=SIZE, shape=tall)
+    double = source.frame(0)[14:46, 38:82] + speckle((32, 44), np.random.default_rng(5), contrast=20.0)
+
+    def draw(i):
+        frame = source.frame(i).copy()
+        frame[84:116, 100:144] = np.clip(double, 0, 255)
+        return frame
+
+    result = track(Film(draw, N, tall), [38, 14, 44, 32])
+    out = x + SIZE[1] / 2 > tall[1] + 6
+    assert not result.found[out].any()
+    assert result.found[x + SIZE[1] / 2 < tall[1] - 1].all()
+    assert np.nanmax(np.abs(result.y_px - result.y_px[0])) < 0.05
+
+
 def test_corrupt_frames_are_nan_and_the_target_is_found_again():
     def spoil(i, frame):
         if i in (20, 21):

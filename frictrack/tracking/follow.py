@@ -36,6 +36,7 @@ ANYWHERE = 0.5  # least score of a find far from where the target should be
 BETTER = 0.1  # by this much must another place match better than the one that is near
 SURPRISE = 1.5  # px off the prediction: no find in a batch, or a pattern that repeats would be followed one period off
 REACH = 24  # px searched round the prediction
+STILL = 4  # px that a shaken camera may move what stands
 BATCH = (8, 256)  # frames predicted at once: least, most
 AGAIN = 4  # times that a batch is read at better corners
 FORGOTTEN = 128  # frames without a find after which the target may be anywhere
@@ -124,7 +125,7 @@ class Follower:
         self.size = template.weight.shape
         self.room = np.array(film.shape[::-1]) - np.array(self.size[::-1])
         self.usual, self.noise = 1.0, np.inf  # score and misfit of the last finds
-        self.template_frame = 0
+        self.template_frame, self.start = 0, np.zeros(2)
         low = template.image
         self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
             np.uint8 if film.bit_depth == 8 else np.uint16
@@ -137,7 +138,7 @@ class Follower:
 
     def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> Followed:
         """All frames; `start` (2,) is the corner in frame `template`, from which the film is followed both ways."""
-        result, self.template_frame = nowhere(self.film.n_frames), template
+        result, self.template_frame, self.start = nowhere(self.film.n_frames), template, np.asarray(start)
         self._along(np.arange(template, self.film.n_frames), start, result, progress)
         if template:
             self._along(np.arange(template, -1, -1), start, result, progress)
@@ -253,7 +254,7 @@ class Follower:
         place, score = self._look(frame, predicted if path.age(i) < FORGOTTEN else None)
         if score >= max(ANYWHERE * self.usual, LEAST_SCORE):
             corner, fine = self.read(np.array([i]), place[None])
-            if self.accepted(corner, fine)[0]:
+            if self.accepted(corner, fine)[0] and not self._stands(place, score):
                 self._keep(np.array([i]), corner, fine, result)
                 path.forget(i, (corner + fine.at)[0])
                 return
@@ -266,8 +267,15 @@ class Follower:
     def _doubt(self, i: int, path: _Path, score: float) -> None:
         """What matches so badly may be a false find: go on from another place if that is clearly better."""
         place, best = _match(self.film.frame(i), self.patch, None)
-        if best > score + BETTER and np.max(np.abs(place - path.at[-1])) > SURPRISE:
+        away = np.max(np.abs(place - path.at[-1])) > SURPRISE
+        if best > score + BETTER and away and not self._stands(place, best):
             path.forget(i, place)
+
+    def _stands(self, place: Array, score: float) -> bool:
+        """Whether what matches at a place stood there as well while the target was elsewhere: then it is another."""
+        if np.all(np.abs(place - self.start) < self.size[::-1]):
+            return False
+        return self._near(self.film.frame(self.template_frame), place, STILL)[1] > score - BETTER
 
     def _touches(self, corner: Array) -> bool:
         """Whether a rectangle at `corner` would stick out of the picture or touch its edge."""
@@ -277,13 +285,17 @@ class Follower:
         """The best match: near the prediction, unless another place is clearly better."""
         near = None
         if predicted is not None:
-            low = np.clip(np.rint(predicted) - REACH, 0, self.room).astype(int)
-            high = np.clip(np.rint(predicted) + REACH, low, self.room).astype(int) + self.size[::-1]
-            near = _match(frame, self.patch, (int(low[0]), int(low[1]), *(high - low).tolist()))
+            near = self._near(frame, predicted, REACH)
             if near[1] >= 0.8 * self.usual:
                 return near
         anywhere = _match(frame, self.patch, None)
         return near if near is not None and near[1] >= max(ANYWHERE, anywhere[1] - BETTER) else anywhere
+
+    def _near(self, frame: Frame, place: Array, reach: int) -> tuple[Array, float]:
+        """The best match within so many pixels of a place."""
+        low = np.clip(np.rint(place) - reach, 0, self.room).astype(int)
+        high = np.clip(np.rint(place) + reach, low, self.room).astype(int) + self.size[::-1]
+        return _match(frame, self.patch, (int(low[0]), int(low[1]), *(high - low).tolist()))
 
 
 def _match(frame: Frame, patch: Patch, part: Rectangle | None) -> tuple[Array, float]:

@@ -49,7 +49,7 @@ def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson)
     covered = np.zeros(len(cuts), np.bool_) if share is None else np.any(share < 1, axis=(1, 2))
     usual = float(np.median(fine.misfit)) if np.isnan(lesson.usual) else lesson.usual
     usual = max(usual, template.least_misfit)
-    odd = np.flatnonzero(covered | (fine.misfit > MISFITS * usual))
+    odd = np.flatnonzero((covered | (fine.misfit > MISFITS * usual)) & guess.settled)
     if len(odd):
         share = np.ones(cuts.shape, np.float32) if share is None else share
         better, kept = without_what_does_not_fit(cuts[odd], guess[odd], template, share[odd], usual)
@@ -81,7 +81,10 @@ def without_what_does_not_fit(
         enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
         start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
         share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
-        fine = refine(products(cuts, template, share), start, template)
+        better = refine(products(cuts, template, share), start, template)
+        lost = ~better.settled  # what went nowhere is no ground to stand on: the last place is
+        better.put(lost, replace(fine[lost], settled=better.settled[lost]))
+        fine = better
     return replace(fine, settled=fine.settled & enough), share
 
 

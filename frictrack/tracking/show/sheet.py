@@ -48,7 +48,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     for panel in panels[len(shown) : -1]:
         panel.set_axis_off()
     _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
-    figure.suptitle(_headline(recording, track), fontsize=15)
+    figure.suptitle(_headline(recording, track), fontsize=14)
     figure.supxlabel(target_line(track).replace("\n", "      "), fontsize=18, family="monospace")
     FigureCanvasAgg(figure).print_png(str(path))
     return Path(path)
@@ -76,8 +76,8 @@ def _rectangle(track: Track) -> tuple[int, int, int, int]:
 
 def _headline(recording: Recording, track: Track) -> str:
     lost = Counter(_kind(r) for r in track.reason if r)
-    why = "".join(f"; {count} frames: {reason}" for reason, count in lost.most_common(3))
-    return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames{why}"
+    why = "; ".join(f"{count} frames: {reason}" for reason, count in lost.most_common(3))
+    return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames\n{why}".strip()
 
 
 def _kind(reason: str) -> str:
