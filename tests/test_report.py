@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -213,6 +214,24 @@ def test_write_replaces_the_report_whole(tmp_path, quick):
     path = report.write(results(), tmp_path / "out" / "report.html")
     assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no Chromium here: apt-get install chromium")
+def test_it_is_printed_to_a_pdf_of_several_pages(text, tmp_path):
+    page = tmp_path / "a report.html"
+    page.write_text(text, encoding="utf-8")
+    sheet = report.printed(page)
+    assert sheet == tmp_path / "a report.pdf"
+    content = sheet.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type\s*/Page\b", content)) > 5
+    assert sorted(tmp_path.iterdir()) == [page, sheet]
+
+
+def test_without_a_browser_the_way_to_a_pdf_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(FrictrackError, match=r"expected Chromium, Chrome or Edge.*open .*report\.html in any browser"):
+        report.printed(tmp_path / "report.html")
 
 
 def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, monkeypatch):

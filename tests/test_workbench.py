@@ -250,6 +250,9 @@ def test_from_films_to_a_fallen_error(bench: Server, tab: Open) -> None:
     with page.page.expect_download() as got:
         page.page.get_by_text("Report (HTML)", exact=True).click()
     assert "texture" in Path(got.value.path()).read_text(encoding="utf-8")
+    with page.page.expect_download(timeout=SLOW) as got:
+        page.page.get_by_text("Report (PDF)", exact=True).click()
+    assert Path(got.value.path()).read_bytes().startswith(b"%PDF-")
     page.picture("7_history")
 
 

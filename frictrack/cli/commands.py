@@ -217,11 +217,21 @@ def plan(study: Study, as_json: Json = False) -> None:
 
 
 @app.command()
-def report(study: Study, as_json: Json = False) -> None:
+def report(
+    study: Study,
+    pdf: Annotated[bool, typer.Option("--pdf", help="print it to report.pdf as well")] = False,
+    as_json: Json = False,
+) -> None:
     """One page that shows it all."""
     with working(study) as session:
         path = session.report()
-    tell({"report": str(path), "output": str(session.study.output)}, as_json, "", path)
+    files = {"report": str(path)}
+    if pdf:
+        from frictrack.report import printed  # noqa: PLC0415
+
+        path = printed(path)
+        files["pdf"] = str(path)
+    tell({**files, "output": str(session.study.output)}, as_json, "", path)
 
 
 @app.command()

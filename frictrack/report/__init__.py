@@ -1,9 +1,11 @@
 """The report: all that a study has come to on one self-contained HTML page.
 
 from frictrack import report
-report.write(results, Path("report.html"))
+page = report.write(results, Path("report.html"))
+report.printed(page)  # report.pdf
 """
 
 from frictrack.report.page import render, write
+from frictrack.report.paper import printed
 
-__all__ = ["render", "write"]
+__all__ = ["printed", "render", "write"]

@@ -87,7 +87,7 @@ def own_motion(model: ModelResults) -> list[Markup]:
     rows = [row for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
         return []
-    told = [Markup("<b>{}</b>: {}.").format(row["run"], note) for row in rows for note in row["motion"]["notes"]]
+    told = [Markup("<b>{}</b>: {}.").format(row["run"], typed(note)) for row in rows for note in row["motion"]["notes"]]
     return [_how_well([row["motion"] for row in rows], held=not told), *told, *_blows(model)]
 
 

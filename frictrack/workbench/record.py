@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from pathlib import Path
 
 import panel as pn
 from matplotlib.figure import Figure
 
 from frictrack import plots
+from frictrack.errors import FrictrackError
 from frictrack.export import write
 from frictrack.flow import script
+from frictrack.report import printed
 from frictrack.report.tables import history
 from frictrack.results import Results
 from frictrack.workbench.desk import Desk
@@ -37,6 +40,7 @@ class RecordTab:
             pn.FlexBox(
                 button("Write the report", lambda: desk.start("report"), "primary"),
                 self._file("Report (HTML)", "report.html", self._report),
+                self._file("Report (PDF)", "report.pdf", self._paper),
                 self._file("Tables (CSV)", "tables.zip", self._tables),
                 self._file("Everything (HDF5)", "hdf5.zip", self._stores),
                 self._file("Python script", "repeat.py", self._script),
@@ -77,12 +81,25 @@ class RecordTab:
         assert self.desk.results is not None
         return self.desk.results
 
-    def _report(self) -> bytes | None:
+    def _written(self) -> Path | None:
+        """The report, or a word that there is none."""
         path = self._results().output / "report.html"
         if path.exists():
-            return path.read_bytes()
+            return path
         self.desk.tell("write the report first", wrong=True)
         return None
+
+    def _report(self) -> bytes | None:
+        path = self._written()
+        return path.read_bytes() if path else None
+
+    def _paper(self) -> bytes | None:
+        path = self._written()
+        try:
+            return printed(path).read_bytes() if path else None
+        except FrictrackError as e:
+            self.desk.tell(str(e), wrong=True)
+            return None
 
     def _tables(self) -> bytes:
         return zipped({path.name: path.read_bytes() for path in write(self._results(), "csv")})
