@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from browser import Open, Tab, browser
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
@@ -38,3 +41,25 @@ def study_file(tmp_path: Path) -> Path:
     path = tmp_path / "study.toml"
     path.write_text(text)
     return path
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser."""
+    with browser() as one:
+        yield one
+
+
+@pytest.fixture
+def tab(chromium: Any) -> Iterator[Open]:
+    """Opens tabs; at the end none of them has asked anybody outside, or met an error."""
+    opened: list[Tab] = []
+
+    def new() -> Tab:
+        opened.append(Tab(chromium.new_page(viewport={"width": 1280, "height": 900})))
+        return opened[-1]
+
+    yield new
+    for one in opened:
+        one.page.close()
+    assert [fault for one in opened for fault in one.faults] == []

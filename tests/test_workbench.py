@@ -1,6 +1,6 @@
 """The workbench in a real browser: the loop from film to fallen error, and all that may go wrong on the way.
 
-Every request of every page is logged: none may leave the machine. Screenshots go to `FRICTRACK_ARTEFACTS`, when set.
+Screenshots go to `FRICTRACK_ARTEFACTS`, when set.
 """
 
 from __future__ import annotations
@@ -13,38 +13,25 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, SLOW, Open
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, script
 from frictrack.workbench.film import stored_upload
 
-playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-ARGS = [
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-]
-INK = """(plots, [r, g, b, k]) => plots.map((plot) => {
-    const c = plot.querySelectorAll("canvas")[k], d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
-    let n = 0;
-    for (let i = 0; i < d.length; i += 4) n += d[i] === r && d[i + 1] === g && d[i + 2] === b;
-    return n;
-})"""
 FOCUSED = """() => {
     let a = document.activeElement;
     while (a.shadowRoot) a = a.shadowRoot.activeElement;
     return a.tagName;
 }"""
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
-HERE = re.compile(r"(https?|wss?)://(127\.0\.0\.1|localhost)[:/]|data:|blob:")
-SLOW = 120_000  # ms that work may take on a busy machine
 
 
 @dataclass
@@ -81,75 +68,6 @@ class Server:
         return f"http://127.0.0.1:{self.port}/"
 
 
-@dataclass
-class Tab:
-    """One tab of the browser, and all that it asked for and complained of."""
-
-    page: playwright.Page
-    faults: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.page.on("request", lambda r: HERE.match(r.url) or self.faults.append(f"asked {r.url}"))
-        self.page.on("pageerror", lambda e: self.faults.append(f"error {e}"))
-        self.page.on(
-            "response", lambda r: r.status < 400 or "favicon" in r.url or self.faults.append(f"{r.status} {r.url}")
-        )
-
-    def open(self, server: Server) -> Tab:
-        self.page.goto(server.address)
-        self.page.get_by_text("1 Film", exact=True).wait_for()
-        return self
-
-    def to(self, title: str) -> Tab:
-        self.page.get_by_text(title, exact=True).click()
-        return self
-
-    def click(self, name: str) -> Tab:
-        self.page.get_by_role("button", name=name, exact=True).click()
-        return self
-
-    def hears(self, words: str, within: int = SLOW) -> str:
-        """Wait until the page says so in its status line."""
-        line = self.page.locator(".ft-said", has_text=words)
-        line.wait_for(timeout=within)
-        return line.inner_text()
-
-    def sees(self, words: str | re.Pattern[str], within: int = SLOW) -> None:
-        self.page.get_by_text(words).first.wait_for(timeout=within)
-
-    def drag(self, plot: int, *, shift: bool = False) -> None:
-        """Over the middle of a plot."""
-        box = self.page.locator(".ft-plot").nth(plot).bounding_box()
-        assert box is not None
-        x, y, w, h = box["x"] + 74, box["y"] + 24, box["width"] - 84, box["height"] - 60
-        if shift:
-            self.page.keyboard.down("Shift")
-        self.page.mouse.move(x + 0.4 * w, y + 2)
-        self.page.mouse.down()
-        self.page.mouse.move(x + 0.6 * w, y + h - 2, steps=5)
-        self.page.mouse.up()
-        if shift:
-            self.page.keyboard.up("Shift")
-
-    def until(self, true: Callable[[], bool]) -> None:
-        """Wait until something holds."""
-        for _ in range(100):
-            if true():
-                return
-            self.page.wait_for_timeout(200)
-        assert true()
-
-    def ink(self, colour: tuple[int, int, int], layer: int = 1) -> list[int]:
-        """Pixels of a colour in every plot, on top of it (1) or below (0)."""
-        found: list[int] = self.page.locator(".ft-plot").evaluate_all(INK, [*colour, layer])
-        return found
-
-    def picture(self, name: str) -> None:
-        if folder := os.environ.get("FRICTRACK_ARTEFACTS"):
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            self.page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
-
-
 @contextmanager
 def held(study: Path, words: str) -> Iterator[None]:
     """As soon as the work of a study has said these words, its process stands still: no machine is too quick."""
@@ -166,31 +84,7 @@ def held(study: Path, words: str) -> Iterator[None]:
         os.kill(pid, signal.SIGCONT)
 
 
-Open = Callable[[], Tab]
 CHOSEN, GHOST = (213, 94, 0), (187, 187, 187)
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[playwright.Browser]:
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=ARGS)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def tab(chromium: playwright.Browser) -> Iterator[Open]:
-    """Opens tabs; at the end none of them has asked anybody outside, or met an error."""
-    opened: list[Tab] = []
-
-    def new() -> Tab:
-        opened.append(Tab(chromium.new_page(viewport={"width": 1280, "height": 900})))
-        return opened[-1]
-
-    yield new
-    for one in opened:
-        one.page.close()
-    assert [fault for one in opened for fault in one.faults] == []
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,11 @@ from frictrack.flow.ledger import Ledger
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import RunWork, silent
 from frictrack.flow.tried import Tried, model_results
+from frictrack.records import Happenings
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.study import Study
+
+ASIDE = ("cutoff", "friction", "events")  # stages that a fit does not need
 
 
 def stored(study: Study) -> Results:
@@ -35,7 +38,7 @@ def stored(study: Study) -> Results:
         path=study.path,
         output=study.output,
         version=store.VERSION,
-        runs=tuple(run_results(work) for work in works if all(work.is_current(name) for name in work.stages)),
+        runs=tuple(run_results(work) for work in works if _is_measured(work)),
         models=models,
         comparison=_summary(tried, "comparison"),
         diagnosis=current.diagnosis if current else None,
@@ -48,6 +51,11 @@ def stored(study: Study) -> Results:
 def attempted(path: Path) -> ModelResults:
     """The model of an attempt."""
     return model_results(path, store.names(path, "models")[0])
+
+
+def _is_measured(work: RunWork) -> bool:
+    """Whether all is there on which anything else rests."""
+    return all(work.is_current(name) for name in work.stages if name not in ASIDE)
 
 
 def _outdated(works: list[RunWork], tried: Tried) -> Iterator[str]:
@@ -71,8 +79,8 @@ def _summary(tried: Tried, group: str) -> Any:
 
 
 def run_results(work: RunWork) -> RunResults:
-    """Every stage of one run, all that is known of it."""
-    done = {name: work.get(name) for name in work.stages}
+    """Every stage of one run that was made, all that is known of it."""
+    done = {name: work.get(name) for name in work.stages if work.is_current(name)}
     seen = _quality(done)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
     notes += sensor_rows(work)["notes"]
@@ -82,9 +90,9 @@ def run_results(work: RunWork) -> RunResults:
         displacement=done["displacement"],
         filtered=done["filtered"],
         motion=done["motion"],
-        happenings=done["events"],
-        cutoff=done["cutoff"],
-        friction=done["friction"],
+        happenings=done.get("events", Happenings()),
+        cutoff=done.get("cutoff"),
+        friction=done.get("friction"),
         film=done.get("recording"),
         track=done.get("track"),
         tracks=done.get("tracks", {}),
@@ -94,7 +102,7 @@ def run_results(work: RunWork) -> RunResults:
         role=work.run.role,
         group=work.run.group,
         settings={k: work.written(v) for k, v in work.run if v not in (None, "", {}, [])},
-        hashes={name: work.key(name) for name in work.stages},
+        hashes={name: work.key(name) for name in done},
         notes=tuple(dict.fromkeys(notes)),
     )
 

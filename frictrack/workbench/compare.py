@@ -11,6 +11,7 @@ from frictrack.report.tables import spans
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import grid, html, note
 
 NONE = "none"
@@ -22,7 +23,7 @@ class CompareTab:
     title = "4 Compare"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films)
+        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
         self.model = pn.widgets.Select(name="Model", options=[], width=300)
         self.behind = pn.widgets.Select(name="Behind it", options=[NONE], width=300)
         self.spans = html("")

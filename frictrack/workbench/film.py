@@ -14,6 +14,7 @@ from frictrack.report.tables import table
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import button, grid, heading, html, note
 
 TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
@@ -26,7 +27,7 @@ class FilmTab:
     title = "1 Film"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films)
+        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
         self.linked = self.bench.linked
         self.tool = pn.widgets.RadioButtonGroup(name="Draw", options=TOOLS, value="")
         self.length = pn.widgets.TextInput(name="Length of the ruler", placeholder="100 mm", width=140)
@@ -54,7 +55,7 @@ class FilmTab:
         )
         self.view = pn.Column(self.tools, self.linked, self.audit, self.more, sizing_mode="stretch_width")
         self.tool.link(self.linked, value="tool")
-        self.linked.param.watch(self._drawn, "drawn")
+        self.linked.listen("drawn", self._drawn)
         self.drop.param.watch(self._dropped, "value")
 
     def refresh(self) -> None:
@@ -93,13 +94,13 @@ class FilmTab:
 
     # --- what is drawn on the film
 
-    def _drawn(self, event: Any) -> None:
-        self.shape = dict(event.new)
-        tool, shape = self.shape.get("tool"), self.shape.get("shape")
+    def _drawn(self, shape: dict[str, Any]) -> None:
+        self.shape = dict(shape)
+        tool, place = self.shape.get("tool"), self.shape.get("shape")
         if tool in ("target", "reference") and self.desk.runs:
-            self.desk.do("edit", table="run", which=self.desk.run, key=tool, value=shape)
+            self.desk.do("edit", table="run", which=self.desk.run, key=tool, value=place)
         elif tool == "ruler":
-            self.linked.film = {**self.linked.film, "shapes": {**self.linked.film.get("shapes", {}), "ruler": shape}}
+            self.linked.film = {**self.linked.film, "shapes": {**self.linked.film.get("shapes", {}), "ruler": place}}
             self.desk.tell("now give the length of the ruler and use it as the scale")
 
     def _rule(self) -> None:

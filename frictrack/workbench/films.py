@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from frictrack.errors import FrictrackError
 from frictrack.results import RunResults
 from frictrack.study import RunTable
 from frictrack.workbench.desk import Desk
+from frictrack.workbench.drawn import Drawn
 from frictrack.workbench.frames import Frames
-from frictrack.workbench.linked import Linked
 from frictrack.workbench.scenes import TRACKS, Scene, on_film, tracks
 
 
@@ -33,15 +33,17 @@ class Films:
         self._open.clear()
 
 
-class Bench:
+Shown = TypeVar("Shown", bound=Drawn)
+
+
+class Bench(Generic[Shown]):
     """Linked plots with the film beside them: it shows the frame that is chosen in a plot, or asked for below it."""
 
-    def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.films = desk, films
-        self.linked = Linked(sizing_mode="stretch_width")
+    def __init__(self, desk: Desk, films: Films, linked: Shown) -> None:
+        self.desk, self.films, self.linked = desk, films, linked
         self.scene = Scene()
-        self.linked.param.watch(self._selected, "selection")
-        self.linked.param.watch(self._wanted, "want")
+        linked.listen("selection", self._selected)
+        linked.listen("want", self._wanted)
 
     def draw(self, scene: Scene, run: str = "") -> None:
         """Draw other data, and the first frame of a run; without data and run no film is shown."""
@@ -78,12 +80,12 @@ class Bench:
         shapes = {key: [*shape] for key, shape in drawn.items() if isinstance(shape, tuple | list)}
         return {"first": first, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
 
-    def _selected(self, event: Any) -> None:
-        if event.new.get("middle") is not None:
-            self.show(*self.scene.place(int(event.new["middle"])))
+    def _selected(self, chosen: dict[str, Any]) -> None:
+        if chosen.get("middle") is not None:
+            self.show(*self.scene.place(int(chosen["middle"])))
 
-    def _wanted(self, event: Any) -> None:
-        self.show(self.linked.film["label"], int(event.new["frame"]))
+    def _wanted(self, asked: dict[str, Any]) -> None:
+        self.show(self.linked.film["label"], int(asked["frame"]))
 
 
 def _tracks(run: RunResults, scene: Scene) -> list[dict[str, Any]]:

@@ -1,18 +1,17 @@
-"""The linked plots and the film as a component of the page; the same module shows in a notebook."""
+"""The linked plots and the film as a component of the page."""
 
 from __future__ import annotations
 
-from importlib.resources import files
+from collections.abc import Callable
+from typing import Any
 
 import param
 from panel.custom import AnyWidgetComponent
 
-from frictrack.workbench.scenes import Scene
-
-MODULE = files("frictrack.workbench").joinpath("linked.js").read_text(encoding="utf-8")
+from frictrack.workbench.drawn import MODULE, Drawn
 
 
-class Linked(AnyWidgetComponent):
+class Linked(Drawn, AnyWidgetComponent):
     """See ``linked.js`` for what goes in and what comes out."""
 
     scene = param.Dict(default={})
@@ -28,12 +27,10 @@ class Linked(AnyWidgetComponent):
     _esm = MODULE
     _debounce = 0  # ms; Panel waits 50 otherwise
 
-    def draw(self, scene: Scene) -> None:
-        """Draw other data."""
-        told, data = scene.packed()
-        self.param.update(scene=told, data=data)
+    def put(self, **values: Any) -> None:
+        """Set several values at once."""
+        self.param.update(**values)
 
-    def picture(self, frame: tuple[int, bytes]) -> None:
-        """Show a frame of the film: its number and its JPEG."""
-        number, jpeg = frame
-        self.frame = number.to_bytes(4, "little") + jpeg
+    def listen(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
+        """Call with the new value whenever the user has changed one."""
+        self.param.watch(lambda event: call(event.new), name)

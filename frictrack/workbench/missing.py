@@ -15,6 +15,7 @@ from frictrack.report.tables import Card, cards
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import button, figure, grid, heading, html, note
 
 CARDS = 6
@@ -32,7 +33,7 @@ class MissingTab:
     title = "5 What is missing?"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films)
+        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
         self.head = html("")
         self.cards = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
         self.falls = pn.Column(sizing_mode="stretch_width")

@@ -11,6 +11,7 @@ from frictrack import plots
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
+from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import button, figure, html, note
 
 
@@ -20,7 +21,7 @@ class MotionTab:
     title = "2 Motion"
 
     def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films)
+        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
         self.cutoff = pn.widgets.DiscreteSlider(name="Cut-off of a plain low-pass / Hz", options=[1.0], width=420)
         self.price = html("")
         self.words = html("")
@@ -41,7 +42,7 @@ class MotionTab:
             sizing_mode="stretch_width",
         )
         self.cutoff.param.watch(lambda event: self._priced(), "value")
-        self.bench.linked.param.watch(self._moved, "moved")
+        self.bench.linked.listen("moved", self._moved)
 
     def refresh(self) -> None:
         """Show the run that is looked at."""
@@ -78,6 +79,6 @@ class MotionTab:
     def _edit(self, key: str, value: Any) -> None:
         self.desk.do("edit", table="run", which=self.desk.run, key=key, value=value)
 
-    def _moved(self, event: Any) -> None:
-        begin, end = (f"{v:.4g} ms" for v in event.new["span"])
+    def _moved(self, handle: dict[str, Any]) -> None:
+        begin, end = (f"{v:.4g} ms" for v in handle["span"])
         self._edit("free", [begin, end])

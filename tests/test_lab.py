@@ -1,0 +1,106 @@
+"""Notebooks in a real JupyterLab: the linked plots answer there too, and no page of theirs asks anybody outside."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import nbformat
+import pytest
+from browser import CHROMIUM, SLOW, Open
+
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study
+from frictrack.workbench.notebook import look
+
+NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
+SETTINGS = {  # what JupyterLab itself would ask of the network
+    "@jupyterlab/apputils-extension:notification": {"checkForUpdates": False, "fetchNews": "false"},
+}
+in_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+
+
+@pytest.fixture
+def study(study_file: Path) -> Path:
+    session = Session(open_study(study_file))
+    session.fit()
+    session.add("drag")
+    return study_file
+
+
+def test_the_plots_of_a_study_tell_and_hear(study: Path) -> None:
+    shown = look(study, behind="1_coulomb+viscous")
+    assert shown.scene["rows"] == 1500
+    assert len(shown.data) == 4 * sum(length for _, length in shown.scene["columns"].values())
+    assert any(layer["y"] == "ghost" for layer in shown.scene["plots"][0]["layers"] if "y" in layer)
+    shown.selection = {"count": 3, "middle": 700, "per_run": {}, "seq": 1}  # as the browser tells it
+    assert shown.film == {}  # these runs are tables
+    with pytest.raises(FrictrackError, match=r'expected one of 1_coulomb\+viscous, .* but got "2_tustin"'):
+        look(study, "2_tustin")
+
+
+def test_a_study_without_a_model_is_told(study_file: Path) -> None:
+    with pytest.raises(FrictrackError, match=r"expected a study with a model but .* run `frictrack run` on it"):
+        look(study_file)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """JupyterLab over a folder with the project's notebooks."""
+    folder = tmp_path_factory.mktemp("lab")
+    for path in NOTEBOOKS.glob("*.ipynb"):
+        shutil.copy(path, folder)
+    settings = tmp_path_factory.mktemp("settings")
+    (settings / "overrides.json").write_text(json.dumps(SETTINGS))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    words = [
+        *(sys.executable, "-m", "jupyterlab", "--no-browser", "--ip=127.0.0.1", f"--port={port}", "--allow-root"),
+        *("--IdentityProvider.token=", f"--ServerApp.root_dir={folder}", f"--LabApp.app_settings_dir={settings}"),
+    ]
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    address = f"http://127.0.0.1:{port}"
+    for _ in range(600):
+        try:
+            urllib.request.urlopen(f"{address}/api")
+            break
+        except OSError:
+            time.sleep(0.1)
+    yield address, folder
+    process.terminate()
+    process.wait(20)
+
+
+@in_chromium
+def test_the_plots_answer_in_jupyterlab(lab: tuple[str, Path], tab: Open, study: Path) -> None:
+    address, folder = lab
+    cell = nbformat.v4.new_code_cell(f"from frictrack.workbench.notebook import look\nlook({str(study)!r})")
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    nbformat.write(nbformat.v4.new_notebook(cells=[cell], metadata=kernel), folder / "look.ipynb")
+    page = tab()
+    page.page.goto(f"{address}/lab/tree/look.ipynb?reset")
+    page.sees("| Idle")  # the kernel listens
+    page.page.locator(".jp-Notebook .jp-CodeCell").first.click(timeout=SLOW)
+    page.page.keyboard.press("Shift+Enter")
+    page.page.locator(".ft-plot canvas").first.wait_for(timeout=SLOW)
+    page.until(lambda: page.page.locator(".ft-plot").count() == 5)
+    page.drag(1)
+    page.page.locator(".ft-status", has_text="frames selected").wait_for(timeout=SLOW)
+    page.picture("lab")
+
+
+@in_chromium
+@pytest.mark.parametrize("name", sorted(path.name for path in NOTEBOOKS.glob("*.ipynb")))
+def test_no_notebook_asks_anybody_outside(lab: tuple[str, Path], tab: Open, name: str) -> None:
+    page = tab()  # which fails for any request that leaves the machine
+    page.page.goto(f"{lab[0]}/lab/tree/{name}?reset")
+    page.page.locator(".jp-Notebook .jp-MarkdownCell").first.wait_for(timeout=SLOW)
+    page.page.wait_for_timeout(1000)
