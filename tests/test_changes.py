@@ -150,6 +150,27 @@ def test_recordings_are_taken_in_and_left_out(study_file: Path) -> None:
         session.apply("take_in", recordings=["fourth.csv"])
 
 
+def test_an_effect_of_ones_own_is_defined_and_undone(study_file: Path) -> None:
+    magnet = {
+        "effect": "magnet",
+        "formula": "F * exp(-((x - c)/w)^2)",
+        "units": {"F": "N", "c": "m", "w": "m"},
+        "bounds": {"c": [0.0, 0.5], "w": [0.005, 0.1]},
+    }
+    session = at_work(study_file)
+    session.apply("define", effect=magnet)
+    assert "# weighed on Monday" in study_file.read_text(encoding="utf-8")
+    assert "magnet" in session.add("magnet")["effect"]
+    session.apply("define", effect=magnet | {"formula": "F * (x - c)/w * exp(-((x - c)/w)^2)"})
+    assert study_file.read_text(encoding="utf-8").count("[[effect]]") == 1
+    assert session.study.effects[0].formula.startswith("F * (x - c)/w")
+    with pytest.raises(FrictrackError, match="formula"):
+        session.apply("define", effect=magnet | {"formula": "F * __import__('os')"})
+    for _ in range(3):
+        session.apply("undo")
+    assert study_file.read_text(encoding="utf-8") == TEXT
+
+
 def test_what_was_changed_since_the_results_were_made_is_told(study_file: Path) -> None:
     def told() -> tuple[str, ...]:
         return stored(open_study(study_file)).outdated

@@ -23,7 +23,10 @@ from browser import CHROMIUM, SLOW, Open
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, script
+from frictrack.workbench.desk import Desk
 from frictrack.workbench.film import stored_upload
+from frictrack.workbench.films import Films
+from frictrack.workbench.missing import MissingTab
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 FOCUSED = """() => {
@@ -237,6 +240,19 @@ def test_work_is_cancelled_and_found_again_after_a_reload(tables: Server, tab: O
         page.until(lambda: any(tables.study.parent.glob("*/jobs/*/cancel")))
     page.hears("fit tustin sga all 0: cancelled")
     page.click("Run everything").hears("run: done")
+
+
+def test_a_formula_of_the_unexplained_is_taken_into_the_law(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toml = '[[effect]]\neffect = "unexplained"\nformula = "F * (x - c)/w"\nunits = {F = "N", c = "m", w = "m"}\n'
+    toml += "bounds = {c = [0.0, 0.5], w = [0.01, 0.1]}\n"
+    desk, asked = Desk(study_file), []
+    desk.look_first()
+    monkeypatch.setattr(desk, "start", lambda do, **told: asked.append((do, told)))
+    for _ in range(2):
+        MissingTab(desk, Films())._take(toml)
+        desk.look_first()
+    assert asked == [("add", {"effect": "unexplained"}), ("add", {"effect": "unexplained_2"})]
+    assert [effect.formula for effect in open_study(study_file).effects] == ["F * (x - c)/w"] * 2
 
 
 def test_a_killed_server_loses_nothing(tables: Server, tab: Open) -> None:

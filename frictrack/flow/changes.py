@@ -6,14 +6,14 @@ the log with what was there before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow.opening import checked
-from frictrack.study import edited, parse, with_runs, without_run
+from frictrack.study import edited, parse, with_effect, with_runs, without_run
 
 if TYPE_CHECKING:
     from frictrack.flow.session import Session
@@ -44,6 +44,14 @@ def leave_out(session: Session, run: str) -> dict[str, Any]:
     with session.ledger.turn("leave_out", run=run) as change:
         change.before, change.after = _rewritten(session.study.path, lambda text: without_run(text, run))
     return {"run": run}
+
+
+def define(session: Session, effect: Mapping[str, Any]) -> dict[str, Any]:
+    """An effect of one's own in the study file: the keys of its ``[[effect]]``, in the place of one of that name."""
+    told = dict(effect)
+    with session.ledger.turn("define", effect=told) as change:
+        change.before, change.after = _rewritten(session.study.path, lambda text: with_effect(text, told))
+    return {"effect": told}
 
 
 def use(session: Session, model: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ TAIL = """
 print(session.diagnose()["verdict"])
 print(session.report())
 """
-FILE = ("edit", "take_in", "leave_out")  # stand in the study file
+FILE = ("edit", "take_in", "leave_out", "define")  # stand in the study file
 
 
 def script(study: Study) -> str:

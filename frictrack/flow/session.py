@@ -31,6 +31,7 @@ CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
     "edit": changes.edit,
     "take_in": changes.take_in,
     "leave_out": changes.leave_out,
+    "define": changes.define,
     "use": changes.use,
     "undo": changes.undo,
     "redo": changes.redo,

@@ -39,6 +39,16 @@ def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
     return tomlkit.dumps(document)
 
 
+def with_effect(text: str, effect: Mapping[str, Any]) -> str:
+    """The text with an ``[[effect]]`` more, in the place of one of that name."""
+    document = _parsed(text)
+    home = _home(document, "effect", effect["effect"])
+    for key in [key for key in home if key not in effect]:
+        del home[key]
+    home.update({key: _item(value) for key, value in effect.items()})
+    return tomlkit.dumps(document)
+
+
 def without_run(text: str, name: str) -> str:
     """The text without the ``[[run]]`` of that name; its recording and its results stay where they are."""
     document = _parsed(text)

@@ -24,8 +24,8 @@ class CompareTab:
 
     def __init__(self, desk: Desk, films: Films) -> None:
         self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
-        self.model = pn.widgets.Select(name="Model", options=[], width=300)
-        self.behind = pn.widgets.Select(name="Behind it", options=[NONE], width=300)
+        self.model = pn.widgets.Select(label="Model", options=[], width=300)
+        self.behind = pn.widgets.Select(label="Behind it", options=[NONE], width=300)
         self.spans = html("")
         self.view = pn.Column(
             pn.FlexBox(self.model, self.behind, gap="10px"),

@@ -29,14 +29,14 @@ class FilmTab:
     def __init__(self, desk: Desk, films: Films) -> None:
         self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
         self.linked = self.bench.linked
-        self.tool = pn.widgets.RadioButtonGroup(name="Draw", options=TOOLS, value="")
-        self.length = pn.widgets.TextInput(name="Length of the ruler", placeholder="100 mm", width=140)
+        self.tool = pn.widgets.RadioButtonGroup(label="Draw", options=TOOLS, value="")
+        self.length = pn.widgets.TextInput(label="Length of the ruler", placeholder="100 mm", width=140)
         self.shape: dict[str, Any] = {}
-        self.found = pn.widgets.CheckBoxGroup(name="Recordings in this folder", options=[], width=330)
-        self.drop = pn.widgets.FileDropper(name="or drop them here", multiple=True, max_file_size=LARGEST, width=330)
-        self.mass = pn.widgets.TextInput(name="Mass of the slider", placeholder="0.350 +/- 0.002 kg", width=160)
-        self.fps = pn.widgets.TextInput(name="Frames per second while filming", placeholder="4000", width=160)
-        self.scale = pn.widgets.TextInput(name="Scale", placeholder="0.5 mm/px", width=160)
+        self.found = pn.widgets.CheckBoxGroup(label="Recordings in this folder", options=[], width=330)
+        self.drop = pn.widgets.FileDropper(label="or drop them here", multiple=True, max_file_size=LARGEST, width=330)
+        self.mass = pn.widgets.TextInput(label="Mass of the slider", placeholder="0.350 +/- 0.002 kg", width=160)
+        self.fps = pn.widgets.TextInput(label="Frames per second while filming", placeholder="4000", width=160)
+        self.scale = pn.widgets.TextInput(label="Scale", placeholder="0.5 mm/px", width=160)
         self.go = button("Take them in", self._take_in, "primary")
         self.audit = html("")
         self.keys = pn.Column(self.mass, self.fps, self.scale)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
+from functools import partial
 from typing import Any
 
 import panel as pn
 from markupsafe import Markup, escape
 
 from frictrack import plots
-from frictrack.plots import number
+from frictrack.plots import gain, number
 from frictrack.report import settle
 from frictrack.report.numbers import typed
 from frictrack.report.tables import Card, cards
@@ -19,6 +21,7 @@ from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import button, figure, grid, heading, html, note
 
 CARDS = 6
+FORMULAS = 3
 VERDICTS = {
     "complete": "Complete: nothing that the library knows is missing, as far as these runs can show.",
     "missing": "Missing: {names}.",
@@ -37,12 +40,14 @@ class MissingTab:
         self.head = html("")
         self.cards = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
         self.falls = pn.Column(sizing_mode="stretch_width")
+        self.left = pn.Column(sizing_mode="stretch_width")
         self.next = html("")
         self.diagnose = button("Find what is missing", lambda: desk.start("diagnose"), "primary")
         self.view = pn.Column(
             pn.FlexBox(self.diagnose, gap="10px"),
             self.head,
             self.bench.linked,
+            self.left,
             self.cards,
             self.next,
             self.falls,
@@ -56,14 +61,38 @@ class MissingTab:
         self.falls.objects = [figure(plots.history(results.models))] if results and results.models else []
         if results is None or model is None or told is None:
             self.head.object = note("The current model was not diagnosed yet.")
-            self.cards.objects, self.next.object = [], ""
+            self.left.objects, self.cards.objects, self.next.object = [], [], ""
             self.bench.draw(scenes.Scene())
             return
         self.head.object = _verdict(told)
         figures = results.figures
         self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(told)[:CARDS]]
+        self.left.objects = self._unexplained(told.get("unexplained") or {})
         self.next.object = _next(told)
         self.bench.draw(scenes.residual(results, model, self.desk.ghost))
+
+    def _unexplained(self, left: dict[str, Any]) -> list[Any]:
+        """The force that no effect explains, and the formulas that may be taken into the law."""
+        if not left:
+            return []
+        parts: list[Any] = [figure(plots.unexplained(left))]
+        for formula in left["formulas"][:FORMULAS]:
+            share = f"{100 * formula['share']:.1f} % of what is left, evidence {gain(formula['delta_bic'])}"
+            beside = formula.get("beside", [])
+            after = note(f"beside {', '.join(beside)}: add that first") if beside else ""
+            take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(beside))
+            parts.append(pn.Row(take, html(note(f"{formula['formula']}: {share}") + after)))
+        return parts
+
+    def _take(self, toml: str) -> None:
+        """Write a formula into the study file and fit with it."""
+        effect = tomllib.loads(toml)["effect"][0]
+        assert self.desk.study is not None
+        taken = {table.effect for table in self.desk.study.effects}
+        names = (f"{effect['effect']}{mark}" for mark in ("", *(f"_{k}" for k in range(2, len(taken) + 3))))
+        effect["effect"] = next(name for name in names if name not in taken)
+        if self.desk.do("define", effect=effect):
+            self.desk.start("add", effect=effect["effect"])
 
     def _card(self, card: Card, curves: dict[str, Any]) -> pn.Column:
         """A candidate: how sure, what it is, where it shows, how to confirm it."""

@@ -33,13 +33,13 @@ class ModelTab:
         self.desk = desk
         self.head = html("")
         self.blocks = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
-        self.choice = pn.widgets.Select(name="Effect", options=[], width=220)
+        self.choice = pn.widgets.Select(label="Effect", options=[], width=220)
         self.words = html("", width=520)
-        self.search = pn.widgets.Select(name="Search", options=SEARCHES, width=120)
-        self.over = pn.widgets.Select(name="looks for", options=["all", "nonlinear"], width=120)
-        self.seed = pn.widgets.IntInput(name="Seed", value=0, width=80)
+        self.search = pn.widgets.Select(label="Search", options=SEARCHES, width=120)
+        self.over = pn.widgets.Select(label="looks for", options=["all", "nonlinear"], width=120)
+        self.seed = pn.widgets.IntInput(label="Seed", value=0, width=80)
         self.text = pn.widgets.TextInput(
-            name="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
+            label="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
         )
         self.chart = Linked(width=640, visible=False)
         self.view = pn.Column(
@@ -115,9 +115,9 @@ class ModelTab:
         """A value with its standard deviation; a number in `fixed at` holds it, two in `between` bound it."""
         held, bounds = (self._written(effect, key).get(name) for key in ("fix", "bounds"))
         default = next((p["bounds"] for p in told.get("parameters", []) if p["name"] == name), None)
-        fix = pn.widgets.TextInput(name="fixed at", value="" if held in (None, False) else f"{held:g}", width=90)
+        fix = pn.widgets.TextInput(label="fixed at", value="" if held in (None, False) else f"{held:g}", width=90)
         low, high = (
-            pn.widgets.TextInput(name=label, value="" if bounds is None else f"{bounds[i]:g}", width=90)
+            pn.widgets.TextInput(label=label, value="" if bounds is None else f"{bounds[i]:g}", width=90)
             for i, label in enumerate(("at least", "at most"))
         )
         fix.param.watch(lambda e: self._set(effect, "fix", name, _floats(e.new)), "value")

@@ -22,7 +22,7 @@ class MotionTab:
 
     def __init__(self, desk: Desk, films: Films) -> None:
         self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
-        self.cutoff = pn.widgets.DiscreteSlider(name="Cut-off of a plain low-pass / Hz", options=[1.0], width=420)
+        self.cutoff = pn.widgets.DiscreteSlider(label="Cut-off of a plain low-pass / Hz", options=[1.0], width=420)
         self.price = html("")
         self.words = html("")
         self.trade = pn.Column(sizing_mode="stretch_width")

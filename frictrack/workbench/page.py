@@ -40,7 +40,7 @@ class Page:
         self.head = html("", width=400)
         self.old = html("", visible=False)
         self.said = html("")
-        self.run = pn.widgets.Select(name="Run", options=[], width=180)
+        self.run = pn.widgets.Select(label="Run", options=[], width=180)
         self.bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
         self.doing = html("", width=520)
         self.cancel = button("Cancel", desk.cancel, "warning", visible=False)

@@ -31,8 +31,8 @@ class RecordTab:
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
         self.models = html("")
-        self.choice = pn.widgets.Select(name="Model", options={}, width=300)
-        self.kind = pn.widgets.RadioButtonGroup(name="Figures as", options=list(KINDS), value="svg")
+        self.choice = pn.widgets.Select(label="Model", options={}, width=300)
+        self.kind = pn.widgets.RadioButtonGroup(label="Figures as", options=list(KINDS), value="svg")
         self.link = html("")
         self.view = pn.Column(
             self.models,
@@ -57,7 +57,7 @@ class RecordTab:
         def made() -> io.BytesIO:
             return io.BytesIO(make() or b"")
 
-        return pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, button_type="default")
+        return pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, color="default")
 
     def refresh(self) -> None:
         """Show the models tried."""

@@ -59,6 +59,6 @@ def figure(made: Figure) -> pn.pane.HTML:
 
 def button(name: str, click: Callable[[], Any], kind: str = "default", **more: Any) -> pn.widgets.Button:
     """A button that calls something without arguments."""
-    made = pn.widgets.Button(name=name, button_type=kind, **more)
+    made = pn.widgets.Button(label=name, color=kind, **more)
     made.on_click(lambda event: click())
     return made
