@@ -23,6 +23,7 @@ from browser import CHROMIUM, SLOW, Open
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, script
+from frictrack.workbench.compare import CompareTab
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.film import stored_upload
 from frictrack.workbench.films import Films
@@ -253,6 +254,18 @@ def test_a_formula_of_the_unexplained_is_taken_into_the_law(study_file: Path, mo
         desk.look_first()
     assert asked == [("add", {"effect": "unexplained"}), ("add", {"effect": "unexplained_2"})]
     assert [effect.formula for effect in open_study(study_file).effects] == ["F * (x - c)/w"] * 2
+
+
+def test_the_comparison_opens_on_the_current_model(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session, seen = Session(open_study(study_file)), []
+    session.fit()
+    session.add("drag")
+    desk = Desk(study_file)
+    desk.look_first()
+    compare = CompareTab(desk, Films())
+    monkeypatch.setattr(compare.bench, "draw", lambda *scene: seen.append(compare.model.value))
+    compare.refresh()
+    assert set(seen) == {"2_coulomb+viscous+drag"}  # another one first would leave its axes behind
 
 
 def test_a_killed_server_loses_nothing(tables: Server, tab: Open) -> None:

@@ -47,11 +47,9 @@ class CompareTab:
         models = self.desk.results.models if self.desk.results else ()
         names = {plots.plain_name(m.name): m.name for m in models}
         current = self.desk.model
-        self.model.options = names
-        self.behind.options = {NONE: "", **names, **({"attempted": "attempted"} if self.desk.ghost else {})}
-        if current is not None:
-            self.model.value = current.name
-        self.behind.value = "attempted" if self.desk.ghost else ""
+        attempt = {"attempted": "attempted"} if self.desk.ghost else {}
+        self.model.param.update(options=names, value=current.name if current else None)
+        self.behind.param.update(options={NONE: "", **names, **attempt}, value="attempted" if attempt else "")
         self._draw()
 
     def _draw(self, *events: Any) -> None:
