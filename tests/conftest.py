@@ -27,6 +27,13 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
     decay = F_V / MASS
     return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
 
+LONG = ("notebooks", "workbench", "diagnose", "lab", "reproduce", "blind")  # files that take minutes
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, so that no core waits for another one at the end."""
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in LONG)
+
 
 @pytest.fixture
 def study_file(tmp_path: Path) -> Path:
