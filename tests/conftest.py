@@ -27,6 +27,7 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
     decay = F_V / MASS
     return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
 
+
 LONG = ("notebooks", "workbench", "diagnose", "lab", "reproduce", "blind")  # files that take minutes
 
 
