@@ -80,6 +80,7 @@ class RunWork:
         self._film: Recording | None = None
         self._made: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
+        self._stamps: dict[str, Stamp | None] = {}
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Pass on what a stage says of itself, with the run's name."""
@@ -116,13 +117,13 @@ class RunWork:
 
     def is_current(self, name: str) -> bool:
         """Whether the stored result is what would be made today."""
-        stamp = store.stamp(self.path, name)
+        stamp = self._stamp(name)
         return stamp is not None and (self.kept or stamp.key == self.key(name))
 
     def key(self, name: str) -> str:
         """Hash of everything the stage depends on."""
         if self.kept:
-            stamp = store.stamp(self.path, name)
+            stamp = self._stamp(name)
             return stamp.key if stamp else "never made"
         if name not in self._keys:
             settings = self.settings(name)
@@ -144,9 +145,17 @@ class RunWork:
         inside = value.is_relative_to(self.study.folder)
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
+    def _stamp(self, name: str) -> Stamp | None:
+        """Where the stored result comes from; of a run that is kept it is read once."""
+        if not self.kept:
+            return store.stamp(self.path, name)
+        if name not in self._stamps:
+            self._stamps[name] = store.stamp(self.path, name)
+        return self._stamps[name]
+
     def changed(self) -> list[str]:
         """Keys of the study file that have other values now than when the stored stages were made."""
-        held = {name: stamp for name in self.stages if (stamp := store.stamp(self.path, name)) is not None}
+        held = {name: stamp for name in self.stages if (stamp := self._stamp(name)) is not None}
         pairs = ((json.loads(stamp.settings), plain(self.settings(name))) for name, stamp in held.items())
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 
