@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +19,7 @@ from frictrack.blind.seal import NAME, opened, seal
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
 from frictrack.blind.write import write_study
+from frictrack.crew import spread
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow import Progress, silent
@@ -31,7 +28,6 @@ from frictrack.results import plain
 TABLES = {"one": 200, "none": 100, "two": 60, "foreign": 60}
 FILMS = {"one": 20, "none": 10, "fault": 10}
 OUTCOMES = "outcomes"
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def make(
@@ -136,34 +132,7 @@ def _spread(
     work: dict[str, partial[Any]], workers: int | None, progress: Progress, what: str
 ) -> Iterator[tuple[str, Any]]:
     """Results as they come, from several processes where that pays."""
-    workers = min(workers or len(os.sched_getaffinity(0)), max(len(work), 1))
     progress(0, len(work), what)
-    for done, pair in enumerate(_results(work, workers), 1):
+    for done, pair in enumerate(spread(work, workers), 1):
         progress(done, len(work), what)
         yield pair
-
-
-def _results(work: dict[str, partial[Any]], workers: int) -> Iterable[tuple[str, Any]]:
-    if workers == 1:
-        yield from ((name, job()) for name, job in work.items())
-        return
-    with _single_threaded(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(job): name for name, job in work.items()}
-        try:
-            for job in as_completed(jobs):
-                yield jobs[job], job.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Workers share the processors: one thread each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None) if value is None else os.environ.update({name: value})

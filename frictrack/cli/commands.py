@@ -27,6 +27,7 @@ app = typer.Typer(
 Study = Annotated[Path, typer.Argument(metavar="STUDY", help="study file (.toml), or a folder with a study.toml")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 Seed = Annotated[int, typer.Option(help="of everything that is drawn at random")]
+Workers = Annotated[int | None, typer.Option(min=1, help="processes (all processors)")]
 Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="as `frictrack effects` names it")]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
@@ -279,19 +280,29 @@ def render(
 @app.command()
 def batch(
     paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
+    workers: Workers = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="of a Dask cluster that does it")] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="what is written, without an ending")] = Path(
+        "frictrack_batch"
+    ),
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Run many studies; frictrack_batch.csv gets one row per run, failed studies with their reason."""
-    from frictrack.batch import batch as run_all  # noqa: PLC0415
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    """Run many studies side by side: a table of all runs, what changes over the series, what failed and why.
 
-    with bars() as progress:
-        result = run_all(paths, Path("frictrack_batch.csv"), seed, progress)
+    Begun again, it does what is missing or has changed.
+    """
+    from frictrack.batch import batch as run_all  # noqa: PLC0415
+    from frictrack.cli.live import watching  # noqa: PLC0415
+
+    with watching() as watch:
+        result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
     tell(result, as_json, "batch", result["output"])
     if result["failed"]:
-        n, total = len(result["failed"]), len(result["studies"])
-        raise FrictrackError(f"{n} of {total} studies failed; {result['output']} says why")
+        failed = {one["study"] for one in result["failed"]}
+        raise FrictrackError(
+            f"something failed in {len(failed)} of {len(result['studies'])} studies; {result['output']} says why"
+        )
 
 
 @app.command("app")
@@ -341,7 +352,6 @@ def reproduce(
 
 blind = typer.Typer(help="Studies with a sealed truth: how surely is what they hide named?", no_args_is_help=True)
 app.add_typer(blind, name="blind", rich_help_panel=None)
-Workers = Annotated[int | None, typer.Option(min=1, help="processes (all processors)")]
 Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their seal")]
 
 

@@ -35,7 +35,7 @@ VERDICTS = {
     "unexplained": "something is missing that no effect of the library explains",
 }
 
-
+MOST_STUDIES = 100  # in the table of a batch; the page has more
 UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
 
 
@@ -334,11 +334,19 @@ def effects(out: Console, result: dict[str, Any]) -> None:
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
-    """One row per study."""
+    """One row per study, and what changes over the series."""
     table = _table("study", "runs", "verdict", "missing", "failed because")
-    for row in result["studies"]:
+    for row in result["studies"][:MOST_STUDIES]:
         table.add_row(*(_cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(table)
+    if (more := len(result["studies"]) - MOST_STUDIES) > 0:
+        out.print(f"and {more} more")
+    for run in (one for one in result["failed"] if one["run"]):
+        out.print(f"left out of {run['study']}: {run['reason']}", markup=False)
+    for trend in (one for one in result["trends"] if one["holds"]):
+        change = plus_minus(trend["change"], trend["change_std"])
+        unit = f" {trend['unit']}".removesuffix(" 1")
+        out.print(f"over the series {trend['name']} changes by {change}{unit}", markup=False)
 
 
 def _cell(value: Any) -> str:

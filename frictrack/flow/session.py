@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,9 +43,16 @@ class Session:
     """One study, its runs and the models tried on it."""
 
     def __init__(
-        self, study: Study, progress: Progress = silent, *, who: str = "python", seen: int | None = None
+        self,
+        study: Study,
+        progress: Progress = silent,
+        *,
+        who: str = "python",
+        seen: int | None = None,
+        notes: tuple[str, ...] = (),
     ) -> None:
         self.progress = progress
+        self.notes = notes  # for the report: what was done to the study before
         self.ledger = Ledger(study.output, who, seen)
         self._take(study)
 
@@ -222,16 +230,26 @@ class Session:
         fit = self.fit()
         self.compare()
         diagnosis = self.diagnose(seed)
-        self.report(seed)
+        self.report(seed, anew=False)
         return {"fit": fit, "diagnose": diagnosis, "output": str(self.study.output)}
 
-    def report(self, seed: int | None = None) -> Path:
-        """Write ``report.html`` and say where; `seed` is that of the diagnosis, the last one's when None."""
-        from frictrack import report  # noqa: PLC0415
+    def report(self, seed: int | None = None, *, anew: bool = True) -> Path:
+        """Write ``report.html`` and say where; `seed` is that of the diagnosis, the last one's when None.
 
+        Unless asked for `anew`, a page that was made from the very same results stays.
+        """
         path = self.study.output / "report.html"
-        report.write(self.results(seed), path)
+        notes = self._up_to_date(seed)
+        key = digest([store.VERSION, notes, *(_content(p) for p in self._files())])
+        if anew or not _holds(path, key):
+            from frictrack import report  # noqa: PLC0415 - draws for seconds
+
+            report.write(replace(stored(self.study), notes=notes), path, key)
         return path
+
+    def _files(self) -> list[Path]:
+        """All that a report rests on."""
+        return [self.study.path, self.path, *(work.path for work in self.runs)]
 
     def restart(self) -> None:
         """Forget the models tried; what was measured stays."""
@@ -242,13 +260,17 @@ class Session:
 
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
+        notes = self._up_to_date(seed)
+        return replace(stored(self.study), notes=notes)
+
+    def _up_to_date(self, seed: int | None) -> tuple[str, ...]:
+        """Do all that is missing or stale; what could not be done, in words."""
         for work in self.runs:
             for stage in work.stages:
                 work.get(stage)
         self.compare()
         self.diagnose(self._seed() if seed is None else seed)
-        notes = self._papers()
-        return replace(stored(self.study), notes=notes)
+        return (*self.notes, *self._papers())
 
     def _seed(self) -> int:
         """The seed of the last diagnosis."""
@@ -287,3 +309,16 @@ class Session:
             store.write(self.path, {group: Entry(make(), stamp)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
+
+
+def _content(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _holds(path: Path, key: str) -> bool:
+    """Whether a page was made from what has this key: it stands in its head."""
+    if not path.exists():
+        return False
+    with path.open("rb") as file:
+        return key.encode() in file.read(2000)

@@ -162,9 +162,13 @@ class RunWork:
     def _from(self, name: str) -> list[str]:
         """Keys of the inputs and hashes of the files that a stage reads."""
         stage = self.stages[name]
-        paths = [path for key in stage.settings for path in _paths(getattr(self.run, key))]
         beside = [self.anchor.key("track")] if name == "displacement" and self.anchor else []
-        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in paths]
+        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in self.files(stage)]
+
+    def files(self, *stages: Stage) -> list[Path]:
+        """Files that stages read, all of them unless named."""
+        keys = [key for stage in stages or self.stages.values() for key in stage.settings]
+        return [path for key in keys for path in _paths(getattr(self.run, key))]
 
     @cached_property
     def anchor(self) -> RunWork | None:

@@ -40,15 +40,15 @@ class Trial:
     in_step: list[dict[str, Any]]
 
 
-def write(results: Results, path: Path) -> Path:
-    """Write the report to `path`, whole or not at all, and return the path.
+def write(results: Results, path: Path, key: str = "") -> Path:
+    """Write the report to `path`, whole or not at all, and return the path. `key` tells what it was made from.
 
     Raises `FrictrackError` when the folder cannot be written.
     """
-    return replace_text(path, render(results))
+    return replace_text(path, render(results, key))
 
 
-def render(results: Results) -> str:
+def render(results: Results, key: str = "") -> str:
     """The report as HTML."""
     loader = PackageLoader("frictrack", "report")
     page = Environment(
@@ -58,6 +58,7 @@ def render(results: Results) -> str:
     steps = settle.shown(results.diagnosis)
     return page.render(
         results=results,
+        key=key,
         verdict=words.verdict(results),
         model=results.current,
         written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),

@@ -6,14 +6,12 @@ result = reproduce(Path("reproduced"))         # page, figures, tables, JSON
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from frictrack.crew import spread
 from frictrack.reproduce.augmented import orders, two_models
 from frictrack.reproduce.beam import time_units, tustin_groups
 from frictrack.reproduce.collision import sine_filter
@@ -78,9 +76,8 @@ def _one_by_one(steps: Sequence[Callable[[], Part]], progress: Progress) -> tupl
 
 def _spread(steps: Sequence[Callable[[], Part]], progress: Progress) -> tuple[Part, ...]:
     """The parts in their order, whichever is done first."""
-    workers = min(os.cpu_count() or 1, len(steps))
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(step) for step in steps]
-        for i, _ in enumerate(as_completed(futures)):
-            progress(i + 1, len(steps), "reproduce")
-        return tuple(future.result() for future in futures)
+    made: dict[str, Part] = {}
+    for name, part in spread({str(i): step for i, step in enumerate(steps)}):
+        made[name] = part
+        progress(len(made), len(steps), "reproduce")
+    return tuple(made[str(i)] for i in range(len(steps)))

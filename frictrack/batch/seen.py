@@ -1,0 +1,35 @@
+"""Whether the files of a study are those of last time: by size and time of change, without opening any."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from frictrack.flow.stages import RunWork
+from frictrack.study import Study
+
+Seen = dict[str, list[int]]  # path -> size, time of change in ns
+
+
+def seen(study: Study) -> Seen:
+    """What a study rests on, and what it has come to, as the files are now."""
+    works = [RunWork(study, run) for run in study.runs]
+    inputs = [path for work in works for path in work.files()]
+    results = [work.path for work in works] + [study.output / name for name in ("study.h5", "report.html")]
+    return {str(path): _state(path) for path in (study.path, *inputs, *results)}
+
+
+def unchanged(files: Seen) -> bool:
+    """Whether all is as it was seen."""
+    return bool(files) and all(_state(Path(path)) == state for path, state in files.items())
+
+
+def _state(path: Path) -> list[int]:
+    """Size and time of change; of a folder the number and size of its files, and the last change of any."""
+    try:
+        told = path.stat()
+        if not path.is_dir():
+            return [told.st_size, told.st_mtime_ns]
+        inside = [one.stat() for one in path.iterdir() if one.is_file()]
+    except OSError:
+        return []
+    return [len(inside), sum(one.st_size for one in inside), max((one.st_mtime_ns for one in inside), default=0)]

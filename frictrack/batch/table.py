@@ -1,0 +1,42 @@
+"""The table of a batch: a row for every run, as CSV and, where pyarrow is installed, as Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from frictrack.files import replaced
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HEAD = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")
+
+
+def frame(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """The rows as a table; what a row does not have is empty."""
+    import pandas as pd  # noqa: PLC0415 - slow to load
+
+    names = list(dict.fromkeys([*HEAD, *(name for row in rows for name in row)]))
+    table = pd.DataFrame(list(rows), columns=names)
+    for name in HEAD:
+        table[name] = table[name].astype("string")
+    return table
+
+
+def write(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
+    """Write ``stem.csv`` and, where pyarrow is installed, ``stem.parquet``, each whole or not at all; their paths.
+
+    Raises `FrictrackError` where one cannot be written.
+    """
+    table = frame(rows)
+    paths = [stem.with_name(f"{stem.name}.csv")]
+    with replaced(paths[0]) as part:
+        table.to_csv(part, index=False)
+    if find_spec("pyarrow") is not None:
+        paths.append(stem.with_name(f"{stem.name}.parquet"))
+        with replaced(paths[1]) as part:
+            table.to_parquet(part, index=False, engine="pyarrow")
+    return paths

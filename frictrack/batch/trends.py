@@ -1,0 +1,116 @@
+"""Trends over a series of studies, in the order in which they were named.
+
+A value y_i with its own standard deviation s_i scatters by more than that from study to study:
+
+    y_i = a + b i + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
+
+tau is where the weighted squares come to their expectation n - 2 (Paule & Mandel 1982, J. Res. NBS 87, 377, with a
+slope), and b is tested by Student's t with n - 2 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import t as student
+
+from frictrack.batch.work import Done
+from frictrack.records import Array
+
+FEWEST = 4  # points that a slope is told from
+ALPHA = 0.01  # of all trends of one batch together
+OF_RUNS = {"level": ("friction level of the run", "1"), "noise_um": ("noise of the displacement", "µm")}
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """One quantity over the series."""
+
+    name: str
+    unit: str
+    at: Array  # place in the series, from 1
+    value: Array
+    std: Array  # nan where none is known
+    slope: float  # per place
+    slope_std: float
+    p: float  # of no slope; multiplied by the number of trends
+    scatter: float  # tau
+    along: str = "study"  # what the places are of
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is a trend, at `ALPHA` for all quantities together."""
+        return self.p < ALPHA
+
+    @property
+    def change(self) -> float:
+        """From the first to the last place."""
+        return self.slope * float(self.at[-1] - self.at[0])
+
+    @property
+    def change_std(self) -> float:
+        """Standard deviation of the change."""
+        return self.slope_std * float(self.at[-1] - self.at[0])
+
+    def drawn(self) -> dict[str, Any]:
+        """All of it, for the page."""
+        told = ("holds", "change", "change_std")
+        return {**vars(self), **{key: getattr(self, key) for key in told}}
+
+    def summary(self) -> dict[str, Any]:
+        """As JSON has it."""
+        told = ("name", "unit", "along", "slope", "slope_std", "change", "change_std", "scatter", "p", "holds")
+        return {"n": len(self.at), **{key: getattr(self, key) for key in told}}
+
+
+def trends(done: Sequence[Done]) -> list[Trend]:
+    """Trends of every parameter over the studies, and of friction level and noise over all their runs."""
+    rows = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
+    units = {name: unit for one in done for name, unit in one.units.items()}
+    found = [_trend(name, unit, rows, f"{name} std") for name, unit in units.items()]
+    runs = [row for one in done for row in one.rows]
+    found += [_trend(title, unit, runs, "", key) for key, (title, unit) in OF_RUNS.items()]
+    told = [one for one in found if one is not None]
+    return [Trend(**{**vars(one), "p": min(1.0, one.p * len(told))}) for one in told]
+
+
+def _trend(name: str, unit: str, rows: Sequence[Mapping[str, Any]], std: str, key: str | None = None) -> Trend | None:
+    """The trend of one column; None for too few values, or for a constant one."""
+    y = np.array([_number(row.get(key or name)) for row in rows], dtype=np.float64)
+    s = np.array([_number(row.get(std)) for row in rows], dtype=np.float64)
+    known = np.isfinite(y)
+    if np.count_nonzero(known) < FEWEST or np.ptp(y[known]) == 0.0:
+        return None
+    at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
+    slope, slope_std, scatter, p = drift(at, y, np.nan_to_num(s))
+    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, "run" if key else "study")
+
+
+def drift(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
+    """Slope of y (n,) with standard deviations s (n,) over `at`: slope, its standard deviation, scatter tau, p."""
+    n = len(y)
+    unit = float(np.std(y)) or 1.0
+    z, e, x = (y - np.mean(y)) / unit, s / unit, (at - np.mean(at)) / float(np.std(at))
+    floor = 1e-12
+
+    def fitted(tau2: float) -> tuple[Array, Array, float]:
+        w = 1.0 / (e**2 + tau2 + floor)
+        a = np.column_stack([np.ones(n), x])
+        cov = np.linalg.inv(a.T @ (w[:, None] * a))
+        b = cov @ (a.T @ (w * z))
+        return b, np.asarray(cov, dtype=np.float64), float(np.sum(w * (z - a @ b) ** 2)) - (n - 2)
+
+    tau2 = 0.0 if fitted(0.0)[2] <= 0.0 else float(brentq(lambda v: fitted(v)[2], 0.0, 100.0))
+    b, cov, _ = fitted(tau2)
+    deviation = float(np.sqrt(cov[1, 1]))
+    p = float(2.0 * student.sf(abs(b[1]) / deviation, n - 2))
+    per_place = unit / float(np.std(at))
+    return float(b[1]) * per_place, deviation * per_place, float(np.sqrt(tau2)) * unit, p
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else np.nan

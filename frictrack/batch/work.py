@@ -1,0 +1,152 @@
+"""What one worker does: films of a study one by one, then the study itself. A failure comes back in words."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from frictrack.batch.seen import Seen, seen
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study
+from frictrack.flow.stages import RunWork
+from frictrack.study import RunTable, Study
+
+Reasons = Mapping[str, str]  # run -> why it failed
+
+
+@dataclass
+class Done:
+    """A study that was worked on: its line of the summary, a row for every run, and the files as they were."""
+
+    study: str  # the file, from the root
+    summary: dict[str, Any]
+    rows: list[dict[str, Any]]
+    units: dict[str, str] = field(default_factory=dict)  # of the parameters
+    files: Seen = field(default_factory=dict)
+    seed: int = 0
+    seconds: float = 0.0
+
+    @property
+    def failures(self) -> list[dict[str, str]]:
+        """Run and reason, wherever something failed; the run is empty where it is the study itself."""
+        return [{"run": row.get("run", ""), "reason": row["reason"]} for row in self.rows if row.get("reason")]
+
+
+@dataclass
+class Begun:
+    """A study whose first film was measured: the others can be, side by side."""
+
+    others: list[str]
+    failed: dict[str, str]
+
+
+def begin(path: Path, seed: int) -> Begun | Done:
+    """Measure the first film, whose point of the body all others follow, or do all of a study that has no other."""
+    try:
+        study = open_study(path)
+    except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
+        return undone(path, {}, in_words(e))
+    films = [run.name for run in study.runs if run.video]
+    failed: dict[str, str] = {}
+    while len(films) > 1:
+        first = films.pop(0)
+        reason = _measured(without(study, failed), first)
+        if reason is None:
+            return Begun(films, failed)
+        failed[first] = reason
+    return conclude(path, seed, failed)
+
+
+def measure(path: Path, run: str, failed: Reasons) -> str | None:
+    """Measure one film; the reason where that fails."""
+    try:
+        study = without(open_study(path), failed)
+    except Exception as e:  # noqa: BLE001
+        return in_words(e)
+    return _measured(study, run)
+
+
+def conclude(path: Path, seed: int, failed: Reasons) -> Done:
+    """Fit, diagnose and report a study, without the runs that failed."""
+    start, failed = time.perf_counter(), dict(failed)
+    try:
+        study = open_study(path)
+        for run in study.runs:
+            if run.name not in failed and (reason := _measured(without(study, failed), run.name)) is not None:
+                failed[run.name] = reason
+        if len(failed) == len(study.runs):
+            return undone(path, failed, "none of its runs could be measured")
+        kept = without(study, failed)
+        notes = tuple(f'run "{name}" is left out: {reason}' for name, reason in failed.items())
+        result = Session(kept, notes=notes).run(seed)
+        done = _done(path, result, failed)
+        done.files = {} if failed else seen(study)  # what failed is tried again
+    except Exception as e:  # noqa: BLE001
+        return undone(path, failed, in_words(e))
+    done.seed, done.seconds = seed, time.perf_counter() - start
+    return done
+
+
+def undone(path: Path, failed: Reasons, reason: str) -> Done:
+    """A study that failed, and the runs of it that did."""
+    rows = [{"reason": reason}, *({"run": run, "reason": why} for run, why in failed.items())]
+    return Done(str(path), {"runs": 0, "reason": reason}, rows)
+
+
+def in_words(e: BaseException) -> str:
+    """A failure in one line."""
+    said = str(e) if isinstance(e, FrictrackError) else f"{type(e).__name__}: {e}"
+    return " ".join(said.split())
+
+
+def without(study: Study, failed: Reasons) -> Study:
+    """The study without the runs that failed."""
+    return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
+
+
+def _measured(study: Study, name: str) -> str | None:
+    """Every stage of a run brought up to date; the reason where one fails."""
+    work = RunWork(study, _run(study, name))
+    try:
+        for stage in work.stages:
+            work.get(stage)
+    except Exception as e:  # noqa: BLE001
+        return in_words(e)
+    return None
+
+
+def _run(study: Study, name: str) -> RunTable:
+    return next(run for run in study.runs if run.name == name)
+
+
+def _done(path: Path, result: dict[str, Any], failed: Reasons) -> Done:
+    """The lines of a study that was run."""
+    fit, diagnosis = result["fit"], result["diagnose"]
+    shared = {
+        "verdict": diagnosis["verdict"],
+        "missing": " ".join(diagnosis["missing"]),
+        "model": " ".join(fit["model"]),
+        "domain": fit["domain"],
+        **{name: p["value"] for name, p in fit["parameters"].items()},
+        **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
+    }
+    rows = [shared | _run_row(run) for run in fit["per_run"]]
+    rows += [{"run": run, "reason": why} for run, why in failed.items()]
+    summary = {
+        "verdict": diagnosis["verdict"],
+        "missing": diagnosis["missing"],
+        "runs": len(fit["per_run"]),
+        "reduced_chi2": fit["errors"]["reduced_chi2"],
+        "reason": None,
+        "left_out": list(failed),
+        "results": result["output"],
+    }
+    return Done(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
+
+
+def _run_row(run: dict[str, Any]) -> dict[str, Any]:
+    own = {k: run.get(k) for k in ("run", "role", "level", "noise_um", "segments")}
+    return own | run.get("errors", {})

@@ -1,0 +1,84 @@
+"""A batch as it goes: what is done, what is worked on, what failed, how fast."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from frictrack.batch.campaign import State
+
+LINES = 8  # of what is worked on, and of what failed
+
+
+@contextmanager
+def watching() -> Iterator[Callable[[State], None]]:
+    """A callable that shows how far a batch is: a table on a terminal, a line per study anywhere else."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines()
+        return
+    with Live(console=console, transient=True, auto_refresh=False) as live:
+
+        def show(state: State) -> None:
+            live.update(drawn(state), refresh=True)
+
+        yield show
+
+
+class _Lines:
+    """A line for every study that has ended."""
+
+    def __init__(self) -> None:
+        self._told = 0
+        self._failed = 0
+
+    def __call__(self, state: State) -> None:
+        for study in state.done[self._told :]:
+            self._told += 1
+            sys.stderr.write(f"{state.kept + self._told} of {state.studies}: {short(study)}\n")
+        for one in state.failures[self._failed :]:
+            self._failed += 1
+            sys.stderr.write(f"failed: {_where(one)}: {one['reason']}\n")
+
+
+def drawn(state: State) -> Table:
+    """The table of one moment."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    ended = state.kept + len(state.done)
+    pace = 60.0 * state.runs / max(state.seconds, 1e-9)
+    table.add_row("studies", f"{ended} of {state.studies}" + f", {state.kept} of them before" * bool(state.kept))
+    table.add_row("runs", f"{state.runs}, {pace:.3g} a minute" if state.runs else "0")
+    table.add_row("time", _clock(state.seconds) + (f", {_clock(state.left)} left" if state.left is not None else ""))
+    now = time.monotonic()
+    for name, since in list(state.under_way.items())[:LINES]:
+        table.add_row("working on", f"{escape(short(name))}, {_clock(now - since)}")
+    if state.failures:
+        table.add_row("[bold]failed[/bold]", f"{len(state.failures)}")
+    for one in state.failures[-LINES:]:
+        table.add_row("", escape(f"{_where(one)}: {one['reason']}"))
+    return table
+
+
+def short(path: str) -> str:
+    """A path as seen from here, where it lies below."""
+    return path.removeprefix(f"{Path.cwd()}/")
+
+
+def _where(failure: Mapping[str, str]) -> str:
+    return ", ".join(part for part in (short(failure["study"]), failure["run"]) if part)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

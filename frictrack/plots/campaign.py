@@ -1,0 +1,52 @@
+"""Quantities over a series of studies, one panel each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frictrack.plots import style
+from frictrack.plots.style import SIGMAS, axis, blank, styled
+
+ACROSS = 2  # panels beside each other
+BARS = 300  # points with an error bar of their own; of more, the bars would be one grey
+
+
+@styled
+def series(trends: Sequence[Mapping[str, Any]]) -> Figure:
+    """Every quantity over the series, with the line of a trend where there is one.
+
+    A trend has `name`, `unit`, `at`, `value`, `std` (n,), `slope`, `p` and `holds`.
+    """
+    rows = -(-len(trends) // ACROSS)
+    figure = blank(2.3 * rows + 0.4, "Over the series")
+    panels = figure.subplots(rows, ACROSS, squeeze=False).ravel()
+    for ax, trend in zip(panels, trends, strict=False):
+        _panel(ax, trend)
+    for ax in panels[len(trends) :]:
+        ax.set_visible(False)
+    return figure
+
+
+def _panel(ax: Axes, trend: Mapping[str, Any]) -> None:
+    at, value, std = (np.asarray(trend[key], dtype=float) for key in ("at", "value", "std"))
+    if len(at) <= BARS and np.any(np.isfinite(std)):
+        ax.errorbar(at, value, SIGMAS * np.nan_to_num(std), fmt="none", ecolor=style.SKY, elinewidth=1.0, zorder=1)
+    ax.plot(at, value, "o", ms=3.5 if len(at) <= BARS else 1.5, color=style.MEASURED, zorder=2)
+    if trend["holds"]:
+        weight = 1.0 / (np.nan_to_num(std) ** 2 + trend["scatter"] ** 2 + 1e-300)
+        middle = np.average(value - trend["slope"] * at, weights=weight)
+        ends = np.array([at[0], at[-1]])
+        ax.plot(ends, middle + trend["slope"] * ends, color=style.MODEL, lw=2.0, zorder=3)
+    ax.set_title(trend["name"])
+    ax.set_ylabel(axis("", trend["unit"]).removeprefix(" / ") or "1")
+    ax.set_xlabel(trend["along"])
+    low, high = np.quantile(value, [0.0, 1.0])
+    reach = max(float(np.max(SIGMAS * np.nan_to_num(std))) if len(at) <= BARS else 0.0, 0.08 * (high - low))
+    spread = high - low or abs(high) or 1.0
+    reach = min(reach, 2.0 * spread)  # one study that says nothing of it must not flatten the others
+    ax.set_ylim(low - reach, high + reach)
