@@ -1,10 +1,11 @@
-"""Whether the files of a study are those of last time: by size and time of change, without opening any."""
+"""Whether the files of a study are those of last time: by size and time of change, without reading any."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from frictrack.flow.stages import RunWork
+from frictrack.remote import Remote, is_remote
 from frictrack.study import Study
 
 Seen = dict[str, list[int]]  # path -> size, time of change in ns
@@ -20,11 +21,17 @@ def seen(study: Study) -> Seen:
 
 def unchanged(files: Seen) -> bool:
     """Whether all is as it was seen."""
-    return bool(files) and all(_state(Path(path)) == state for path, state in files.items())
+    return bool(files) and all(_state(_file(path)) == state for path, state in files.items())
 
 
-def _state(path: Path) -> list[int]:
+def _file(text: str) -> Path | Remote:
+    return Remote(text) if is_remote(text) else Path(text)
+
+
+def _state(path: Path | Remote) -> list[int]:
     """Size and time of change; of a folder the number and size of its files, and the last change of any."""
+    if isinstance(path, Remote):
+        return path.state()
     try:
         told = path.stat()
         if not path.is_dir():

@@ -11,7 +11,7 @@ slope), and b is tested by Student's t with n - 2 degrees of freedom.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from frictrack.records import Array
 
 FEWEST = 4  # points that a slope is told from
 ALPHA = 0.01  # of all trends of one batch together
-OF_RUNS = {"level": ("friction level of the run", "1"), "noise_um": ("noise of the displacement", "µm")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,26 +67,27 @@ class Trend:
 
 
 def trends(done: Sequence[Done]) -> list[Trend]:
-    """Trends of every parameter over the studies, and of friction level and noise over all their runs."""
-    rows = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
+    """Trends of every parameter and of the noise over the studies, and of the friction level over all their runs."""
+    first = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
     units = {name: unit for one in done for name, unit in one.units.items()}
-    found = [_trend(name, unit, rows, f"{name} std") for name, unit in units.items()]
-    runs = [row for one in done for row in one.rows]
-    found += [_trend(title, unit, runs, "", key) for key, (title, unit) in OF_RUNS.items()]
+    found = [_trend(name, unit, _column(first, name), _column(first, f"{name} std")) for name, unit in units.items()]
+    noise = [_mean(_column(one.rows, "noise_um")) for one in done]
+    found.append(_trend("noise of the displacement", "µm", np.array(noise)))
+    fitted = [row for one in done for row in one.rows if row.get("role") == "fit"]
+    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), along="run"))
     told = [one for one in found if one is not None]
-    return [Trend(**{**vars(one), "p": min(1.0, one.p * len(told))}) for one in told]
+    return [replace(one, p=min(1.0, one.p * len(told))) for one in told]
 
 
-def _trend(name: str, unit: str, rows: Sequence[Mapping[str, Any]], std: str, key: str | None = None) -> Trend | None:
-    """The trend of one column; None for too few values, or for a constant one."""
-    y = np.array([_number(row.get(key or name)) for row in rows], dtype=np.float64)
-    s = np.array([_number(row.get(std)) for row in rows], dtype=np.float64)
+def _trend(name: str, unit: str, y: Array, s: Array | None = None, along: str = "study") -> Trend | None:
+    """The trend of values y (n,) with standard deviations s (n,); None for too few values, or for a constant."""
     known = np.isfinite(y)
     if np.count_nonzero(known) < FEWEST or np.ptp(y[known]) == 0.0:
         return None
+    s = np.full(len(y), np.nan) if s is None else s
     at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
     slope, slope_std, scatter, p = drift(at, y, np.nan_to_num(s))
-    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, "run" if key else "study")
+    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, along)
 
 
 def drift(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
@@ -112,5 +112,13 @@ def drift(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
     return float(b[1]) * per_place, deviation * per_place, float(np.sqrt(tau2)) * unit, p
 
 
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else np.nan
+def _column(rows: Sequence[Mapping[str, Any]], key: str) -> Array:
+    """The numbers of a column (n,), nan where there is none."""
+    found = (row.get(key) for row in rows)
+    return np.array([value if isinstance(value, int | float) else np.nan for value in found], dtype=np.float64)
+
+
+def _mean(values: Array) -> float:
+    """Mean of what is known; nan where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.mean(known)) if len(known) else np.nan

@@ -114,7 +114,7 @@ def _measured(study: Study, name: str) -> str | None:
         for stage in work.stages:
             work.get(stage)
     except Exception as e:  # noqa: BLE001
-        return in_words(e)
+        return in_words(e).removeprefix(f'run "{name}", ')
     return None
 
 

@@ -13,6 +13,7 @@ from frictrack.friction import release_time
 from frictrack.motion import differentiate, low_pass
 from frictrack.motion.known import KnownAcceleration
 from frictrack.records import Array, Displacement, Motion, Run
+from frictrack.remote import local
 from frictrack.results import Sensors
 from frictrack.sensors import (
     Alignment,
@@ -37,7 +38,7 @@ HEAVIER = 3.0  # standard deviations between the mass that the drive moves and t
 def own_table(run: RunTable) -> TableData:
     """The table that a run is."""
     assert run.table is not None
-    return read_table(run.table, run.columns)
+    return read_table(local(run.table), run.columns)
 
 
 def sensed(run: RunTable, displacement: Displacement) -> Sensors:

@@ -36,6 +36,7 @@ from frictrack.records import (
     Track,
     Trade,
 )
+from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
@@ -92,7 +93,7 @@ class RunWork:
         from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
 
         assert self.run.video is not None
-        return open_recording(self.run.video, fps=self.run.fps)
+        return open_recording(local(self.run.video), fps=self.run.fps)
 
     @contextmanager
     def filmed(self) -> Iterator[Recording]:
@@ -140,6 +141,8 @@ class RunWork:
             return {key: self.written(part) for key, part in value.items()}
         if isinstance(value, list):
             return [self.written(part) for part in value]
+        if isinstance(value, Remote):
+            return str(value)
         if not isinstance(value, Path):
             return plain(value)
         inside = value.is_relative_to(self.study.folder)
@@ -165,7 +168,7 @@ class RunWork:
         beside = [self.anchor.key("track")] if name == "displacement" and self.anchor else []
         return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in self.files(stage)]
 
-    def files(self, *stages: Stage) -> list[Path]:
+    def files(self, *stages: Stage) -> list[Path | Remote]:
         """Files that stages read, all of them unless named."""
         keys = [key for stage in stages or self.stages.values() for key in stage.settings]
         return [path for key in keys for path in _paths(getattr(self.run, key))]
@@ -178,9 +181,10 @@ class RunWork:
             return None
         return RunWork(self.study, first, self._progress)
 
-    def _content(self, path: Path) -> str:
+    def _content(self, path: Path | Remote) -> str:
         if path == self.run.video:
             return self.recording.hash
+        path = local(path)
         files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
         found = []
         for one in files:
@@ -224,11 +228,11 @@ def digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _paths(value: Any) -> list[Path]:
+def _paths(value: Any) -> list[Path | Remote]:
     """The files that a key names, also inside a table or a list."""
     if isinstance(value, dict | list):
         return [path for part in (value.values() if isinstance(value, dict) else value) for path in _paths(part)]
-    return [value] if isinstance(value, Path) else []
+    return [value] if isinstance(value, Path | Remote) else []
 
 
 def _tabled(work: RunWork) -> Displacement:

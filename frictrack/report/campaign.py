@@ -63,7 +63,9 @@ def headline(result: Mapping[str, Any]) -> str:
     whole = _count(result["verdicts"].get("complete", 0), "is", "are")
     text = f"{_count(len(ended), 'study', 'studies')} done; {whole} complete"
     failed = len(studies) - len(ended)
-    return f"{text}; {failed} failed" if failed else text
+    runs = sum(bool(one["run"]) for one in result["failed"])
+    text += f"; {_count(failed, 'study', 'studies')} failed" if failed else ""
+    return f"{text}; {_count(runs, 'run', 'runs')} failed" if runs else text
 
 
 def _count(n: int, one: str, many: str) -> str:

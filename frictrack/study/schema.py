@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
+from frictrack.remote import Remote, is_remote
 from frictrack.units import quantity
 
 Value = tuple[float, float]  # SI, with its standard deviation
@@ -80,6 +81,11 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
         hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
         raise ValueError(f'expected a file "{raw}" but there is none{hint}')
     return path
+
+
+def _source(raw: Any, info: ValidationInfo) -> Path | Remote:
+    """A recording or a table of this machine, or an address; whether that answers is seen when it is needed."""
+    return Remote(raw) if isinstance(raw, str) and is_remote(raw) else _path(raw, info)
 
 
 def _numbers(raw: Any, count: int) -> bool:
@@ -248,6 +254,7 @@ Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
+Source = Annotated[Path | Remote, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
 Sensor = Annotated[Any, BeforeValidator(_sensor)]
 Frequency = Annotated[float, _number("Hz", above=0.0)]
@@ -286,8 +293,8 @@ class RunTable(Keys):
     """`[[run]]`, with what it inherits from `[study]` and `[camera]` once `load` has put them together."""
 
     name: str = ""
-    video: File | None = None
-    table: File | None = None
+    video: Source | None = None
+    table: Source | None = None
     mass: Mass | None = None
     fps: Frequency | None = None
     scale: Scale | None = None
@@ -314,7 +321,7 @@ class RunTable(Keys):
     note: str = ""
 
     @property
-    def source(self) -> Path:
+    def source(self) -> Path | Remote:
         """The film or the table."""
         path = self.video or self.table
         assert path is not None  # `load` has seen to it

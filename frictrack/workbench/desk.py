@@ -109,7 +109,7 @@ class Desk(param.Parameterized):
             found = find_recordings(self.path.parent)
         except FrictrackError:
             return []
-        used = {run.source.resolve() for run in self.runs.values()}
+        used = {run.source.resolve() for run in self.runs.values() if isinstance(run.source, Path)}
         return [p.name for p in found if p.resolve() not in used]
 
     def can(self, do: str) -> bool:

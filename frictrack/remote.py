@@ -1,0 +1,116 @@
+"""Recordings that lie elsewhere: addresses that fsspec opens, fetched into a folder of this machine when needed.
+
+    video = "s3://lab/course_a/v3.cine"      s3://, gs://, az://, sftp://, https://, webdav://, ...
+
+What a protocol needs beside fsspec (s3fs, gcsfs, sshfs, aiohttp) is installed by who uses it; passwords are where these
+libraries look for them, never in a study file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import urlsplit
+
+from platformdirs import user_cache_path
+
+from frictrack.errors import FrictrackError
+
+FOLDER = "FRICTRACK_CACHE"  # environment: where fetched recordings are kept
+MOST = 50e9  # bytes kept; the longest unused go first
+NOTES = "cache"  # file in which fsspec notes what it has fetched
+BESIDE = {".cih": (".mraw",), ".cihx": (".mraw",)}  # a header's frames are in a file beside it
+TOLD = ("ETag", "etag", "LastModified", "last_modified", "mtime", "updated")  # by which a file's change is seen
+
+
+@dataclass(frozen=True)
+class Remote:
+    """The address of a file, with a path's names."""
+
+    url: str
+
+    def __str__(self) -> str:
+        return self.url
+
+    @property
+    def name(self) -> str:
+        """The last part of the path: ``v3.cine``."""
+        return PurePosixPath(urlsplit(self.url).path).name
+
+    @property
+    def stem(self) -> str:
+        """The name without its ending: ``v3``."""
+        return PurePosixPath(self.name).stem
+
+    def local(self) -> Path:
+        """The file on this machine, fetched unless it is there and has not changed since.
+
+        Raises `FrictrackError` where it cannot be fetched.
+        """
+        fsspec = _fsspec()
+        kept = _kept(self.url)
+        _make_room(kept.parent)
+        beside = BESIDE.get(PurePosixPath(self.name).suffix.lower(), ())
+        urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in beside)]
+        how = {"cache_storage": str(kept), "same_names": True, "check_files": True}
+        try:
+            found = [Path(fsspec.open_local(f"filecache::{url}", filecache=how)) for url in urls]
+        except Exception as e:  # every protocol has errors of its own
+            raise self._failed(e) from e
+        for path in found:
+            os.utime(path)
+        return found[0]
+
+    def state(self) -> list[int]:
+        """What tells whether the file has changed, without fetching it; nothing where it does not answer."""
+        try:
+            fs, path = _fsspec().url_to_fs(self.url)
+            told: dict[str, Any] = fs.info(path)
+        except Exception:  # noqa: BLE001 - every protocol has errors of its own
+            return []
+        mark = hashlib.sha256(repr([str(told.get(key)) for key in TOLD]).encode()).hexdigest()
+        return [int(told.get("size") or 0), int(mark[:12], 16)]
+
+    def _failed(self, e: Exception) -> FrictrackError:
+        why = " ".join(str(e).split()) or type(e).__name__
+        return FrictrackError(f"expected a recording at {self.url} but it cannot be fetched: {why}")
+
+
+def is_remote(text: str) -> bool:
+    """Whether a text is an address rather than a path."""
+    return "://" in text
+
+
+def local(path: Path | Remote) -> Path:
+    """A file of this machine, fetched where it lies elsewhere."""
+    return path.local() if isinstance(path, Remote) else path
+
+
+def _fsspec() -> Any:
+    try:
+        import fsspec  # noqa: PLC0415 - only who fetches needs it
+    except ModuleNotFoundError as e:
+        raise FrictrackError('recordings by address need fsspec; pip install "frictrack[cluster]"') from e
+    return fsspec
+
+
+def _kept(url: str) -> Path:
+    """The folder of what was fetched from one folder elsewhere."""
+    folder = os.environ.get(FOLDER)
+    root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
+    return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
+
+
+def _make_room(root: Path) -> None:
+    """Drop what was not used for longest, above `MOST` bytes."""
+    files = (path for path in root.rglob("*") if path.is_file() and path.name != NOTES)
+    held = sorted(files, key=lambda path: path.stat().st_mtime)
+    total = sum(path.stat().st_size for path in held)
+    for path in held:
+        if total <= MOST:
+            return
+        total -= path.stat().st_size
+        path.unlink(missing_ok=True)
