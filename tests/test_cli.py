@@ -235,26 +235,21 @@ def test_a_recording_that_is_no_film_leaves_no_study_file(capsys: pytest.Capture
     assert not (here / "study.toml").exists()
 
 
-def test_batch_lists_a_failed_study_and_goes_on(
-    capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stand_in(session: Any, seed: int = 0) -> dict[str, Any]:
-        diagnosis = {"verdict": "complete", "missing": []}
-        return {"fit": session.fit(), "diagnose": diagnosis, "output": str(session.study.output)}
-
-    monkeypatch.setattr(Session, "run", stand_in)
+def test_batch_lists_what_failed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "broken").mkdir()
     (here / "broken" / "study.toml").write_text("[study]\nmas = 1\n")
-    code, out, err = run(capsys, "batch", ".", "--json")
+    code, out, err = run(capsys, "batch", "broken", "--json", "-o", "out/all", "--workers", "1")
     assert code == 1
-    assert "1 of 2 studies failed; frictrack_batch.csv says why" in err
+    assert "1 of 1: broken/study.toml" in err
+    assert 'failed: broken/study.toml: study.toml: [study], line 2: unknown key "mas"' in err
+    assert "something failed in 1 of 1 studies; out/all.html says why" in err
     result = json.loads(out)
-    assert [s["study"] for s in result["studies"]] == ["broken/study.toml", "study.toml"]
-    assert 'unknown key "mas"' in result["failed"][0]["reason"]
-    rows = list(csv.DictReader((here / "frictrack_batch.csv").read_text().splitlines()))
-    assert [row["run"] for row in rows] == ["", "slow", "middle", "fast"]
-    assert rows[1]["verdict"] == "complete"
-    assert float(rows[1]["coulomb.F_c"]) == pytest.approx(1.2, abs=0.05)
+    assert [s["study"] for s in result["studies"]] == ["broken/study.toml"]
+    rows = list(csv.DictReader((here / "out" / "all.csv").read_text().splitlines()))
+    assert [(row["study"], row["run"]) for row in rows] == [("broken/study.toml", "")]
+    code, out, _ = run(capsys, "batch", "broken", "-o", "out/all", "--workers", "1")
+    assert "unknown key" in out
+    assert "results:" in out
 
 
 def test_the_values_that_a_person_reads() -> None:
