@@ -1,0 +1,47 @@
+"""A batch on a Slurm cluster: dask-jobqueue asks Slurm for workers, frictrack gives them the studies.
+
+    pip install "frictrack[cluster]" dask-jobqueue
+    python pipelines/cluster/slurm.py PATH... --queue normal --jobs 20
+
+The studies must lie on a file system that the nodes share, or their recordings at addresses (`video = "s3://..."`).
+The same holds for PBS, SGE, LSF and HTCondor: `PBSCluster`, `SGECluster`, `LSFCluster`, `HTCondorCluster`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dask_jobqueue import SLURMCluster
+
+from frictrack.batch import batch
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", nargs="+")
+    parser.add_argument("--queue", required=True)
+    parser.add_argument("--jobs", type=int, default=10)
+    parser.add_argument("--cores", type=int, default=8, help="of one job; as many studies at once")
+    parser.add_argument("--memory", default="16GB", help="of one job")
+    parser.add_argument("--walltime", default="04:00:00")
+    parser.add_argument("--output", type=Path, default=Path("frictrack_batch"))
+    told = parser.parse_args()
+
+    cluster = SLURMCluster(
+        queue=told.queue,
+        cores=told.cores,
+        processes=told.cores,  # one process per core: a study is one thread of work
+        memory=told.memory,
+        walltime=told.walltime,
+        job_script_prologue=["export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1"],
+    )
+    with cluster:
+        cluster.scale(jobs=told.jobs)
+        cluster.wait_for_workers(1)  # the others join as Slurm starts them
+        found = batch(told.paths, told.output, scheduler=cluster.scheduler_address)
+    print(found["output"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""The pipelines run as they stand."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parents[1] / "pipelines"
+SCRIPTS = sorted([*HERE.glob("*.py"), *HERE.glob("cluster/*.py")])
+
+
+def run(name: str, *words: str | Path) -> str:
+    """What a pipeline prints."""
+    done = subprocess.run([sys.executable, HERE / name, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_films_to_a_law_and_what_it_lacks() -> None:
+    said = run("one_film.py")
+    assert "missing: texture missing" in said
+    before, after = map(float, re.findall(r"held out ([\d.]+) um, with texture ([\d.]+) um", said)[0])
+    assert after < 0.1 * before
+
+
+def test_searches_side_by_side(study_file: Path) -> None:
+    said = run("searches.py", study_file, "--model", "coulomb,viscous", "--searches", "varpro,ga").splitlines()
+    assert [line.split()[0] for line in said] == ["search", "varpro", "ga"]
+    assert float(said[1].split()[1]) == pytest.approx(1.2, rel=0.05)
+    assert min(float(line.split()[4]) for line in said[1:]) == 0.0  # the best one is over the best by nothing
+
+
+def test_a_campaign_of_a_broken_and_a_sound_study(tmp_path: Path, study_file: Path) -> None:
+    sound = study_file.parent / "sound"
+    sound.mkdir()
+    shutil.copy(study_file.parent / "slow.csv", sound)
+    (sound / "study.toml").write_text('[study]\nmass = 0.35\nmodel = ["coulomb"]\n[[run]]\ntable = "slow.csv"\n')
+    (study_file.parent / "broken").mkdir()
+    (study_file.parent / "broken" / "study.toml").write_text("[study]\nmas = 1\n")
+    said = run("campaign.py", sound, study_file.parent / "broken", "--output", tmp_path / "all", "--workers", "2")
+    assert "coulomb.F_c" in said
+    assert "failed: " in said
+    assert (tmp_path / "all.html").exists()
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_every_script_says_how_it_is_called(script: Path) -> None:
+    doc = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8")))
+    assert doc
+    assert f"python pipelines/{script.relative_to(HERE).as_posix()}" in doc
+    assert script.name in (HERE / "README.md").read_text(encoding="utf-8")
