@@ -23,7 +23,7 @@ from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
-from frictrack.store import Entry, Stamp
+from frictrack.store import Entry
 from frictrack.study import Study, nearest
 
 EDITS = ("fit", "add", "remove")  # of the model
@@ -283,7 +283,7 @@ class Session:
         """A stored summary, made again when its key has changed."""
         held = store.stamp(self.path, group)
         if held is None or held.key != key:
-            stamp = Stamp(key, self.tried.input_hash, json.dumps({} if seed is None else {"seed": seed}))
+            stamp = self.tried.stamp(key, json.dumps({} if seed is None else {"seed": seed}))
             store.write(self.path, {group: Entry(make(), stamp)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found

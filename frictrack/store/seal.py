@@ -1,0 +1,65 @@
+"""The seal of a file: its checksum stands in the 512 bytes before the HDF5 part, which HDF5 leaves to us.
+
+A damaged file must be known as such before HDF5 looks into it: on one flipped byte in a heap of strings its library
+may crash or never return. The seal also finds a flip where nothing else would, in the structure between the data.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from functools import lru_cache
+from pathlib import Path
+
+SCHEMA = 2  # of the layout; 1 had no checksums
+ROOM = 512  # bytes before the HDF5 part
+_MARK = "frictrack results, schema"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def seal(path: Path, version: str) -> None:
+    """Put the checksum of a finished file into its first bytes, beside its schema and what wrote it."""
+    room = _room(path, SCHEMA, version)
+    with path.open("r+b") as file:
+        file.write(room)
+
+
+def head(path: Path) -> tuple[int, str] | None:
+    """Schema and version that a seal names; None of a file without a seal: of schema 1, or another program's."""
+    with path.open("rb") as file:
+        first = file.read(ROOM).split(b"\n")[0].decode(errors="replace")
+    schema, _, version = first.removeprefix(_MARK).strip().partition(", written by ")
+    return (int(schema), version) if first.startswith(_MARK) and schema.isdecimal() else None
+
+
+def is_bare(path: Path) -> bool:
+    """Whether HDF5 begins with the first byte, as in files without a seal."""
+    with path.open("rb") as file:
+        return file.read(len(_HDF5)) == _HDF5
+
+
+def intact(path: Path, *, anew: bool = False) -> bool:
+    """Whether a file holds the bytes that were written.
+
+    One that was looked at is not read again as long as it is the same file; `anew` reads it in any case.
+    """
+    state = path.stat()
+    look = _intact.__wrapped__ if anew else _intact
+    return look(os.fspath(path), state.st_ino, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=4096)
+def _intact(path: str, *state: int) -> bool:
+    """The answer for one state of a file: its number in the file system, time and size."""
+    told = head(Path(path))
+    with open(path, "rb") as file:
+        return told is not None and file.read(ROOM) == _room(Path(path), *told)
+
+
+def _room(path: Path, schema: int, version: str) -> bytes:
+    """What stands before the HDF5 part of a sound file."""
+    first = f"{_MARK} {schema}, written by {version}\n"
+    with path.open("rb") as file:
+        file.seek(ROOM)
+        digest = hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest()
+    return f"{first}sha256 of this line and all after byte {ROOM}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"
