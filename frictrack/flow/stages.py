@@ -161,10 +161,13 @@ class RunWork:
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 
     def inputs(self, name: str) -> list[tuple[str, str]]:
-        """What a stage is made from: each group with its key, each file with its hash, as they were first looked at."""
+        """What a stage is made from: each group with its key, each file with its hash, as they were first looked at.
+
+        ":/track" is a group of the run's own file, "v3.h5:/track" one of a file beside it; all else are inputs.
+        """
         if name not in self._sources:
             stage = self.stages[name]
-            groups = [(f"/{other}", self.key(other)) for other in stage.inputs]
+            groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
             if name == "displacement" and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
             paths = [path for key in stage.settings for path in _paths(getattr(self.run, key))]

@@ -149,7 +149,11 @@ class Tried:
         if head is None:
             return False
         asked = store.attributes(self.path, "models")["study_model"] == self._asked
-        return not asked or self._stamp(head).key != self.key(self.spec(head))
+        return not asked or self.is_outdated(head)
+
+    def is_outdated(self, group: str) -> bool:
+        """Whether a model was fitted to other runs, or under other settings, than those of today."""
+        return self._stamp(group).key != self.key(self.spec(group))
 
     def use(self, group: str) -> None:
         """Make a model current that was tried before."""
@@ -193,7 +197,7 @@ class Tried:
         """The fit of a group: rebuilt from the store when it is current, else made again."""
         if group not in self._fits:
             spec = self.spec(group)
-            if self._stamp(group).key == self.key(spec):
+            if not self.is_outdated(group):
                 self._fits[group] = self._restored(group)
             else:
                 self._fits[group] = self._fit(spec)

@@ -10,10 +10,10 @@
 What is in a file, and how others read it, is in SCHEMA.md.
 """
 
-from frictrack.store.faults import Fault, check
 from frictrack.store.door import attributes, held, names, read, stamp, stamps, write
+from frictrack.store.faults import Fault, check
 from frictrack.store.layout import VERSION, Entry, Stamp
-from frictrack.store.seal import SCHEMA
+from frictrack.store.seal import SCHEMA, head
 
 __all__ = [
     "SCHEMA",
@@ -23,6 +23,7 @@ __all__ = [
     "Stamp",
     "attributes",
     "check",
+    "head",
     "held",
     "names",
     "read",

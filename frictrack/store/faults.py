@@ -29,7 +29,7 @@ class Fault:
     group: str  # "/motion/x"; "" where it is the file
     what: str
     do: str
-    kind: str = "damage"  # or "link", "changed", "outdated", "missing", "leftover"
+    kind: str = "damage"  # or "foreign", "link", "changed", "outdated", "missing", "leftover"
 
     @property
     def words(self) -> str:
@@ -66,7 +66,7 @@ def _inside(path: Path) -> list[Fault]:
     try:
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
-                return [Fault(path, "", "another program wrote it", "move it away")]
+                return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
             now = migrated(file)
             return [Fault(path, name, what, REMEDY) for name, what in wrong_sums(now)] + list(_links(path, now, "/"))
     except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file

@@ -32,7 +32,7 @@ class Stamp:
 
     key: str = ""  # hash of the stage's name, the version, the settings and the inputs
     input_hash: str = ""  # hash of the inputs together
-    inputs: str = "[]"  # JSON: [name, key or hash] of each; "/track" here, "v3.h5:/track" beside, or a file
+    inputs: str = "[]"  # JSON: [name, key or hash] of each; ":/track" here, "v3.h5:/track" beside, or a file
     settings: str = "{}"  # JSON: keys of the study file, their values
     version: str = VERSION  # of frictrack
 
