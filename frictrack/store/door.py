@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from frictrack.files import alone, replaced
 from frictrack.store import layout
 from frictrack.store.layout import VERSION, Entry, Stamp, members
 from frictrack.store.migrations import FORMAT, migrated
-from frictrack.store.seal import ROOM, SCHEMA, head, intact, is_bare, seal
+from frictrack.store.seal import ROOM, SCHEMA, head, intact, is_bare, seal, state
 from frictrack.store.sums import SUM, add_sums, drop_sums
 
 NOTHING: Mapping[Any, Any] = {}
@@ -144,10 +145,14 @@ def _reading(path: Path) -> Iterator[h5py.File]:
                 raise FrictrackError(
                     f"expected {path} to be a frictrack result but another program wrote it; move it away"
                 )
-            now = migrated(file)
-            yield now
-            if now is not file:
-                now.close()
+            yield file if file.attrs["schema"] == SCHEMA else _migrated(path, *state(path))
+
+
+@lru_cache(maxsize=16)  # a page asks an old file a hundred times
+def _migrated(path: Path, *_: int) -> h5py.File:
+    """One state of a file of an earlier schema, in today's, in memory."""
+    with h5py.File(path, "r", locking=False) as file:
+        return migrated(file)
 
 
 def border(path: Path, *, anew: bool = False) -> None:

@@ -6,6 +6,7 @@ A later schema adds one function and one line of the table; files on disk change
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 
 import h5py
 import numpy as np
@@ -15,11 +16,13 @@ from frictrack.store.seal import SCHEMA
 from frictrack.store.sums import add_sums
 
 FORMAT = {"libver": ("v108", "v108"), "locking": False}  # HDF5 1.8: MATLAB and HDFView of the last ten years read it
+_NUMBER = count()
 
 
 def in_memory() -> h5py.File:
     """An empty file that never reaches the disk."""
-    return h5py.File("in memory", "w", driver="core", backing_store=False, **FORMAT)
+    name = f"in memory {next(_NUMBER)}"  # HDF5 knows open files by name
+    return h5py.File(name, "w", driver="core", backing_store=False, **FORMAT)
 
 
 def migrated(file: h5py.File) -> h5py.File:

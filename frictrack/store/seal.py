@@ -7,7 +7,6 @@ may crash or never return. The seal also finds a flip where nothing else would, 
 from __future__ import annotations
 
 import hashlib
-import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -43,17 +42,22 @@ def intact(path: Path, *, anew: bool = False) -> bool:
 
     One that was looked at is not read again as long as it is the same file; `anew` reads it in any case.
     """
-    state = path.stat()
     look = _intact.__wrapped__ if anew else _intact
-    return look(os.fspath(path), state.st_ino, state.st_mtime_ns, state.st_size)
+    return look(path, *state(path))
+
+
+def state(path: Path) -> tuple[int, int, int]:
+    """What tells one version of a file from another: its number in the file system, time and size."""
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 @lru_cache(maxsize=4096)
-def _intact(path: str, *state: int) -> bool:
-    """The answer for one state of a file: its number in the file system, time and size."""
-    told = head(Path(path))
-    with open(path, "rb") as file:
-        return told is not None and file.read(ROOM) == _room(Path(path), *told)
+def _intact(path: Path, *_: int) -> bool:
+    """The answer for one state of a file."""
+    told = head(path)
+    with path.open("rb") as file:
+        return told is not None and file.read(ROOM) == _room(path, *told)
 
 
 def _room(path: Path, schema: int, version: str) -> bytes:
