@@ -12,6 +12,9 @@ from pathlib import Path
 
 SCHEMA = 2  # of the layout; 1 had no checksums
 ROOM = 512  # bytes before the HDF5 part
+# Where sealed bytes begin. Before that stand the 48 of HDF5's superblock: a viewer that has the file open for editing
+# marks it there for as long, and HDF5 guards them by a checksum of its own, which it looks at first.
+START = ROOM + 48
 _MARK = "frictrack results, schema"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -64,6 +67,6 @@ def _room(path: Path, schema: int, version: str) -> bytes:
     """What stands before the HDF5 part of a sound file."""
     first = f"{_MARK} {schema}, written by {version}\n"
     with path.open("rb") as file:
-        file.seek(ROOM)
+        file.seek(START)
         digest = hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest()
-    return f"{first}sha256 of this line and all after byte {ROOM}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"
+    return f"{first}sha256 of this line and all after byte {START}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"
