@@ -35,6 +35,21 @@ def alone(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+def is_busy(folder: Path) -> bool:
+    """Whether somebody is writing into this folder of results just now."""
+    if not (folder / ".lock").exists():
+        return False
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        return True
+    except OSError:
+        return False  # one that nobody may write
+    lock.release()
+    return False
+
+
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.

@@ -160,13 +160,20 @@ def test_a_file_of_another_program_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_later_schema_is_said(tmp_path: Path) -> None:
+def test_a_later_schema_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "v3.h5"
-    store.write(path, {})
-    with h5py.File(path, "r+") as file:
-        file.attrs["schema"] = 99
-    with pytest.raises(FrictrackError, match=r"was written by frictrack .*; update it"):
+    with monkeypatch.context() as later:
+        later.setattr("frictrack.store.seal.SCHEMA", 99)
+        later.setattr("frictrack.store.door.VERSION", "7.1.0")
+        store.write(path, {"a": Entry({"n": 1})})
+    before = path.read_bytes()
+    words = rf"expected .*v3\.h5 of schema {store.SCHEMA} at most but it has 99 and was written by frictrack 7\.1\.0"
+    with pytest.raises(FrictrackError, match=words + r", this is \S+; update it"):
         store.read(path, "a")
+    with pytest.raises(FrictrackError, match="update it"):
+        store.write(path, {"a": Entry({"n": 2})})
+    assert path.read_bytes() == before
+    assert [fault.do for fault in store.check(path)] == ["update it"]
 
 
 def test_a_missing_file_or_group_is_said(tmp_path: Path) -> None:

@@ -305,6 +305,22 @@ def batch(
         )
 
 
+@app.command()
+def verify(
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="studies, results, or folders of them")],
+    as_json: Json = False,
+) -> None:
+    """Find silent damage: checksums, schema, where results come from, and whether recordings are still the same."""
+    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.flow import verify as look  # noqa: PLC0415
+
+    with bars() as progress:
+        result = look(paths, progress)
+    tell(result, as_json, "verify")
+    if not result["sound"]:
+        raise FrictrackError(f"{len(result['faults'])} faults in {result['files']} files; each line says what to do")
+
+
 @app.command("app")
 def workbench(
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),

@@ -349,6 +349,18 @@ def batch(out: Console, result: dict[str, Any]) -> None:
         out.print(f"over the series {trend['name']} changes by {change}{unit}", markup=False)
 
 
+def verify(out: Console, result: dict[str, Any]) -> None:
+    """One line per fault, then what was looked at."""
+    for fault in result["faults"]:
+        out.print(f"{fault['kind']}: {fault['words']}", soft_wrap=True, markup=False)
+    if old := result["without_checksums"]:
+        out.print(f"{len(old)} files of an earlier schema carry no checksums; whatever is written next adds them")
+    for folder in result["at_work"]:
+        out.print(f"another frictrack is at work in {folder}", soft_wrap=True, markup=False)
+    if result["sound"]:
+        out.print(f"{result['files']} files of results are sound")
+
+
 def _cell(value: Any) -> str:
     if isinstance(value, float):
         return number(value)

@@ -14,6 +14,7 @@ from frictrack.flow.session import Session
 from frictrack.flow.stages import Progress, silent
 from frictrack.flow.stored import attempted, stored
 from frictrack.flow.tried import Spec, own_effects
+from frictrack.flow.verify import verify
 
 __all__ = [
     "Progress",
@@ -28,4 +29,5 @@ __all__ = [
     "silent",
     "start_study",
     "stored",
+    "verify",
 ]

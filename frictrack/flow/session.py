@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,13 +17,13 @@ from frictrack.flow import changes
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import open_study
-from frictrack.flow.stages import Progress, RunWork, digest, silent
+from frictrack.flow.stages import Progress, RunWork, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
-from frictrack.store import Entry, Stamp
+from frictrack.store import Entry
 from frictrack.study import Study, nearest
 
 EDITS = ("fit", "add", "remove")  # of the model
@@ -240,7 +239,7 @@ class Session:
         """
         path = self.study.output / "report.html"
         notes = self._up_to_date(seed)
-        key = digest([store.VERSION, notes, *(_content(p) for p in self._files())])
+        key = digest([store.VERSION, notes, *(hashed(p) for p in self._files())])
         if anew or not _holds(path, key):
             from frictrack import report  # noqa: PLC0415 - draws for seconds
 
@@ -305,15 +304,10 @@ class Session:
         """A stored summary, made again when its key has changed."""
         held = store.stamp(self.path, group)
         if held is None or held.key != key:
-            stamp = Stamp(key, self.tried.input_hash, json.dumps({} if seed is None else {"seed": seed}))
+            stamp = self.tried.stamp(key, json.dumps({} if seed is None else {"seed": seed}))
             store.write(self.path, {group: Entry(make(), stamp)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
-
-
-def _content(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _holds(path: Path, key: str) -> bool:

@@ -81,6 +81,7 @@ class RunWork:
         self._film: Recording | None = None
         self._made: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
+        self._sources: dict[str, list[tuple[str, str]]] = {}
         self._stamps: dict[str, Stamp | None] = {}
 
     def progress(self, done: int, total: int, what: str) -> None:
@@ -127,8 +128,8 @@ class RunWork:
             stamp = self._stamp(name)
             return stamp.key if stamp else "never made"
         if name not in self._keys:
-            settings = self.settings(name)
-            self._keys[name] = digest([name, store.VERSION, settings, self._from(name)])
+            hashes = [found for _, found in self.inputs(name)]
+            self._keys[name] = key_of(name, store.VERSION, self.settings(name), hashes)
         return self._keys[name]
 
     def settings(self, name: str) -> dict[str, Any]:
@@ -162,11 +163,19 @@ class RunWork:
         pairs = ((json.loads(stamp.settings), plain(self.settings(name))) for name, stamp in held.items())
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 
-    def _from(self, name: str) -> list[str]:
-        """Keys of the inputs and hashes of the files that a stage reads."""
-        stage = self.stages[name]
-        beside = [self.anchor.key("track")] if name == "displacement" and self.anchor else []
-        return [self.key(i) for i in stage.inputs] + beside + [self._content(p) for p in self.files(stage)]
+    def inputs(self, name: str) -> list[tuple[str, str]]:
+        """What a stage is made from: each group with its key, each file with its hash, as they were first looked at.
+
+        ":/track" is a group of the run's own file, "v3.h5:/track" one of a file beside it; all else are inputs.
+        """
+        if name not in self._sources:
+            stage = self.stages[name]
+            groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
+            if name == "displacement" and self.anchor:
+                groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
+            files = [(self.written(path), self.content(path)) for path in self.files(stage)]
+            self._sources[name] = groups + files
+        return self._sources[name]
 
     def files(self, *stages: Stage) -> list[Path | Remote]:
         """Files that stages read, all of them unless named."""
@@ -179,18 +188,16 @@ class RunWork:
         first = next((r for r in self.study.runs if r.video), None)
         if first is None or not self.run.video or first.name == self.run.name:
             return None
-        return RunWork(self.study, first, self._progress)
+        return RunWork(self.study, first, self._progress, kept=self.kept)
 
-    def _content(self, path: Path | Remote) -> str:
+    def content(self, path: Path | Remote) -> str:
+        """Hash of a file, or of the files of a folder. Raises `FrictrackError` where it cannot be read."""
         if path == self.run.video:
             return self.recording.hash
-        path = local(path)
-        files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-        found = []
-        for one in files:
-            with one.open("rb") as file:
-                found.append(hashlib.file_digest(file, "sha256").hexdigest())
-        return found[0] if found == found[:1] else digest(found)
+        try:
+            return hashed(local(path))
+        except OSError as e:
+            raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
     def _load(self, name: str) -> Any:
         kind = self.stages[name].kind
@@ -201,15 +208,23 @@ class RunWork:
     def _make(self, name: str) -> Any:
         stage = self.stages[name]
         with self.filmed() if name == "tracks" else nullcontext():  # the track may be made on the way
-            made = self._called(stage, [self.get(i) for i in stage.inputs])
-        stamp = Stamp(self.key(name), digest(self._from(name)), json.dumps(self.settings(name), sort_keys=True))
+            made, stamp = self._called(stage, [self.get(i) for i in stage.inputs])
         store.write(self.path, {name: Entry(made, stamp)})
         return made
 
-    def _called(self, stage: Stage, inputs: list[Any]) -> Any:
-        """What a stage makes of its inputs; a failure says in which run and stage, and what is known of the film."""
+    def _new_stamp(self, name: str) -> Stamp:
+        inputs, settings = self.inputs(name), json.dumps(self.settings(name), sort_keys=True)
+        together = digest([found for _, found in inputs])
+        return Stamp(self.key(name), together, json.dumps(inputs), settings, store.VERSION)
+
+    def _called(self, stage: Stage, inputs: list[Any]) -> tuple[Any, Stamp]:
+        """What a stage makes of its inputs; a failure says in which run and stage, and what is known of the film.
+
+        The stamp comes first: a file that changes while it is read then counts as changed, not as what was read.
+        """
         try:
-            return stage.make(self, *inputs)
+            stamp = self._new_stamp(stage.name)
+            return stage.make(self, *inputs), stamp
         except FrictrackError as e:
             film = self.get("recording") if self.run.video and stage.name != "recording" else None
             notes = "".join(f" ({note})" for note in film.notes) if film else ""
@@ -221,6 +236,21 @@ class RunWork:
         """The run as the fit wants it."""
         sensors: Sensors = self.get("sensors")
         return _run(self, self.get("displacement"), self.get("motion"), sensors)
+
+
+def key_of(name: str, version: str, settings: dict[str, Any], hashes: list[str]) -> str:
+    """The key of a stage: hash of its name, the version of frictrack, its settings and the hashes of its inputs."""
+    return digest([name, version, settings, hashes])
+
+
+def hashed(path: Path) -> str:
+    """SHA-256 of a file, or of those of the files in a folder. Raises `OSError` where one cannot be read."""
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    found = []
+    for one in files:
+        with one.open("rb") as file:
+            found.append(hashlib.file_digest(file, "sha256").hexdigest())
+    return found[0] if found == found[:1] else digest(found)
 
 
 def digest(value: Any) -> str:

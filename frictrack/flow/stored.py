@@ -30,22 +30,23 @@ def stored(study: Study) -> Results:
     """Runs, models, comparison and diagnosis as they lie in the results folder, however old."""
     works = [RunWork(study, run, kept=True) for run in study.runs]
     tried = Tried(study, works, silent, Ledger(study.output))
-    models = tuple(tried.results(group) for group in tried.groups)
-    current = next((model for model in models if model.current), None)
-    has_papers = "papers" in store.names(tried.path)
-    return Results(
-        name=study.name,
-        path=study.path,
-        output=study.output,
-        version=store.VERSION,
-        runs=tuple(run_results(work) for work in works if _is_measured(work)),
-        models=models,
-        comparison=_summary(tried, "comparison"),
-        diagnosis=current.diagnosis if current else None,
-        figures=current.figures if current else {},
-        papers=tried.results("papers") if has_papers else None,
-        outdated=tuple(_outdated(works, tried)),
-    )
+    with store.held(tried.path, *(work.path for work in works)):
+        models = tuple(tried.results(group) for group in tried.groups)
+        current = next((model for model in models if model.current), None)
+        has_papers = "papers" in store.names(tried.path)
+        return Results(
+            name=study.name,
+            path=study.path,
+            output=study.output,
+            version=store.VERSION,
+            runs=tuple(run_results(work) for work in works if _is_measured(work)),
+            models=models,
+            comparison=_summary(tried, "comparison"),
+            diagnosis=current.diagnosis if current else None,
+            figures=current.figures if current else {},
+            papers=tried.results("papers") if has_papers else None,
+            outdated=tuple(_outdated(works, tried)),
+        )
 
 
 def attempted(path: Path) -> ModelResults:

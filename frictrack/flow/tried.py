@@ -149,7 +149,11 @@ class Tried:
         if head is None:
             return False
         asked = store.attributes(self.path, "models")["study_model"] == self._asked
-        return not asked or self._stamp(head).key != self.key(self.spec(head))
+        return not asked or self.is_outdated(head)
+
+    def is_outdated(self, group: str) -> bool:
+        """Whether a model was fitted to other runs, or under other settings, than those of today."""
+        return self._stamp(group).key != self.key(self.spec(group))
 
     def use(self, group: str) -> None:
         """Make a model current that was tried before."""
@@ -193,7 +197,7 @@ class Tried:
         """The fit of a group: rebuilt from the store when it is current, else made again."""
         if group not in self._fits:
             spec = self.spec(group)
-            if self._stamp(group).key == self.key(spec):
+            if not self.is_outdated(group):
                 self._fits[group] = self._restored(group)
             else:
                 self._fits[group] = self._fit(spec)
@@ -207,6 +211,15 @@ class Tried:
     def key(self, spec: Spec) -> str:
         """Hash of all that the fit of this model depends on."""
         return digest(["toml", spec.json(), [e.model_dump() for e in self.study.effects], self.input_hash])
+
+    @property
+    def inputs(self) -> list[tuple[str, str]]:
+        """The groups of the runs that a fit rests on, each with its key."""
+        return [(f"{w.path.name}:/{name}", w.key(name)) for w in self._works for name in ("friction", "motion")]
+
+    def stamp(self, key: str, settings: str) -> Stamp:
+        """That of anything made from the runs of today."""
+        return Stamp(key, self.input_hash, json.dumps(self.inputs), settings)
 
     @property
     def input_hash(self) -> str:
@@ -259,21 +272,22 @@ class Tried:
             "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
             "motion": {told.run: told for told in fitted.motion},
         }
-        return Entry(content, Stamp(self.key(spec), self.input_hash, spec.json()))
+        return Entry(content, self.stamp(self.key(spec), spec.json()))
 
 
 def model_results(path: Path, group: str) -> ModelResults:
     """A model of a study's file, or of an attempt's, as the report wants it; `group` may be ``papers``."""
     inside = group if group == "papers" else f"models/{group}"
-    held = store.read(path, inside)
-    curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
-    return ModelResults(
-        name=group,
-        equation=held["equation"],
-        summary=merged(json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))),
-        curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
-        motion=tuple(store.read(path, f"{inside}/motion/{name}", Modelled) for name in motion),
-        current=bool(held["current"]),
-        diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
-        figures=held.get("diagnosis", {}).get("figures", {}),
-    )
+    with store.held(path):
+        held = store.read(path, inside)
+        curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
+        return ModelResults(
+            name=group,
+            equation=held["equation"],
+            summary=merged(json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))),
+            curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
+            motion=tuple(store.read(path, f"{inside}/motion/{name}", Modelled) for name in motion),
+            current=bool(held["current"]),
+            diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
+            figures=held.get("diagnosis", {}).get("figures", {}),
+        )

@@ -66,6 +66,22 @@ def parse(path: Path, text: str, *, bare: bool = False) -> Study:
     return study
 
 
+def results_of(path: Path) -> Path:
+    """The folder of the results of a study file, also where the recordings that it names are gone.
+
+    Raises `FrictrackError` (usage) where the file cannot be read.
+    """
+    try:
+        head = tomllib.loads(_read(path)).get("study", {})
+    except tomllib.TOMLDecodeError as e:
+        raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
+    return _output(path, str(head.get("output", "")) if isinstance(head, dict) else "")
+
+
+def _output(path: Path, output: str) -> Path:
+    return path.parent / (output or f"{path.stem}_results")
+
+
 def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
         way = f"frictrack run {path.name} --mass 0.35kg --scale 0.5mm/px --fps 4000"
@@ -111,7 +127,7 @@ class _Reader:
             path=path,
             name=head.name or path.resolve().parent.name,
             model=head.model if isinstance(head.model, str) else tuple(head.model),
-            output=path.parent / (head.output or f"{path.stem}_results"),
+            output=_output(path, head.output),
             runs=merged,
             effects=tuple(effects),
             mass=None if head.mass == "fit" else head.mass,

@@ -1,0 +1,180 @@
+"""The page that tells others what is in a file, made from the declarations themselves.
+
+python -m frictrack.flow.schema        writes frictrack/store/SCHEMA.md anew
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import Field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictrack import store
+from frictrack.files import replace_text
+from frictrack.flow.stages import FILM, TABLE
+from frictrack.records import Curve, Modelled
+from frictrack.store import Stamp
+
+PAGE = Path(store.__file__).parent / "SCHEMA.md"
+MODEL = {
+    "current": ("bool", "the model in force"),
+    "equation": ("text", "the printed model"),
+    "summary": ("JSON text", "what `frictrack fit --json` prints: parameters, deviations, errors"),
+    "state": ("group", "what rebuilds the fit without searching"),
+    "curves": ("group", "a group per run, `<number>_<run>`: measurement and model, table below"),
+    "motion": ("group", "a group per run: the motion that the model itself tells, table below"),
+    "certainty": ("group", "profiles and bootstrap, where they were asked for: `summary`, JSON text"),
+    "diagnosis": (
+        "group",
+        "`summary` (JSON of `frictrack diagnose`) and `figures`, its curves",
+    ),
+}
+ASIDE = {
+    "runs": "a link per run to its file",
+    "models": "a group per model in the order tried, `<number>_<name>`; `study_model` is the study file's (JSON)",
+    "comparison": "`summary`: JSON of `frictrack compare`",
+    "diagnosis": "a link to the diagnosis of the model in force",
+    "papers": "a group like a model's: the papers' route, force domain and SGA",
+}
+_COMMENT = re.compile(r"^    (\w+): .*?  # (.*)$", re.MULTILINE)
+_KINDS = {"f": "float64", "b": "bool", "i": "int64", "U": "text"}
+_TYPES = {"float": "float64", "int": "int64", "bool": "bool", "str": "text", "tuple": "JSON text", "dict": "group"}
+
+_HEAD = """# What is in a results folder
+
+Made by `python -m frictrack.flow.schema` from the declarations in the code; schema {schema}. Do not edit.
+
+`<run>.h5` holds a run, one group per stage. `study.h5` holds the models tried and links to the runs. Both are plain
+HDF5 in the format of its version 1.8, which h5py, MATLAB, HDFView and `h5dump` open without frictrack. All numbers
+are in SI units, pixels and grey values apart; NaN means "not measured in this frame".
+
+## How things are written
+
+- A column is a dataset, (n,): one value per frame, with the attribute `unit`. It is compressed (gzip, shuffled) and
+  carries HDF5's own Fletcher32 checksum. `bool` is HDF5's enum of FALSE and TRUE; text is UTF-8 of fixed length.
+- A single number or text is an attribute of the group; `<name>_unit` is its unit. A list is an attribute in JSON.
+  What is not known (also a column) is an empty attribute. A text above 16000 characters is a dataset.
+- The file itself has the attributes `schema` ({schema}), `version` (of frictrack, last to write) and `sha256`.
+- A file is never changed in place. A new one takes its place in one step: who reads keeps the file that was opened, and
+  opens it again for the new one. Reading needs no lock; frictrack itself locks the folder (`.lock`) to write.
+
+## Checksums
+
+- The file: its first {room} bytes are text, which HDF5 skips (a user block). The second line is the SHA-256 of the
+  first line and of all after byte {start}; `(head -n 1 v3.h5; tail -c +{after} v3.h5) | sha256sum` prints the same.
+  The bytes between are HDF5's superblock, which has a checksum of HDF5's own.
+- Every group and dataset: the attribute `sha256`, over what is read of it (kind, shape, values, attributes; of a group
+  the names and checksums of what lies in it, and the targets of links). It says which group a fault is in.
+- `frictrack verify PATH...` looks at both, at where results come from, and at the recordings.
+
+A file of schema 1 has neither; it is read as it is, and gets both when something is written into it.
+
+## Where a group comes from
+
+Every group that a stage, a fit, a comparison or a diagnosis wrote has these attributes:
+
+"""
+_READ = """
+## Reading it
+
+```python
+import h5py
+
+with h5py.File("{run}.h5") as run:
+    t, v = run["motion/t"][:], run["motion/v"][:]
+    print(run["motion/v"].attrs["unit"], run["motion"].attrs["cutoff"], run["motion"].attrs["settings"])
+```
+
+```matlab
+t = h5read('{run}.h5', '/motion/t');
+v = h5read('{run}.h5', '/motion/v');
+unit = h5readatt('{run}.h5', '/motion/v', 'unit');
+cutoff = h5readatt('{run}.h5', '/motion', 'cutoff');
+model = jsondecode(h5readatt('study.h5', '/comparison', 'summary'));
+info = h5info('study.h5', '/models');            % names of the models: {{info.Groups.Name}}
+```
+
+In HDFView: *File, Open As Read-Only*; the columns are in the tree, units and provenance under *Object Attribute Info*.
+A file in which a viewer changed something is no longer what was written, and frictrack says so.
+
+```sh
+h5ls -r {run}.h5
+h5dump -d /motion/v {run}.h5
+```
+"""
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    head = _HEAD.format(schema=store.SCHEMA, room=store.ROOM, start=store.START, after=store.START + 1)
+    stamp = ((f.name, "text", _comments(Stamp).get(f.name, "")) for f in fields(Stamp))
+    parts = [head + _table(("attribute", "type", "what"), stamp), "\n## A run: `<run>.h5`\n"]
+    parts += [_stage(name) for name in {**FILM, **TABLE}]
+    parts += ["\n## The study: `study.h5`\n\n", _table(("group", "what"), ((f"`/{k}`", v) for k, v in ASIDE.items()))]
+    model = ((f"`{name}`", *told) for name, told in MODEL.items())
+    parts += ["\n### `/models/<number>_<name>`\n\n", _table(("name", "type", "what"), model)]
+    parts += [_record("`curves/<number>_<run>`", Curve), _record("`motion/<run>`", Modelled)]
+    return "".join(parts) + _READ.format(run="v3")
+
+
+def _stage(name: str) -> str:
+    """One stage of a film, a table or both: what it is made from, and its record."""
+    chains = {kind: chain[name] for kind, chain in (("film", FILM), ("table", TABLE)) if name in chain}
+    made: dict[str, list[str]] = {}
+    for kind, stage in chains.items():
+        groups = [f"`/{one}`" for one in stage.inputs]
+        keys = [f"`{key}`" for key in stage.settings]
+        made.setdefault(", ".join(groups + (["the keys " + ", ".join(keys)] if keys else [])), []).append(kind)
+    words = "; ".join(f"of a {' or a '.join(kinds)}: made from {what}" for what, kinds in made.items())
+    words = f"O{words[1:]}.\n"
+    kind = next(iter(chains.values())).kind
+    if kind is dict:
+        return f"\n### `/{name}`\n\n{words}A group per further target, `/{name}/<name>`, like `/track`.\n"
+    return _record(f"`/{name}`", kind, words)
+
+
+def _record(title: str, kind: Any, words: str = "") -> str:
+    """What a record becomes: datasets first, then attributes."""
+    says = _comments(kind)
+    rows = sorted((_row(f) for f in fields(kind)), key=lambda row: ("dataset", "attribute", "group").index(row[1]))
+    doc = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
+    head = ("name", "is a", "type", "unit", "what")
+    body = _table(head, ((f"`{name}`", *rest, says.get(name, "")) for name, *rest in rows))
+    return f"\n### {title}\n\n{doc}\n{words}\n{body}"
+
+
+def _row(f: Field[Any]) -> tuple[str, str, str, str]:
+    """Name, kind of thing, type with shape, and unit of a field."""
+    unit, told = f.metadata.get("unit") or "", str(f.type)
+    or_empty = " or empty" if told.endswith("| None") else ""
+    if f.metadata.get("column"):
+        return f.name, "dataset", f"{_KINDS[np.dtype(f.metadata['kind']).kind]} (n,){or_empty}", unit
+    if told.startswith(("Array", "NDArray")):
+        return f.name, "dataset", f"array (h, w){or_empty}" if f.name == "picture" else f"float64 (n,){or_empty}", unit
+    what = _TYPES[re.split(r"\W", told)[0]]
+    return f.name, "group" if what == "group" else "attribute", what + or_empty, unit
+
+
+def _comments(kind: Any) -> dict[str, str]:
+    """What stands beside the fields in the code."""
+    assert is_dataclass(kind)
+    return dict(_COMMENT.findall(inspect.getsource(kind)))  # type: ignore[arg-type]
+
+
+def _table(head: tuple[str, ...], rows: Iterable[Iterable[str]]) -> str:
+    def lines() -> Iterator[str]:
+        yield "| " + " | ".join(head) + " |"
+        yield "|" + "---|" * len(head)
+        for row in rows:
+            yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
+
+    return "\n".join(lines()) + "\n"
+
+
+if __name__ == "__main__":
+    replace_text(PAGE, page())

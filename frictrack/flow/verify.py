@@ -1,0 +1,227 @@
+"""Whether results are still what was written, made from one another and from the recordings that lie there.
+
+Four questions, each with its own kind of fault: `damage` (bytes changed since they were written), `missing` or
+`leftover` (a file that should be there, or should not), `changed` (a recording, a table or the study file is another
+one than was measured) and `outdated` (one result was made again, and what rests on it was not).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from frictrack import store
+from frictrack.errors import FrictrackError
+from frictrack.files import is_busy
+from frictrack.flow.ledger import NAME, Ledger
+from frictrack.flow.stages import FILM, TABLE, Progress, RunWork, digest, key_of, silent
+from frictrack.flow.tried import Tried
+from frictrack.store import Fault, Stamp
+from frictrack.study import Study, load, results_of
+
+AGAIN = "run the study again"
+_GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # as `RunWork.inputs` and `Tried.inputs` name groups
+_STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
+
+
+def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]:
+    """Look at study files, folders of results, HDF5 files, or folders searched through: JSON of `verify`.
+
+    Nothing is written. Raises `FrictrackError` (usage) for a path where there is nothing to verify.
+    """
+    files: dict[Path, Path] = {}
+    studies: dict[Path, Path] = {}
+    for path in paths:
+        mine, named = _files(path), _studies(path)
+        if not mine and (path in named or not named):
+            raise FrictrackError(f"expected results of frictrack in {path} but found none", usage=True)
+        files |= {p.resolve(): p for p in mine}
+        studies |= {p.resolve(): p for p in named}
+    faults, works = _opened(studies.values())
+    sound: set[Path] = set()
+    for i, path in enumerate(files):
+        progress(i, len(files), "files")
+        found = store.check(files[path])
+        kinds = {fault.kind for fault in found}
+        if "foreign" in kinds and files[path] not in paths:
+            continue
+        if not kinds & {"damage", "foreign"}:
+            found += _told(files[path])
+            sound.add(path)
+        faults += found
+    progress(len(files), len(files), "files")
+    for group in works:
+        faults += _study(group, sound)
+    folders = dict.fromkeys(path.parent for path in files.values())
+    faults += [fault for folder in folders for fault in _folder(folder, sound)]
+    return {
+        "sound": not faults,
+        "files": len(files),
+        "studies": len(studies),
+        "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
+        "without_checksums": [str(files[path]) for path in sound if store.head(path) is None],
+        "at_work": [str(folder) for folder in folders if is_busy(folder)],
+    }
+
+
+def _files(path: Path) -> list[Path]:
+    """The HDF5 files that a path stands for."""
+    if path.suffix == ".toml" and path.is_file():
+        path = _output(path) or path
+    if path.is_dir():
+        return sorted(p for p in path.rglob("*.h5") if not p.name.startswith("."))
+    return [path] if path.suffix == ".h5" and path.exists() else []
+
+
+def _studies(path: Path) -> list[Path]:
+    """The study files that a path stands for: itself, those in a folder, or the one whose results the folder holds."""
+    if path.suffix == ".toml" and path.is_file():
+        return [path]
+    if not path.is_dir():
+        return []
+    inside = [p for p in sorted(path.rglob("*.toml")) if _STUDY.search(p.read_text(encoding="utf-8", errors="replace"))]
+    beside = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output(p) == path.absolute()]
+    return inside + beside
+
+
+def _output(path: Path) -> Path | None:
+    try:
+        return results_of(path)
+    except FrictrackError:
+        return None
+
+
+def _opened(paths: Iterable[Path]) -> tuple[list[Fault], list[list[RunWork]]]:
+    """The runs of every study file, and what is wrong with those that cannot be read or have none."""
+    faults, works = [], []
+    for path in paths:
+        try:
+            study = load(path)
+            works.append([RunWork(study, run, kept=True) for run in study.runs])
+        except FrictrackError as e:
+            faults.append(Fault(path, "", str(e), "put that right; its results are looked at all the same", "changed"))
+    return faults, works
+
+
+def _of_study(works: list[RunWork]) -> list[Path]:
+    """The result files of a study that there are."""
+    return [p for p in (*(work.path for work in works), works[0].study.output / "study.h5") if p.exists()]
+
+
+def _study(works: list[RunWork], sound: set[Path]) -> Iterator[Fault]:
+    """What disagrees with the study file and the recordings that it names; of damaged files nothing is told twice."""
+    files = _of_study(works)
+    for work in works if files else ():
+        if work.path not in files:
+            yield Fault(work.path, "", "this run has no results while others have", "run the study", "missing")
+        elif work.path.resolve() in sound:
+            yield from _inputs(work)
+    if len(files) == len(works) + 1 and all(path.resolve() in sound for path in files):
+        yield from _models(works[0].study, works)
+
+
+def _inputs(work: RunWork) -> Iterator[Fault]:
+    """What the run's keys and files are now against what was measured."""
+    for name, stamp in ((n, s) for n in work.stages if (s := store.stamp(work.path, n)) is not None):
+        then, now = json.loads(stamp.settings), work.settings(name)
+        if changed := [key for key in now if then.get(key) != now[key]]:
+            words = f"was made with another {' and '.join(changed)} than the study file has now"
+            yield Fault(work.path, f"/{name}", words, AGAIN, "changed")
+        else:
+            yield from _measured(work, name, stamp)
+
+
+def _measured(work: RunWork, name: str, stamp: Stamp) -> Iterator[Fault]:
+    """Whether the files that a stage read still hold the same."""
+    then = {file: found for file, found in json.loads(stamp.inputs or "[]") if not _GROUP.fullmatch(file)}
+    try:
+        now = {file: found for file, found in work.inputs(name) if not _GROUP.fullmatch(file)}
+    except (FrictrackError, OSError) as e:
+        words = f"what it was made from cannot be read ({e})"
+        yield Fault(work.path, f"/{name}", words, "put it back; these results still stand", "missing")
+        return
+    other = [file for file in then if now.get(file) != then[file]]
+    if not stamp.inputs and digest([found for _, found in work.inputs(name)]) != stamp.input_hash:
+        other = list(now)  # schema 1 named no inputs one by one
+    if other:
+        words = f"was made from {' and '.join(other)} as it was then, which has changed since; the results are sound"
+        yield Fault(work.path, f"/{name}", words, f"put the old one back, or {AGAIN}", "changed")
+
+
+def _models(study: Study, works: list[RunWork]) -> Iterator[Fault]:
+    """Models that were fitted to other runs, or under other words of the study file, than there are now."""
+    tried = Tried(study, works, silent, Ledger(study.output))
+    for group in tried.groups:
+        if tried.is_outdated(group):
+            words = "was fitted to other runs, or under other settings, than there are now"
+            yield Fault(tried.path, f"/models/{group}", words, AGAIN, "outdated")
+
+
+def _told(path: Path) -> list[Fault]:
+    """What is wrong with the provenance of a file whose bytes are sound."""
+    try:
+        return list(_provenance(path))
+    except (ValueError, TypeError, KeyError) as e:
+        return [Fault(path, "", f"its provenance is not that of frictrack ({e})", AGAIN)]
+
+
+def _provenance(path: Path) -> Iterator[Fault]:
+    """Whether every result of a file tells where it comes from, and comes from what lies there."""
+    for group, stamp in store.stamps(path).items():
+        full = f"/{group}"
+        if not (stamp.key and stamp.input_hash and stamp.version):
+            yield Fault(path, full, "does not say what it was made from", AGAIN)
+            continue
+        inputs = json.loads(stamp.inputs or "[]")
+        yield from _upstream(path, full, inputs)
+        hashes = [found for _, found in inputs]
+        if hashes and (group in FILM or group in TABLE):
+            key = key_of(group, stamp.version, json.loads(stamp.settings), hashes)
+            if (key, digest(hashes)) != (stamp.key, stamp.input_hash):
+                yield Fault(path, full, "its key is not that of its settings, version and inputs", AGAIN)
+
+
+def _upstream(path: Path, full: str, inputs: list[list[str]]) -> Iterator[Fault]:
+    """Whether the groups that one was made from are there, and were not made again since."""
+    for name, key in inputs:
+        if found := _GROUP.fullmatch(name):
+            try:
+                held = store.stamp(path.parent / found[1] if found[1] else path, found[2])
+            except FrictrackError:
+                continue  # told of that file
+            if held is None:
+                yield Fault(path, full, f"was made from {name}, which is not there", AGAIN, "missing")
+            elif held.key != key:
+                yield Fault(path, full, f"was made from {name}, which was made again since", AGAIN, "outdated")
+
+
+def _tells_of_models(folder: Path) -> bool:
+    """Whether the log says that a model was fitted, and not forgotten since."""
+    there = False
+    with suppress(FrictrackError):  # told as damage
+        for change in Ledger(folder).changes:
+            there = change.do != "restart" and (there or "current" in change.after)
+    return there
+
+
+def _folder(folder: Path, sound: set[Path]) -> Iterator[Fault]:
+    """What lies beside the HDF5 files: the log, the report, and what a writer that was killed has left."""
+    try:
+        changes = Ledger(folder)
+        changes.stacks()
+        if changes.path.exists() and (text := changes.path.read_bytes()) and not text.endswith(b"\n"):
+            yield Fault(changes.path, "", "its last line is half-written", "the next change cuts it off", "leftover")
+    except (FrictrackError, IndexError, AttributeError) as e:
+        words, _, _ = str(e).removeprefix(f"{folder / NAME} ").partition("; ")
+        yield Fault(folder / NAME, "", words, "move it away; the models tried are not in it")
+    study = folder / "study.h5"
+    if _tells_of_models(folder) and not study.exists():
+        yield Fault(study, "", "the log tells of models that were tried, but this file is not there", AGAIN, "missing")
+    if study.resolve() in sound and "diagnosis" in store.names(study) and not (folder / "report.html").exists():
+        yield Fault(folder / "report.html", "", "there is a diagnosis but no report", "frictrack report", "missing")
+    for left in sorted(folder.glob(".*.part*")) if not is_busy(folder) else ():
+        yield Fault(left, "", "left by a writer that was killed", "delete it, nothing in it is lost", "leftover")

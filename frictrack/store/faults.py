@@ -1,0 +1,107 @@
+"""All that can be wrong with one file: its bytes, its schema, the checksums in it, its links to other files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+
+from frictrack.errors import FrictrackError
+from frictrack.store.door import REMEDY, border
+from frictrack.store.migrations import migrated
+from frictrack.store.seal import head
+from frictrack.store.sums import wrong_sums
+
+PATIENCE = 30.0  # s; HDF5 can search without end in a damaged file
+_CHILD = "import sys; from frictrack.store.faults import tell; tell(sys.argv[1])"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong, where, and what to do."""
+
+    file: Path
+    group: str  # "/motion/x"; "" where it is the file
+    what: str
+    do: str
+    kind: str = "damage"  # or "foreign", "link", "changed", "outdated", "missing", "leftover"
+
+    @property
+    def words(self) -> str:
+        """One line."""
+        return f"{', '.join(filter(None, (str(self.file), self.group)))}: {self.what}; {self.do}"
+
+
+def check(path: Path) -> list[Fault]:
+    """Every fault of one HDF5 file, none where it is sound. Nothing is raised whatever the file holds."""
+    try:
+        border(path, anew=True)
+    except (FrictrackError, OSError) as e:
+        return _hit(path, e)
+    if head(path) is not None:
+        return _inside(path)
+    found = _apart(path)  # without a seal: HDF5 might not survive it
+    return [Fault(path, "", "is damaged: HDF5 itself fails on it", REMEDY)] if found is None else found
+
+
+def _hit(path: Path, why: Exception) -> list[Fault]:
+    """Of a file whose bytes are not those that were written: the groups hit, as far as HDF5 can still tell."""
+    try:
+        told = head(path)
+    except OSError as e:
+        return [Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")]
+    what, _, do = str(why).removeprefix(f"{path} ").rpartition("; ")
+    if told is None or do == "update it":
+        return [Fault(path, "", what, do)]
+    whole = "some of its bytes are not those that were written, none of them in what is read"
+    return _apart(path) or [Fault(path, "", whole, REMEDY)]
+
+
+def _inside(path: Path) -> list[Fault]:
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            if "schema" not in file.attrs:
+                return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
+            now = migrated(file)
+            return [Fault(path, name, what, REMEDY) for name, what in wrong_sums(now)] + list(_links(path, now, "/"))
+    except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
+        return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
+
+
+def _links(path: Path, file: h5py.File, inside: str) -> Iterator[Fault]:
+    """Links that show nothing, or something outside the folder."""
+    for name in file[inside]:
+        link, full = file.get(f"{inside}{name}", getlink=True), f"{inside}{name}"
+        if isinstance(link, h5py.ExternalLink):
+            target = path.parent / link.filename
+            if Path(link.filename).name != link.filename:
+                yield Fault(path, full, f"links to {link.filename}, outside its folder", "frictrack never wrote that")
+            elif not target.exists():
+                yield Fault(path, full, f"links to {link.filename}, which is not there", "run the study", "link")
+        elif isinstance(link, h5py.SoftLink):
+            if full not in file:
+                yield Fault(path, full, f"links to {link.path}, which is not there", "run the study", "link")
+        elif isinstance(file[full], h5py.Group):
+            yield from _links(path, file, f"{full}/")
+
+
+def _apart(path: Path) -> list[Fault] | None:
+    """What is wrong inside, looked for by a process of its own; None where it crashes or never returns."""
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", _CHILD, str(path)], capture_output=True, timeout=PATIENCE, check=True
+        )
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
+        return None
+    return [Fault(path, **told) for told in json.loads(child.stdout)]
+
+
+def tell(path: str) -> None:
+    """Write what is wrong inside a file to stdout, in JSON."""
+    found = [{k: v for k, v in vars(fault).items() if k != "file"} for fault in _inside(Path(path))]
+    sys.stdout.write(json.dumps(found))

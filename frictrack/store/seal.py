@@ -1,0 +1,72 @@
+"""The seal of a file: its checksum stands in the 512 bytes before the HDF5 part, which HDF5 leaves to us.
+
+A damaged file must be known as such before HDF5 looks into it: on one flipped byte in a heap of strings its library
+may crash or never return. The seal also finds a flip where nothing else would, in the structure between the data.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+
+SCHEMA = 2  # of the layout; 1 had no checksums
+ROOM = 512  # bytes before the HDF5 part
+# Where sealed bytes begin. Before that stand the 48 of HDF5's superblock: a viewer that has the file open for editing
+# marks it there for as long, and HDF5 guards them by a checksum of its own, which it looks at first.
+START = ROOM + 48
+_MARK = "frictrack results, schema"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def seal(path: Path, version: str) -> None:
+    """Put the checksum of a finished file into its first bytes, beside its schema and what wrote it."""
+    room = _room(path, SCHEMA, version)
+    with path.open("r+b") as file:
+        file.write(room)
+
+
+def head(path: Path) -> tuple[int, str] | None:
+    """Schema and version that a seal names; None of a file without a seal: of schema 1, or another program's."""
+    with path.open("rb") as file:
+        first = file.read(ROOM).split(b"\n")[0].decode(errors="replace")
+    schema, _, version = first.removeprefix(_MARK).strip().partition(", written by ")
+    return (int(schema), version) if first.startswith(_MARK) and schema.isdecimal() else None
+
+
+def is_bare(path: Path) -> bool:
+    """Whether HDF5 begins with the first byte, as in files without a seal."""
+    with path.open("rb") as file:
+        return file.read(len(_HDF5)) == _HDF5
+
+
+def intact(path: Path, *, anew: bool = False) -> bool:
+    """Whether a file holds the bytes that were written.
+
+    One that was looked at is not read again as long as it is the same file; `anew` reads it in any case.
+    """
+    look = _intact.__wrapped__ if anew else _intact
+    return look(path, *state(path))
+
+
+def state(path: Path) -> tuple[int, int, int]:
+    """What tells one version of a file from another: its number in the file system, time and size."""
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=4096)
+def _intact(path: Path, *_: int) -> bool:
+    """The answer for one state of a file."""
+    told = head(path)
+    with path.open("rb") as file:
+        return told is not None and file.read(ROOM) == _room(path, *told)
+
+
+def _room(path: Path, schema: int, version: str) -> bytes:
+    """What stands before the HDF5 part of a sound file."""
+    first = f"{_MARK} {schema}, written by {version}\n"
+    with path.open("rb") as file:
+        file.seek(START)
+        digest = hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest()
+    return f"{first}sha256 of this line and all after byte {START}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"

@@ -1,0 +1,357 @@
+"""The store under ill treatment: flipped bytes, other programs, readers while a writer works, hostile links."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from frictrack import store
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study
+from frictrack.flow import schema as written
+from frictrack.store import Entry, Stamp
+from frictrack.store.sums import wrong_sums
+
+
+def sample(path: Path) -> Path:
+    """A file with all that a file may hold."""
+    rng = np.random.default_rng(0)
+    content: dict[str, Any] = {
+        "x": rng.normal(size=3000),
+        "n": np.arange(700),
+        "valid": rng.random(700) > 0.5,
+        "reason": np.array(["", "left the picture", "µ"] * 200),
+        "picture": rng.integers(0, 255, (20, 30), dtype=np.uint8),
+        "law": "F_c = 8 N",
+        "mass": 0.35,
+        "tau": None,
+        "names": [["a", "b"], []],
+        "long": "é" * 20_000,
+        "inside": {"k": 3, "y": np.zeros(5)},
+    }
+    stamp = Stamp("k" * 64, "h" * 64, '[[":/other", "k"]]', '{"mass": 0.35}')
+    store.write(path, {"models/1_tustin": Entry(content, stamp), "other": Entry({"n": 1}, stamp)})
+    store.write(path, {}, links={"diagnosis": "/models/1_tustin", "runs/v3": path.name})
+    return path
+
+
+def everything(path: Path) -> dict[str, Any]:
+    """All that anybody can read of a file by HDF5 alone."""
+    found: dict[str, Any] = {}
+
+    def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        value = item[()].tobytes() if isinstance(item, h5py.Dataset) else sorted(item)
+        attributes = {k: (str(getattr(v, "dtype", "")), str(v)) for k, v in item.attrs.items()}
+        found[name] = (value, str(getattr(item, "dtype", "")), attributes)
+
+    with h5py.File(path, "r", locking=False) as file:
+        look("/", file)
+        file.visititems(look)
+        for name in ("diagnosis", "runs/v3"):
+            found[name] = vars(file.get(name, getlink=True))
+    return found
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sample(tmp_path_factory.mktemp("sound") / "study.h5")
+
+
+def test_a_sound_file_has_no_faults(sound: Path) -> None:
+    assert store.check(sound) == []
+    assert [name for name, _ in wrong_sums(h5py.File(sound, locking=False))] == []
+
+
+def test_every_flipped_bit_of_the_first_bytes_is_found(sound: Path) -> None:
+    """The seal itself, and HDF5's superblock, which the seal leaves out."""
+    content, path = sound.read_bytes(), sound.with_name("flipped_head.h5")
+    for at in (*range(80), *range(store.ROOM - 4, store.START)):
+        for bit in range(8):
+            flipped = bytearray(content)
+            flipped[at] ^= 1 << bit
+            path.write_bytes(flipped)
+            with pytest.raises(FrictrackError, match="is damaged or is not HDF5"):
+                store.read(path, "models/1_tustin")
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_flipped_byte_is_found(sound: Path, data: st.DataObject) -> None:
+    """Wherever it is: in the numbers, in the structure, in the seal, in space that HDF5 does not use."""
+    content = bytearray(sound.read_bytes())
+    content[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    path = sound.with_name("flipped.h5")
+    path.write_bytes(content)
+    with pytest.raises(FrictrackError, match="is damaged or is not HDF5; delete it"):
+        store.read(path, "models/1_tustin")
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 0.999), name=st.sampled_from(["x", "n", "valid", "reason", "picture"]))
+def test_a_flip_in_numbers_names_them(sound: Path, share: float, name: str) -> None:
+    full = f"models/1_tustin/{name}"
+    content = bytearray(sound.read_bytes())
+    with h5py.File(sound, locking=False) as file:
+        chunk = file[full].id.get_chunk_info(0)
+    content[chunk.byte_offset + int(share * chunk.size)] ^= 0x04
+    path = sound.with_name("flipped_numbers.h5")
+    path.write_bytes(content)
+    with h5py.File(path, locking=False) as file:
+        assert [place for place, _ in wrong_sums(file)] == [f"/{full}"]
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_what_the_sums_of_the_groups_do_not_find_harms_nobody(sound: Path) -> None:
+    """Without the seal: a flip that no group's checksum finds leaves all that can be read as it was."""
+    rng, content, whole = np.random.default_rng(2), sound.read_bytes(), everything(sound)
+    path, found, harmless = sound.with_name("unsealed.h5"), 0, 0
+    with h5py.File(sound, locking=False) as file:
+        text = content.index(b'{"mass": 0.35}')  # strings lie in a heap where a flip may hang HDF5: the seal's part
+        assert file["other"].attrs["settings"] in content[text - 5 : text + 99].decode(errors="replace")
+    for at in (*rng.integers(0, len(content), 80), text + 3):
+        flipped = bytearray(content)
+        flipped[at] ^= 0x08
+        path.write_bytes(flipped)
+        context = multiprocessing.get_context("fork")
+        ask = context.Process(target=_compare, args=(path, whole))
+        ask.start()
+        ask.join(10)
+        if ask.is_alive():
+            ask.kill()
+        assert ask.exitcode != 2, f"byte {at} changes what is read and no checksum says so"
+        found, harmless = found + (ask.exitcode != 0), harmless + (ask.exitcode == 0)
+    assert found > 20
+    assert harmless > 5
+
+
+def _compare(path: Path, whole: dict[str, Any]) -> None:
+    """Leave with 1 where the sums find a fault; else with 0 where all is read as before, and with 2 where not."""
+    try:
+        with h5py.File(path, locking=False) as file:
+            faults = list(wrong_sums(file))
+        os._exit(1 if faults else 0 if everything(path) == whole else 2)
+    except Exception:  # noqa: BLE001
+        os._exit(1)
+
+
+def test_a_plain_reader_needs_nothing_of_ours(sound: Path) -> None:
+    code = f"""
+import sys, h5py
+with h5py.File({str(sound)!r}) as f:
+    g = f["models/1_tustin"]
+    print(g["x"].shape, g.attrs["law"], g["reason"].asstr()[2], g["valid"].dtype, f["diagnosis/inside"].attrs["k"],
+          f.userblock_size, f.attrs["schema"], "frictrack" in sys.modules)
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told == f"(3000,) F_c = 8 N µ bool 3 512 {store.SCHEMA} False\n"
+
+
+@pytest.mark.skipif(shutil.which("h5dump") is None, reason="hdf5-tools is not installed")
+def test_h5dump_and_h5ls_read_it(sound: Path) -> None:
+    def run(*command: str) -> str:
+        return subprocess.run([*command, str(sound)], capture_output=True, text=True, check=True).stdout
+
+    assert "F_c = 8 N" in run("h5dump", "-a", "/models/1_tustin/law")
+    assert "left the picture" in run("h5dump", "-d", "/models/1_tustin/reason", "-c", "3")
+    assert "Dataset {3000}" in run("h5ls", "-r")
+
+
+@pytest.mark.skipif(shutil.which("sha256sum") is None, reason="no sha256sum here")
+def test_the_seal_is_what_the_page_says(sound: Path) -> None:
+    line = next(line for line in written.page().splitlines() if "sha256sum" in line)
+    command = line.split("`")[1].replace("v3.h5", str(sound))
+    told = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True).stdout.split()[0]
+    assert sound.read_bytes()[: store.ROOM].decode().split("\n")[1].endswith(told)
+
+
+def test_the_page_is_that_of_the_code() -> None:
+    assert written.PAGE.read_text(encoding="utf-8") == written.page(), "python -m frictrack.flow.schema"
+
+
+def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session(open_study(study_file))
+    session.fit()
+    session.compare()
+    for stage in session.runs[0].stages:
+        session.runs[0].get(stage)
+    page, own = written.page(), {*vars(Stamp()), "sha256"}
+    results = study_file.parent / "study_results"
+    with h5py.File(results / "slow.h5") as file:
+        for stage, group in file.items():
+            section = page.split(f"### `/{stage}`")[1].split("###")[0]
+            for name in {*group, *group.attrs} - own:
+                assert f"| `{name.removesuffix('_unit')}` |" in section, f"{stage}/{name}"
+            for name, item in group.items():
+                if isinstance(item, h5py.Dataset):
+                    row = next(line for line in section.splitlines() if line.startswith(f"| `{name}` |"))
+                    unit, kind = item.attrs["unit"], row.split("|")[3].strip()
+                    assert row.split("|")[4].strip() == unit
+                    assert kind.startswith(str(item.dtype)), row
+    with h5py.File(results / "study.h5") as file:
+        assert set(file) <= set(written.ASIDE)
+        (model,) = file["models"].values()
+        assert {*model, *model.attrs} - own <= set(written.MODEL)
+        for part, kind in (("curves", "curves/<number>_<run>"), ("motion", "motion/<run>")):
+            section = page.split(f"### `{kind}`")[1].split("###")[0]
+            for group in model[part].values():
+                for name in {*group, *group.attrs} - own:
+                    assert f"| `{name}` |" in section, f"{part}/{name}"
+    shutil.copy(results / "slow.h5", results / "v3.h5")
+    monkeypatch.chdir(results)
+    exec(page.split("```python")[1].split("```")[0], {})
+
+
+def _replace_on(path: Path, stop: Any) -> None:
+    """Write generation after generation: every number of both groups is the generation's."""
+    generation = 1
+    while not stop.is_set():
+        some, other = ({"x": np.full(4000, float(generation)), "n": generation} for _ in range(2))
+        store.write(path, {"a": Entry(some), "b/c": Entry(other)})
+        generation += 1
+
+
+def _ours(path: Path, out: Any) -> None:
+    """Reads until the file was replaced twenty times before its eyes."""
+    seen: set[int] = set()
+    while len(seen) < 20:
+        with store.held(path):
+            a, b = store.read(path, "a"), store.read(path, "b/c")
+        assert store.read(path, "a")["n"] >= a["n"]
+        assert {a["n"], *a["x"]} == {b["n"], *b["x"]} == {float(a["n"])}, "torn"
+        assert store.check(path) == []
+        seen.add(int(a["n"]))
+    out.put(len(seen))
+
+
+def _theirs(path: Path, out: Any) -> None:
+    """The same by plain h5py with its locks, which keeps the file open for a while."""
+    seen: set[int] = set()
+    while len(seen) < 20:
+        with h5py.File(path) as file:
+            first = file["a"].attrs["n"]
+            time.sleep(0.05)
+            assert np.all(file["a/x"][:] == first)
+            assert np.all(file["b/c/x"][:] == first)
+        seen.add(int(first))
+    out.put(len(seen))
+
+
+def test_readers_see_whole_versions_while_a_writer_works(tmp_path: Path) -> None:
+    path = tmp_path / "study.h5"
+    store.write(path, {name: Entry({"x": np.zeros(4000), "n": 0}) for name in ("a", "b/c")})
+    context = multiprocessing.get_context("spawn")
+    stop, out = context.Event(), context.Queue()
+    readers = [context.Process(target=target, args=(path, out)) for target in (_ours, _theirs)]
+    writer = context.Process(target=_replace_on, args=(path, stop))
+    with h5py.File(path) as kept:  # opened before, read after it was replaced many times
+        for process in (writer, *readers):
+            process.start()
+        for process in readers:
+            process.join(100)
+        stop.set()
+        writer.join(20)
+        assert np.all(kept["a/x"][:] == 0)
+    assert [process.exitcode for process in (*readers, writer)] == [0, 0, 0]
+    assert [out.get(timeout=5) for _ in readers] == [20, 20]
+
+
+def test_a_viewer_that_has_the_file_open_for_writing_stops_nobody(tmp_path: Path) -> None:
+    """HDF5 would lock it; we do not ask for its locks, which network drives may lack."""
+    path = tmp_path / "v3.h5"
+    store.write(path, {"a": Entry({"n": 1})})
+    code = f"import h5py, sys; f = h5py.File({str(path)!r}, 'r+'); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as viewer:
+        assert viewer.stdout is not None
+        assert viewer.stdout.readline() == "open\n"
+        assert store.read(path, "a") == {"n": 1}
+        store.write(path, {"a": Entry({"n": 2})})
+        viewer.communicate("", timeout=20)
+    assert store.read(path, "a") == {"n": 2}
+    assert store.check(path) == []
+
+
+def test_a_hostile_link_is_not_written_through(tmp_path: Path) -> None:
+    outside = tmp_path / "outside" / "theirs.h5"
+    store.write(outside, {"models/1": Entry({"n": 1})})
+    before = outside.read_bytes()
+    path = tmp_path / "lab" / "study.h5"
+    store.write(path, {}, links={"models": "../outside/theirs.h5"})
+    for change in (
+        {"groups": {"models/2": Entry({"n": 2})}},
+        {"groups": {}, "marks": {"models": {"n": 3}}},
+        {"groups": {}, "remove": ("models/models",)},
+    ):
+        with pytest.raises(FrictrackError, match=r"expected the group /models in .* but it is a link"):
+            store.write(path, **change)  # type: ignore[arg-type]
+    with pytest.raises(FrictrackError, match="but it is another thing"):
+        store.read(path, "models")
+    assert outside.read_bytes() == before
+
+
+def test_numbers_in_another_file_are_not_read(tmp_path: Path) -> None:
+    """As a hostile file could ask for."""
+    (tmp_path / "secret").write_bytes(b"12345678")
+    path = tmp_path / "v3.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs.update(schema=1, version="0.1.0")
+        group = file.create_group("a")
+        group.create_dataset("x", shape=(8,), dtype="u1", external=[(str(tmp_path / "secret"), 0, 8)])
+    with pytest.raises(FrictrackError, match="points into another file"):
+        store.read(path, "a")
+
+
+def test_a_table_that_changes_while_it_is_read_is_measured_again(
+    study_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was read is never said to be what came after."""
+    from frictrack.flow import stages  # noqa: PLC0415
+
+    table, original = study_file.parent / "slow.csv", stages.own_table
+    late = table.read_text()[:-3] + "7\n"
+
+    def changed_meanwhile(run: Any) -> Any:
+        found = original(run)
+        if run.name == "slow":
+            table.write_text(late)
+        return found
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(stages, "own_table", changed_meanwhile)
+        Session(open_study(study_file)).bring_up_to("displacement")
+    work = Session(open_study(study_file)).runs[[r.name for r in open_study(study_file).runs].index("slow")]
+    assert not work.is_current("displacement")
+    assert work.get("displacement").x[-1] == np.loadtxt(table, delimiter=",", skiprows=1)[-1, 1]
+
+
+def test_times_of_files_and_clocks_that_jump_do_not_matter(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Session(open_study(study_file)).bring_up_to("motion")
+    results = study_file.parent / "study_results"
+    before = {path: path.read_bytes() for path in results.glob("*.h5")}
+    for at, path in enumerate([*before, *study_file.parent.glob("*.csv"), study_file]):
+        os.utime(path, (at * 1e9, at * 1e9))  # 1970, 2001, 2033, ...
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    Session(open_study(study_file)).bring_up_to("motion")
+    assert {path: path.read_bytes() for path in results.glob("*.h5")} == before
+
+
+def test_stamps_name_every_input(study_file: Path) -> None:
+    work = Session(open_study(study_file)).runs[0]
+    work.get("motion")
+    stamps = store.stamps(work.path)
+    assert [name for name, _ in json.loads(stamps["displacement"].inputs)] == [f"{work.run.name}.csv"]
+    assert json.loads(stamps["motion"].inputs) == [[":/filtered", stamps["filtered"].key]]
