@@ -18,11 +18,13 @@ from typing import Any
 import h5py
 import numpy as np
 
+from frictrack.claims import array_of, once
 from frictrack.errors import FrictrackError
 from frictrack.files import alone, replaced
 from frictrack.results import plain
 
 VERSION = version("frictrack")
+REMEDY = "delete it and run again, the recordings are untouched"
 NOTHING: Mapping[str, Any] = {}
 SCHEMA = 1  # of the layout; a file with a higher number was written by a later frictrack
 _STRING = h5py.string_dtype()
@@ -63,6 +65,8 @@ def write(
     they hold. Raises `FrictrackError` when the file that is there is not ours, or the folder cannot be written.
     """
     with _replacing(path) as file:
+        for name in (*remove, *groups, *links, *(f"{name}/" for name in marks)):
+            _guard(file, path, name)
         for name in (*remove, *groups, *links):
             if file.get(name, getlink=True) is not None:
                 del file[name]
@@ -83,9 +87,10 @@ def read(path: Path, group: str, kind: Any = dict) -> Any:
     Raises `FrictrackError` when the file is not ours, is damaged, or has no such group.
     """
     with _reading(path) as file:
-        if group not in file:
+        found = _found(file, path, group)
+        if found is None:
             raise FrictrackError(f'{path} holds no "{group}"; run the study again')
-        return _take(file[group]) if kind is dict else _record(file[group], kind)
+        return _take(found, set()) if kind is dict else _record(found, kind)
 
 
 def stamp(path: Path, group: str) -> Stamp | None:
@@ -99,7 +104,8 @@ def attributes(path: Path, group: str) -> dict[str, Any]:
     if not path.exists():
         return {}
     with _reading(path) as file:
-        return {k: _number(v) for k, v in file[group].attrs.items()} if group in file else {}
+        found = _found(file, path, group)
+        return {} if found is None else {k: _number(v) for k, v in found.attrs.items()}
 
 
 def names(path: Path, group: str = "/") -> list[str]:
@@ -107,12 +113,11 @@ def names(path: Path, group: str = "/") -> list[str]:
     if not path.exists():
         return []
     with _reading(path) as file:
-        return list(file[group]) if group in file else []
+        return list(_found(file, path, group) or ())
 
 
 @contextmanager
 def _reading(path: Path) -> Iterator[h5py.File]:
-    remedy = "delete it and run again, the recordings are untouched"
     try:
         with h5py.File(path, "r") as file:
             if "schema" not in file.attrs:
@@ -130,8 +135,8 @@ def _reading(path: Path) -> Iterator[h5py.File]:
         raise FrictrackError(f"cannot read {path}: permission denied") from e
     except FrictrackError:
         raise
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as e:
-        raise FrictrackError(f"{path} is damaged or is not HDF5; {remedy}") from e
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as e:
+        raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}") from e
 
 
 @contextmanager
@@ -152,6 +157,29 @@ def _copy(old: h5py.File, new: h5py.File) -> None:
             new[name] = link
         else:
             old.copy(name, new)
+
+
+def _guard(file: h5py.File, path: Path, name: str) -> None:
+    """Raise where the way to a group (`name` up to its last slash) is a link: what is written must stay in the file."""
+    inside = ""
+    for part in name.split("/")[:-1]:
+        inside = f"{inside}/{part}"
+        link = file.get(inside, getlink=True)
+        if link is not None and not isinstance(link, h5py.HardLink):
+            raise FrictrackError(f"expected the group {inside} in {path} but it is a link; {REMEDY}")
+
+
+def _found(file: h5py.File, path: Path, name: str) -> h5py.Group | None:
+    """The group of that name, also where a link shows it inside the same file; None where there is none.
+
+    Raises `FrictrackError` where a link leads out of the file.
+    """
+    if name not in file:
+        return None
+    found = file[name]
+    if found.file.filename != file.filename or not isinstance(found, h5py.Group):
+        raise FrictrackError(f'expected the group "{name}" in {path} but it is another thing; {REMEDY}')
+    return found
 
 
 def _put(group: h5py.Group, content: Any) -> None:
@@ -186,28 +214,30 @@ def _put_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5p
     return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
 
 
-def _array(dataset: h5py.Dataset) -> Any:
-    if h5py.check_string_dtype(dataset.dtype) is None:
-        return dataset[()]
-    text = dataset.asstr()[()]
-    return text if isinstance(text, str) else np.asarray(text, dtype=np.str_)
+def _members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    """What lies in a group itself; a link to somewhere else is not followed."""
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            yield name, group[name]
 
 
-def _take(group: h5py.Group) -> dict[str, Any]:
-    """Everything in a group as a dictionary, without the stamp."""
+def _take(group: h5py.Group, met: set[int]) -> dict[str, Any]:
+    """Everything in a group as a dictionary, without the stamp; `met` are the groups above and beside it."""
+    once(group, met)
     stamped = {f.name for f in fields(Stamp)}
     content = {k: _listed(_number(v)) for k, v in group.attrs.items() if k not in stamped}
-    for name, item in group.items():
-        content[name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
+    for name, item in _members(group):
+        content[name] = _take(item, met) if isinstance(item, h5py.Group) else array_of(item)
     return content
 
 
 def _record(group: h5py.Group, kind: Any) -> Any:
     values = {}
+    inside = dict(_members(group))
     for f in fields(kind):
-        if f.name in group:
-            item = group[f.name]
-            values[f.name] = _take(item) if isinstance(item, h5py.Group) else _array(item)
+        if f.name in inside:
+            item = inside[f.name]
+            values[f.name] = _take(item, set()) if isinstance(item, h5py.Group) else array_of(item)
         elif f.name in group.attrs:
             raw = _number(group.attrs[f.name])
             is_tuple = raw is not None and str(f.type).startswith("tuple")
