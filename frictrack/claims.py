@@ -32,10 +32,10 @@ def array_of(dataset: Any) -> Any:
         raise ValueError(f"expected at most {most} bytes but {dataset.name} claims {max(dataset.nbytes, chunk)}")
     if text is None:
         return dataset[()]
-    return _strings(dataset, _DENSEST * size + _FREE)
+    return _strings(dataset, 16 * size + _FREE if text.length is None else math.inf)
 
 
-def _strings(dataset: Any, most: int) -> Any:
+def _strings(dataset: Any, most: float) -> Any:
     """All strings (n,) of a dataset, or the only one; many may stand for the same bytes of the file."""
     if dataset.ndim != 1:
         text = dataset.asstr()[()]

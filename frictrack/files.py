@@ -45,6 +45,21 @@ def alone(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+def inner(folder: Path, name: str) -> Path:
+    """The folder of that name inside a folder of results, made where there is none.
+
+    Raises `FrictrackError` where it cannot be made, or a link to elsewhere stands in its place.
+    """
+    path = folder / name
+    if path.is_symlink():
+        raise FrictrackError(f"expected a folder {path} but it is a link to elsewhere; remove the link")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {path}: {e.strerror or e}") from e
+    return path
+
+
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.

@@ -121,8 +121,6 @@ class Ledger:
             self._mend()
             change = Change(self.rev + 1, datetime.now().astimezone().isoformat(timespec="seconds"), self.who, do, told)
             yield change
-            if self.path.is_symlink():
-                raise FrictrackError(f"expected the log in {self.path} but it is a link to elsewhere; move it away")
             with self.path.open("ab") as log:
                 log.write(json.dumps(vars(change), ensure_ascii=False).encode() + b"\n")
                 log.flush()
@@ -131,6 +129,8 @@ class Ledger:
 
     def _mend(self) -> None:
         """Cut off what a power cut left half-written."""
+        if self.path.is_symlink():
+            raise FrictrackError(f"expected the log in {self.path} but it is a link to elsewhere; move it away")
         if self.path.exists() and not (text := self.path.read_bytes()).endswith(b"\n") and text:
             with self.path.open("r+b") as log:
                 log.truncate(text.rfind(b"\n") + 1)

@@ -30,7 +30,6 @@ in the law also the drive of every run as it was measured.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
@@ -51,6 +50,7 @@ from frictrack.simulate.foreground import Highlight, Rod
 from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Conditions, Slide, simulate
 from frictrack.simulate.texture import Surface
+from frictrack.study import read_toml
 
 Progress = Callable[[int, int, str], None]
 KEYS = {
@@ -95,10 +95,7 @@ def read_scene(text: str) -> Scene:
     Raises FrictrackError (usage) for what is no TOML, a key that a scene does not have, a value of the wrong kind, or
     a scene without law or runs.
     """
-    try:
-        raw = tomllib.loads(text)
-    except (ValueError, RecursionError) as fault:  # a number of too many digits, brackets without end
-        raise FrictrackError(f"scene: expected TOML but got a fault: {fault}", usage=True) from None
+    raw = read_toml("scene", text)
     faults = _kind_faults(raw) or _key_faults(raw) + [f for run in raw["run"] for f in _run_faults(run)]
     if faults:
         raise FrictrackError("scene: " + "; ".join(faults), usage=True)

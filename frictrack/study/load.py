@@ -24,7 +24,9 @@ TABLES: dict[str, type[Keys]] = {
 ALLOWED = "FRICTRACK_OUTPUTS"  # folders, as in PATH, into which study files from elsewhere may write
 MANY = ("run", "effect")  # written with two brackets
 TAKEN = "study"  # the results of all runs together are called so
-LARGEST = 1 << 20  # bytes of a study file; one of a thousand runs has 100 kB
+LARGEST = 1 << 19  # bytes of a study file; one of a thousand runs has 100 kB
+DEEPEST = 50  # dots of a line outside of texts and numbers: a dotted key takes a time that goes with their square
+_NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,23 @@ def load(path: str | Path, *, bare: bool = False) -> Study:
 
 def parse(path: Path, text: str, *, bare: bool = False) -> Study:
     """The same of a study file's text, which need not be written yet."""
-    try:
-        raw = tomllib.loads(text)
-    except (ValueError, RecursionError) as e:  # a number of more digits than Python reads, brackets without end
-        raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
+    raw = read_toml(path.name, text)
     reader = _Reader(text, {"folder": path.parent}, bare=bare)
     study = reader.study(path, raw)
     if reader.faults or study is None:
         raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults), usage=True)
     return study
+
+
+def read_toml(name: str, text: str) -> dict[str, Any]:
+    """The tables of a text; raises `FrictrackError` (usage) where it is no TOML, or one that takes for ever."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > DEEPEST and _NO_KEY.sub("", line).count(".") > DEEPEST:
+            raise FrictrackError(f"{name} is not valid TOML: line {number} has too many dots", usage=True)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as e:  # a number of more digits than Python reads, brackets without end
+        raise FrictrackError(f"{name} is not valid TOML: {e}", usage=True) from e
 
 
 def _read(path: Path) -> str:
@@ -78,10 +88,8 @@ def _read(path: Path) -> str:
         if path.exists() and not path.is_file():
             raise FrictrackError(f"expected a study file but {path} is none", usage=True)
         if (size := path.stat().st_size) > LARGEST:
-            raise FrictrackError(
-                f"{path.name}: expected a study file of at most {LARGEST >> 20} MB but got {size / 1e6:.0f} MB",
-                usage=True,
-            )
+            most = f"expected a study file of at most {LARGEST >> 10} kB"
+            raise FrictrackError(f"{path.name}: {most} but got {size / 1e3:.0f} kB", usage=True)
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as e:
         raise FrictrackError(

@@ -158,11 +158,8 @@ def _sheet(path: Path) -> pd.DataFrame:
             unpacked = sum(part.file_size for part in packed.infolist())
         if unpacked > MOST_UNPACKED:
             raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        try:
-            rows = list(_filled(book.worksheets[0]))
-        finally:
-            book.close()
+        with path.open("rb") as file:
+            rows = list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
     except OSError:
         raise
     except Exception as e:  # damaged parts make openpyxl fail in many ways
@@ -174,6 +171,7 @@ def _sheet(path: Path) -> pd.DataFrame:
 
 def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
     """Rows in which something stands; the sheet itself may claim any number of them."""
+    sheet.reset_dimensions()
     for i, row in enumerate(sheet.iter_rows(max_col=MOST_COLUMNS, values_only=True)):
         if i == MOST_ROWS:
             raise ValueError(f"more than {MOST_ROWS} rows")

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import resource
 import subprocess
 import sys
 import tempfile
@@ -20,18 +19,10 @@ import warnings
 from pathlib import Path
 
 TIMEOUT = 10  # s for one input
-MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
 FOUND = Path(tempfile.gettempdir()) / "frictrack_fuzz"
 ROOM = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files that live for a millisecond
 END = re.compile(r"number_of_executed_units:\s*(\d+)")
 COVERED = re.compile(r"cov: (\d+)")
-
-
-def bounded() -> None:
-    """Refuse memory beyond the limit: a header that promises a huge film becomes a MemoryError."""
-    held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    limit = held + (MEMORY << 20)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def once(name: str, data: bytes) -> str:
@@ -54,11 +45,11 @@ def work(name: str, folder: Path, seconds: int) -> None:
     for i, seed in enumerate(targets.TARGETS[name].seeds()):
         (corpus / f"seed_{i}").write_bytes(seed)
         once(name, seed)  # what is loaded late is loaded before memory is bounded
-    bounded()
+    targets.bounded()
     flags = {
         "max_total_time": seconds,
         "timeout": TIMEOUT,
-        "rss_limit_mb": 2 * MEMORY,
+        "rss_limit_mb": 2 * targets.MEMORY,
         "max_len": targets.TARGETS[name].longest,
         "artifact_prefix": f"{folder / name}/",
         "print_final_stats": 1,
@@ -100,7 +91,7 @@ def main() -> int:
     if asked.work:
         work(asked.targets[0], asked.found, asked.seconds)
         return 0
-    from targets import TARGETS  # noqa: PLC0415
+    from targets import TARGETS, bounded  # noqa: PLC0415
 
     wrong = [name for name in asked.targets if name not in TARGETS]
     if wrong or (asked.replay and len(asked.targets) != 1):

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -89,19 +90,23 @@ def sheet() -> bytes:
         return book.read("xl/worksheets/sheet1.xml")
 
 
-def workbook(sheet: bytes | None = None) -> bytes:
-    """A workbook of a short table; with another sheet in its place where one is given."""
+@cache
+def workbook() -> bytes:
+    """A workbook of a short table."""
     table = pd.DataFrame({"t_s": np.arange(5) / 1000, "x_m": np.linspace(0, 1, 5)})
-    plain = made("table.xlsx", lambda path: table.to_excel(path, index=False))
-    if sheet is None:
-        return plain
+    return made("table.xlsx", lambda path: table.to_excel(path, index=False))
+
+
+def workbook_of(sheet: bytes) -> bytes:
+    """The same with another sheet in its place."""
     out = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(plain)) as old, zipfile.ZipFile(out, "w") as new:
+    with zipfile.ZipFile(io.BytesIO(workbook())) as old, zipfile.ZipFile(out, "w") as new:
         for name in old.namelist():
             new.writestr(name, sheet if name.endswith("sheet1.xml") else old.read(name))
     return out.getvalue()
 
 
+@cache
 def results() -> bytes:
     """A file of results: a track, its displacement, a model in words."""
     t = np.arange(5) / 4000

@@ -6,10 +6,12 @@ A function may return or raise one `FrictrackError` of one line; anything else i
 from __future__ import annotations
 
 import re
+import resource
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 import seeds
 from seeds import CAMERAS, ROOT
@@ -28,6 +30,7 @@ from frictrack.simulate.scene import read_scene
 from frictrack.study import edited, load, parse, read_clocked, read_table
 from frictrack.units import coherent, quantity
 
+MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
 LONGEST = 12_000  # characters of an error
 Use = Callable[[bytes, Path], None]
 
@@ -52,6 +55,13 @@ def excused(target: Target, data: bytes, folder: Path) -> str:
             raise AssertionError(f"expected one line of an error but got {said[:2000]!r}") from error
         return said
     return ""
+
+
+def bounded() -> None:
+    """Refuse this process memory beyond the limit: a header that promises a huge film becomes a MemoryError."""
+    held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limit = held + (MEMORY << 20)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 # ---- recordings
@@ -164,7 +174,7 @@ def table(data: bytes, folder: Path) -> None:
 def workbook(data: bytes, folder: Path) -> None:
     """A run as an Excel table, of which the XML of the sheet is fuzzed."""
     path = folder / "table.xlsx"
-    path.write_bytes(seeds.workbook(data))
+    path.write_bytes(seeds.workbook_of(data))
     _sound(read_table(path))
 
 
@@ -202,10 +212,42 @@ def lens(data: bytes, folder: Path) -> None:
 # ---- results
 
 
+def edited_results(data: bytes, folder: Path) -> None:
+    """A sound HDF5 file of other contents than ours: every four bytes take away, replace or add something."""
+    path = folder / "run.h5"
+    path.write_bytes(seeds.results())
+    with h5py.File(path, "r+") as file:
+        for at in range(0, min(len(data), 40) - 3, 4):
+            _edit(file, *data[at : at + 4])
+    _used(path)
+
+
+def _edit(file: h5py.File, what: int, where: int, which: int, value: int) -> None:
+    names: list[str] = []
+    file.visit(names.append)
+    place = file[names[where % len(names)]] if names else file
+    group = place if isinstance(place, h5py.Group) else place.parent
+    known = sorted({*place.attrs, *(group if what % 2 else ()), "schema", "new"})
+    name, odd = known[which % len(known)], ODD[value % len(ODD)]
+    if what % 3 == 0 and names:
+        del file[place.name]
+    elif what % 3 == 1:
+        place.attrs[name] = odd
+    else:
+        if name in group:
+            del group[name]
+        group[name] = group if value == 255 else odd
+
+
 def results(data: bytes, folder: Path) -> None:
-    """A file of results, read and written to."""
+    """The bytes of a file of results."""
     path = folder / "run.h5"
     path.write_bytes(data)
+    _used(path)
+
+
+def _used(path: Path) -> None:
+    """A file of results, read and written to."""
     for name in store.names(path):
         store.stamp(path, name)
         store.read(path, name)
@@ -221,9 +263,27 @@ def log(data: bytes, folder: Path) -> None:
     (folder / "log.jsonl").write_bytes(data)
     ledger = Ledger(folder)
     ledger.stacks()
-    assert all(change.words for change in ledger.changes)
+    assert all(isinstance(change.words, str) for change in ledger.changes)
 
 
+ODD = (
+    *(
+        0,
+        -1,
+        2**63 - 1,
+        1e308,
+        np.nan,
+        True,
+        "",
+        "[",
+        "[[1, 2], 3]",
+        '{"a": 1}',
+        "x" * 20_000,
+        "\ud800".encode("utf-8", "replace"),
+    ),
+    *(np.zeros(0), np.zeros((2, 3)), np.arange(5.0), np.full(5, np.nan), np.arange(5)[::-1], np.zeros(5, "c16")),
+    *(np.array([b"a", b"\xff"]), h5py.Empty("f8"), np.zeros(3, [("a", "f8")]), np.datetime64("NaT").astype("i8")),
+)  # what may stand in an HDF5 file
 CSV = "t_s,x_m,sigma_m\n0,0,1e-5\n0.001,0.002,1e-5\n0.002,0.0039,1e-5\n"
 GERMAN = "t_s;x_m\n0,000;0,001\n0,001;0,002\n0,002;0,003\n"
 CLOCKED = "# logger 7\nt_s,a_m_s2,friction_N\n0,1,2\n0.001,,2.1\n0.002,1.2,2.0\n0.003,1.1,2.2\n"
@@ -294,7 +354,8 @@ TARGETS = {
         Target("workbook", lambda: [seeds.workbook()], packed, 1 << 14),
         Target("sensor", lambda: seeds.texts(CLOCKED), sensor),
         Target("lens", lambda: seeds.texts(LENS, '{"K": [[800,0,320],[0,800,240],[0,0,1]], "D": [0,0,0,0]}'), lens),
-        Target("store", lambda: [seeds.results(), seeds.foreign()], results, 1 << 17),
+        Target("store", lambda: [b"\0\1\2\3" * 4, bytes(range(40))], edited_results, 40),
+        Target("hdf5", lambda: [seeds.results(), seeds.foreign()], results, 1 << 17),
         Target("log", lambda: seeds.texts(LOG), log),
     )
 }
