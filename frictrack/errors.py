@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+LONGEST = 8000  # characters of a message
+
 
 class FrictrackError(ValueError):
     """Bad input or an answer that cannot be given: what was expected, what came, what to do.
 
     The message is one clear sentence (several faults are joined by ``"; "``). The command line prints
     it and exits 1, or exits 2 when ``usage`` is true (the command or the study file was written wrongly).
+    What a file says may stand in it: signs that a terminal would obey are spelled out, its middle is left out where
+    it is very long.
     """
 
     def __init__(self, message: str, *, usage: bool = False) -> None:
-        super().__init__(message)
+        super().__init__(_line(message))
         self.usage = usage
+
+
+def _line(message: str) -> str:
+    if len(message) > LONGEST:
+        message = f"{message[: LONGEST // 2]} ... {message[-LONGEST // 4 :]}"
+    if message.isprintable():
+        return message
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
 
 
 def gather(faults: list[str], what: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.files import inner, replaced
 from frictrack.records import Modelled
 from frictrack.results import Results, RunResults
 
@@ -29,11 +30,11 @@ def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
     if any(run.budget for run in results.runs):
         tables["budget"] = _budget(results)
     if to == "csv":
-        folder = results.output / "csv"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = inner(results.output, "csv")
         paths = [folder / f"{name}.csv" for name in tables]
         for path, table in zip(paths, tables.values(), strict=True):
-            table.to_csv(path, index=False)
+            with replaced(path) as part:
+                table.to_csv(part, index=False)
         return paths
     return [_workbook(tables, results.output / f"{results.path.stem}.xlsx")]
 
@@ -42,7 +43,7 @@ def _workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
     import pandas as pd  # noqa: PLC0415 - slow to load
 
     try:
-        with pd.ExcelWriter(path, engine="openpyxl") as book:
+        with replaced(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
             for name, table in tables.items():
                 table.to_excel(book, sheet_name=name[:31], index=False)
     except ImportError as e:

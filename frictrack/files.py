@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,7 +13,16 @@ from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
 
+LONGEST_NAME = 100  # characters; a word and a suffix stand behind it
+_NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
+_RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
 PATIENCE = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
+
+
+def is_file_name(name: str) -> bool:
+    """Whether files can be called so on every system; a path out of the folder cannot."""
+    fits = len(name.encode(errors="replace")) <= 2 * LONGEST_NAME and len(name) <= LONGEST_NAME
+    return fits and _NAME.fullmatch(name) is not None and not _RESERVED.fullmatch(name)
 
 
 @contextmanager
@@ -48,6 +58,21 @@ def is_busy(folder: Path) -> bool:
         return False  # one that nobody may write
     lock.release()
     return False
+
+
+def inner(folder: Path, name: str) -> Path:
+    """The folder of that name inside a folder of results, made where there is none.
+
+    Raises `FrictrackError` where it cannot be made, or a link to elsewhere stands in its place.
+    """
+    path = folder / name
+    if path.is_symlink():
+        raise FrictrackError(f"expected a folder {path} but it is a link to elsewhere; remove the link")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {path}: {e.strerror or e}") from e
+    return path
 
 
 @contextmanager

@@ -11,6 +11,9 @@ import numpy as np
 from frictrack.errors import FrictrackError
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# Pint works out any arithmetic, and 9**9**9 has no end: only a name has an exponent, of two digits at most.
+_ENDLESS = re.compile(r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]")
+_LONGEST = 60  # characters of a unit
 _QUANTITY = re.compile(
     rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
 )
@@ -29,12 +32,20 @@ def quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
     if isinstance(text, str):
         value, std = _parse(text, unit, what)
     elif isinstance(text, (int, float, np.number)) and not isinstance(text, bool):
-        value, std = float(text), 0.0
+        value, std = _float(text), 0.0
     else:
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
     if not np.isfinite(value):
         raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
     return value, std
+
+
+def _float(number: float) -> float:
+    """A float; a whole number beyond all floats is infinite."""
+    try:
+        return float(number)
+    except OverflowError:
+        return np.inf
 
 
 def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
@@ -44,7 +55,7 @@ def _parse(text: str, unit: str, what: str) -> tuple[float, float]:
     value, std = float(match["value"]), float(match["std"] or 0.0)
     if match["percent"]:
         std *= abs(value) / 100
-    if std < 0:
+    if not 0 <= std < np.inf:
         raise FrictrackError(f'expected an uncertainty of {what} above 0 but got "{text}"')
     if not match["unit"]:
         return value, std
@@ -56,6 +67,8 @@ def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
     """`values` from unit `source` to unit `target`."""
     import pint  # noqa: PLC0415 - half a second that only texts with units need to pay
 
+    if len(source) > _LONGEST or _ENDLESS.search(source):
+        raise FrictrackError(f'{_expected(target, what)} but got "{source[:_LONGEST]}" as its unit')
     try:
         return _registry().Quantity(values, _spell(source)).to(_spell(target)).magnitude
     except pint.UndefinedUnitError as error:

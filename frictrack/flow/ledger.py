@@ -39,6 +39,16 @@ class Change:
         return " ".join((self.do, *(str(word) for word in self.told.values() if word is not None)))
 
 
+def _sound(change: Change) -> bool:
+    """Whether every part of a line is of its kind."""
+    words, tables = (change.at, change.who, change.do), (change.told, change.before, change.after)
+    return (
+        isinstance(change.rev, int)
+        and all(isinstance(word, str) for word in words)
+        and all(isinstance(table, dict) for table in tables)
+    )
+
+
 class Ledger:
     """The log of one study. `seen` is the revision that the one who changes it has before their eyes; None: any."""
 
@@ -56,9 +66,16 @@ class Ledger:
         except FileNotFoundError:
             return []
         try:
-            return [Change(**json.loads(line)) for line in lines]
-        except (ValueError, TypeError) as e:
-            raise FrictrackError(f"{self.path} is damaged; move it away, the models tried are not in it") from e
+            changes = [Change(**json.loads(line)) for line in lines]
+        except (ValueError, TypeError, RecursionError) as e:
+            raise FrictrackError(self._damaged) from e
+        if not all(_sound(change) for change in changes):
+            raise FrictrackError(self._damaged)
+        return changes
+
+    @property
+    def _damaged(self) -> str:
+        return f"{self.path} is damaged; move it away, the models tried are not in it"
 
     @property
     def rev(self) -> int:
@@ -70,6 +87,8 @@ class Ledger:
         done: list[Change] = []
         undone: list[Change] = []
         for change in self.changes:
+            if (change.do == "undo" and not done) or (change.do == "redo" and not undone):
+                raise FrictrackError(self._damaged)
             if change.do == "undo":
                 undone.append(done.pop())
             elif change.do == "redo":
@@ -110,6 +129,8 @@ class Ledger:
 
     def _mend(self) -> None:
         """Cut off what a power cut left half-written."""
+        if self.path.is_symlink():
+            raise FrictrackError(f"expected the log in {self.path} but it is a link to elsewhere; move it away")
         if self.path.exists() and not (text := self.path.read_bytes()).endswith(b"\n") and text:
             with self.path.open("r+b") as log:
                 log.truncate(text.rfind(b"\n") + 1)

@@ -19,6 +19,8 @@ from frictrack.recording.base import Frame, Header, Recording
 
 # What FFmpeg and OpenCV would say on stderr about broken files, `Recording` says in words.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+# FFmpeg goes by the content and also knows lists of other files and addresses: a film must be the film itself.
+os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file|format_whitelist;avi,mov,matroska")
 if "OPENCV_LOG_LEVEL" not in os.environ:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
@@ -65,7 +67,8 @@ class Video(Recording):
             yield cast(Frame, frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
 
     def _capture(self) -> cv2.VideoCapture:
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        # A name such as "concat:a|b.avi" would be a command; that of a whole path cannot be.
+        capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             raise FrictrackError(f"{self.path.name}: expected a film but the file cannot be read as one")
         code = (int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF).to_bytes(4, "little")
@@ -75,7 +78,7 @@ class Video(Recording):
 
     def _stamps(self) -> NDArray[np.float64]:
         """When each frame of the file is shown, s; read off the packets without decoding them."""
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+        capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
         stamps = []
         while capture.grab():
             stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)

@@ -30,7 +30,6 @@ in the law also the drive of every run as it was measured.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
@@ -42,6 +41,7 @@ from scipy.interpolate import CubicSpline
 
 from frictrack import models
 from frictrack.errors import FrictrackError
+from frictrack.files import is_file_name
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.simulate.camera import Camera, Oscillation
@@ -50,6 +50,7 @@ from frictrack.simulate.foreground import Highlight, Rod
 from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Conditions, Slide, simulate
 from frictrack.simulate.texture import Surface
+from frictrack.study import read_toml
 
 Progress = Callable[[int, int, str], None]
 KEYS = {
@@ -59,6 +60,7 @@ KEYS = {
 RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline"}
 TARGET_KEYS = {"width", "height", "speckle", "rotation"}
 OSCILLATIONS = ("flicker", "shake_x", "shake_y")
+MOST, MOST_PX, MOST_FRAMES = 1e12, 16_384, 1_000_000  # of any number; of a picture's side; of a run
 MARGIN = 14.0  # px between the block and the edge of the first frame
 
 
@@ -90,17 +92,73 @@ class Scene:
 def read_scene(text: str) -> Scene:
     """Scene from TOML text.
 
-    Raises FrictrackError (usage) for a key that a scene does not have, or a scene without law or runs.
+    Raises FrictrackError (usage) for what is no TOML, a key that a scene does not have, a value of the wrong kind, or
+    a scene without law or runs.
     """
-    raw = tomllib.loads(text)
-    faults = [f'unknown key "{k}"' for k in raw if k not in KEYS]
-    faults += [f'unknown key "{k}" in a run' for run in raw.get("run", []) for k in run if k not in RUN_KEYS]
-    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in _camera_keys()]
-    faults += [f'unknown key "{k}" in [target]' for k in raw.get("target", {}) if k not in TARGET_KEYS]
-    if not raw.get("law") or not raw.get("run"):
-        faults.append("expected a [law.coulomb] table or the like and at least one [[run]]")
+    raw = read_toml("scene", text)
+    faults = _kind_faults(raw) or _key_faults(raw) + [f for run in raw["run"] for f in _run_faults(run)]
     if faults:
         raise FrictrackError("scene: " + "; ".join(faults), usage=True)
+    try:
+        return _scene(raw)
+    except FrictrackError:
+        raise
+    except (TypeError, ValueError, AttributeError, OverflowError) as fault:
+        raise FrictrackError(f"scene: expected numbers but {fault}", usage=True) from None
+
+
+def _kind_faults(raw: dict[str, Any]) -> list[str]:
+    """What is no table and should be one."""
+    faults = [f"expected [{k}] as a table" for k in ("camera", "target", "law") if not isinstance(raw.get(k, {}), dict)]
+    runs, laws = raw.get("run", []), raw.get("law", {})
+    if not isinstance(runs, list) or not all(isinstance(run, dict) for run in runs):
+        faults.append("expected every run as a table [[run]]")
+    if isinstance(laws, dict):
+        faults += [f"expected [law.{k}] as a table of numbers" for k, v in laws.items() if not _is_law(v)]
+    if not runs or not laws:
+        faults.append("expected a [law.coulomb] table or the like and at least one [[run]]")
+    return faults
+
+
+def _is_law(values: Any) -> bool:
+    return isinstance(values, dict) and all(_is_number(v) for v in values.values())
+
+
+def _is_number(value: Any, low: float = -MOST, high: float = MOST) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+
+
+def _key_faults(raw: dict[str, Any]) -> list[str]:
+    """Keys that a scene does not have, and pictures that are too large."""
+    faults = [f'unknown key "{k}"' for k in raw if k not in KEYS]
+    faults += [f'unknown key "{k}" in a run' for run in raw["run"] for k in run if k not in RUN_KEYS]
+    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in _camera_keys()]
+    faults += [f'unknown key "{k}" in [target]' for k in raw.get("target", {}) if k not in TARGET_KEYS]
+    for key in ("width", "height"):
+        value = raw.get("camera", {}).get(key, 8)
+        if not isinstance(value, int) or not _is_number(value, 8, MOST_PX):
+            faults.append(f"expected the camera's {key} from 8 to {MOST_PX} px but got {value!r}")
+    return faults
+
+
+def _run_faults(run: dict[str, Any]) -> list[str]:
+    """What is wrong with a run: films are named by it, and its numbers bound how much there is to do."""
+    name, frames, width = run.get("name"), run.get("frames"), run.get("width", 8)
+    faults = []
+    if not isinstance(name, str) or not is_file_name(name):
+        faults.append(f"expected every run with a name that can be a file name but got {name!r}")
+    if not isinstance(frames, int) or not _is_number(frames, 2, MOST_FRAMES):
+        faults.append(f"expected frames = 2 to {MOST_FRAMES} in a run but got {frames!r}")
+    if not isinstance(width, int) or not _is_number(width, 8, MOST_PX):
+        faults.append(f"expected a width from 8 to {MOST_PX} px but got {width!r}")
+    if "v" not in run:
+        faults.append("expected v, the speed in m/s, in every run")
+    faults += [f"expected {k} as a number but got {v!r}" for k, v in run.items() if k != "name" and not _is_number(v)]
+    return faults
+
+
+def _scene(raw: dict[str, Any]) -> Scene:
+    """The scene of a checked table."""
     return Scene(
         name=str(raw.get("name", "scene")),
         mass=float(raw.get("mass", 0.35)),
@@ -154,8 +212,10 @@ def render_scene(path: Path, out: Path, *, seed: int = 0, progress: Progress | N
         raise FrictrackError(f"expected a scene file but found none at {path}; see `frictrack render --help`")
     try:
         scene = read_scene(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as fault:
-        raise FrictrackError(f"{path}: expected TOML but got a fault: {fault}", usage=True) from None
+    except UnicodeDecodeError as fault:
+        raise FrictrackError(f"{path.name} is not a text in UTF-8 (byte {fault.start})", usage=True) from None
+    except FrictrackError as fault:
+        raise FrictrackError(f"{path.name}: {fault}", usage=True) from None
     film_scene(scene, out, seed=seed, progress=progress)
 
 

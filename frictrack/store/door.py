@@ -184,7 +184,7 @@ def _said(path: Path) -> Iterator[None]:
         raise FrictrackError(f"cannot read {path}: permission denied") from e
     except FrictrackError:
         raise
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as e:
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as e:
         raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}") from e
 
 

@@ -17,8 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.errors import FrictrackError
 from frictrack.results import plain
+from frictrack.store.claims import array_of, once
 from frictrack.store.sums import SUM
 
 VERSION = version("frictrack")
@@ -93,19 +93,6 @@ def put_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5py
     return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
 
 
-def array(dataset: h5py.Dataset) -> Any:
-    """An array of numbers or strings, or one long string.
-
-    Raises `FrictrackError` where the numbers lie in another file: we never write that.
-    """
-    if dataset.is_virtual or dataset.external:
-        raise FrictrackError(f"{dataset.file.filename}: {dataset.name} points into another file; delete it")
-    if h5py.check_string_dtype(dataset.dtype) is None:
-        return dataset[()]
-    text = dataset.asstr()[()]
-    return text if isinstance(text, str) else np.asarray(text, dtype=np.str_)
-
-
 def members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
     """What lies in a group itself; a link to somewhere else is not followed."""
     for name in group:
@@ -113,11 +100,16 @@ def members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]
             yield name, group[name]
 
 
-def take(group: h5py.Group) -> dict[str, Any]:
-    """Everything in a group as a dictionary, without the stamp."""
+def take(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:
+    """Everything in a group as a dictionary, without the stamp; `met` are the groups above and beside it.
+
+    Raises ValueError for what frictrack never writes.
+    """
+    met = set() if met is None else met
+    once(group, met)
     content = {k: _listed(number(v)) for k, v in group.attrs.items() if k not in STAMPED and k != SUM}
     for name, item in members(group):
-        content[name] = take(item) if isinstance(item, h5py.Group) else array(item)
+        content[name] = take(item, met) if isinstance(item, h5py.Group) else array_of(item)
     return content
 
 
@@ -128,7 +120,7 @@ def record(group: h5py.Group, kind: Any) -> Any:
     for f in fields(kind):
         if f.name in inside:
             item = inside[f.name]
-            values[f.name] = take(item) if isinstance(item, h5py.Group) else array(item)
+            values[f.name] = take(item) if isinstance(item, h5py.Group) else array_of(item)
         elif f.name in group.attrs:
             raw = number(group.attrs[f.name])
             is_tuple = raw is not None and str(f.type).startswith("tuple")

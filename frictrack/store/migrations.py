@@ -11,7 +11,8 @@ from itertools import count
 import h5py
 import numpy as np
 
-from frictrack.store.layout import array, new_group, put_array
+from frictrack.store.claims import array_of
+from frictrack.store.layout import new_group, put_array
 from frictrack.store.seal import SCHEMA
 from frictrack.store.sums import add_sums
 
@@ -46,7 +47,7 @@ def _with_sums(old: h5py.Group, new: h5py.Group) -> None:
         elif isinstance(old[name], h5py.Group):
             _with_sums(old[name], new_group(new, name))
         else:
-            made = put_array(new, name, np.asarray(array(old[name])))
+            made = put_array(new, name, np.asarray(array_of(old[name])))
             made.attrs.update(old[name].attrs)
 
 

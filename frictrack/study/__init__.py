@@ -5,7 +5,7 @@ were measured by something other than a camera.
 """
 
 from frictrack.study.edit import edited, with_effect, with_runs, without_run
-from frictrack.study.load import Study, load, parse, results_of
+from frictrack.study.load import Study, load, parse, read_toml, results_of
 from frictrack.study.schema import EffectTable, RunTable, nearest
 from frictrack.study.tables import TableData, read_clocked, read_table
 from frictrack.study.write import TABLES, find_recordings, write_study
@@ -23,6 +23,7 @@ __all__ = [
     "parse",
     "read_clocked",
     "read_table",
+    "read_toml",
     "results_of",
     "with_effect",
     "with_runs",

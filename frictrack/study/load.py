@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from frictrack.errors import FrictrackError
+from frictrack.files import LONGEST_NAME, is_file_name
 from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, nearest, needs_film
 
 TABLES: dict[str, type[Keys]] = {
@@ -19,8 +21,12 @@ TABLES: dict[str, type[Keys]] = {
     "run": RunTable,
     "effect": EffectTable,
 }
+ALLOWED = "FRICTRACK_OUTPUTS"  # folders, as in PATH, into which study files from elsewhere may write
 MANY = ("run", "effect")  # written with two brackets
-RUN_NAME = re.compile(r"(?!study$)[^\W_](?:[\w .,+=()#-]*[\w)+])?", re.IGNORECASE)
+TAKEN = "study"  # the results of all runs together are called so
+LARGEST = 1 << 19  # bytes of a study file; one of a thousand runs has 100 kB
+DEEPEST = 50  # dots of a line outside of texts and numbers: a dotted key takes a time that goes with their square
+_NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 
 @dataclass(frozen=True)
@@ -55,10 +61,7 @@ def load(path: str | Path, *, bare: bool = False) -> Study:
 
 def parse(path: Path, text: str, *, bare: bool = False) -> Study:
     """The same of a study file's text, which need not be written yet."""
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
-        raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
+    raw = read_toml(path.name, text)
     reader = _Reader(text, {"folder": path.parent}, bare=bare)
     study = reader.study(path, raw)
     if reader.faults or study is None:
@@ -71,10 +74,7 @@ def results_of(path: Path) -> Path:
 
     Raises `FrictrackError` (usage) where the file cannot be read.
     """
-    try:
-        head = tomllib.loads(_read(path)).get("study", {})
-    except tomllib.TOMLDecodeError as e:
-        raise FrictrackError(f"{path.name} is not valid TOML: {e}", usage=True) from e
+    head = read_toml(path.name, _read(path)).get("study", {})
     return _output(path, str(head.get("output", "")) if isinstance(head, dict) else "")
 
 
@@ -82,11 +82,27 @@ def _output(path: Path, output: str) -> Path:
     return path.parent / (output or f"{path.stem}_results")
 
 
+def read_toml(name: str, text: str) -> dict[str, Any]:
+    """The tables of a text; raises `FrictrackError` (usage) where it is no TOML, or one that takes for ever."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > DEEPEST and _NO_KEY.sub("", line).count(".") > DEEPEST:
+            raise FrictrackError(f"{name} is not valid TOML: line {number} has too many dots", usage=True)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as e:  # a number of more digits than Python reads, brackets without end
+        raise FrictrackError(f"{name} is not valid TOML: {e}", usage=True) from e
+
+
 def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
         way = f"frictrack run {path.name} --mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise FrictrackError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one", usage=True)
     try:
+        if path.exists() and not path.is_file():
+            raise FrictrackError(f"expected a study file but {path} is none", usage=True)
+        if (size := path.stat().st_size) > LARGEST:
+            most = f"expected a study file of at most {LARGEST >> 10} kB"
+            raise FrictrackError(f"{path.name}: {most} but got {size / 1e3:.0f} kB", usage=True)
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as e:
         raise FrictrackError(
@@ -122,12 +138,19 @@ class _Reader:
         if self.faults:
             return None
         merged = tuple(self._merged(i, run, head, camera) for i, run in enumerate(runs))
+        output = _output(path, head.output)
+        if not _may_write(output, path.parent):
+            self.faults.append(
+                f"[study], {self._line('study', 0, 'output')}: expected an output inside the study's folder but got "
+                f'"{head.output or output.name}", which leads out of it; name another one, or allow that folder '
+                f"yourself: {ALLOWED}=FOLDER frictrack ..."
+            )
         self._check_names(merged)
         return Study(
             path=path,
             name=head.name or path.resolve().parent.name,
             model=head.model if isinstance(head.model, str) else tuple(head.model),
-            output=_output(path, head.output),
+            output=output,
             runs=merged,
             effects=tuple(effects),
             mass=None if head.mass == "fit" else head.mass,
@@ -202,6 +225,15 @@ class _Reader:
         return f"line {at or 1}"
 
 
+def _may_write(output: Path, folder: Path) -> bool:
+    """Whether a folder of results lies in the study's own, symbolic links followed, or in one that the user allowed."""
+    told = [part for part in os.environ.get(ALLOWED, "").split(os.pathsep) if part]
+    try:
+        return any(output.resolve().is_relative_to(home.resolve()) for home in (folder, *map(Path, told)))
+    except (ValueError, OSError, RuntimeError):  # a NUL, a name that is too long, links in a circle
+        return False
+
+
 def _tables(raw: dict[str, Any], name: str) -> list[Any]:
     value = raw.get(name, [])
     return value if isinstance(value, list) else []
@@ -217,8 +249,11 @@ def _title(table: str, index: int, raw: Any) -> str:
 def _run_faults(run: RunTable) -> list[str]:
     """What the keys of one run must be to each other."""
     faults = []
-    if not RUN_NAME.fullmatch(run.name):
-        faults.append(f'expected a name that can be a file name (letters, digits, spaces, .-_) but got "{run.name}"')
+    if not is_file_name(run.name) or run.name.casefold() == TAKEN:
+        faults.append(
+            "expected a name that can be a file name on every system (letters, digits, spaces, .-_; "
+            f'at most {LONGEST_NAME} characters) but got "{run.name[:LONGEST_NAME]}"'
+        )
     if run.video and run.scale is None:
         faults.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')
     if run.video and run.mass is None:

@@ -75,12 +75,20 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
     path = _folder(info) / raw
-    if not path.exists():
-        there = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+    if not _is_there(path):
+        there = [p.name for p in path.parent.iterdir()] if _is_there(path.parent / "..") else []
         near = difflib.get_close_matches(path.name, there, 1)
         hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
         raise ValueError(f'expected a file "{raw}" but there is none{hint}')
     return path
+
+
+def _is_there(path: Path) -> bool:
+    """Whether it is a file or a folder: of a pipe or a device nobody knows where it ends."""
+    try:
+        return path.is_file() or path.is_dir()
+    except OSError:  # a name longer than the system has
+        return False
 
 
 def _source(raw: Any, info: ValidationInfo) -> Path | Remote:
@@ -89,7 +97,10 @@ def _source(raw: Any, info: ValidationInfo) -> Path | Remote:
 
 
 def _numbers(raw: Any, count: int) -> bool:
-    return isinstance(raw, list) and len(raw) == count and all(type(v) in (int, float) for v in raw)
+    """Whether these are so many numbers, none beyond any picture."""
+    return (
+        isinstance(raw, list) and len(raw) == count and all(type(v) in (int, float) and abs(v) < MOST_PX for v in raw)
+    )
 
 
 def _target(raw: Any, info: ValidationInfo) -> Any:
@@ -134,7 +145,7 @@ def _drive(raw: Any, info: ValidationInfo) -> Any:
         return None
     if isinstance(raw, dict):
         return _clocked(raw, info, DRIVE, ("pressure",) if "area" in raw else ("drive",))
-    force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not (_folder(info) / raw).exists()
+    force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not _is_there(_folder(info) / raw)
     if force or (isinstance(raw, int | float) and not isinstance(raw, bool)):
         return si(raw, "N", "drive")[0]
     if isinstance(raw, str) and raw:
@@ -246,7 +257,8 @@ SCALE = (
 DRIVE = ("table", "force", "area", "columns", "until", "offset")  # keys of a drive's table in the study file
 SENSOR = ("table", "columns", "offset")
 TAKEN = ("target", "reference", "backward")  # tracks that every film has
-NAME = re.compile(r"[A-Za-z0-9_-]+")
+NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
+MOST_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
 Reference = Annotated[Any, BeforeValidator(_reference)]

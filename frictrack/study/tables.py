@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
+MOST_UNPACKED = 256 << 20  # bytes of a workbook
+MOST_COLUMNS, MOST_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 NO_COLUMNS: Mapping[str, str] = {}
 
 
@@ -73,7 +76,9 @@ def _read(
     values: dict[str, Any] = {}
     for name, (standard, unit) in known.items():
         header, sign = _header(columns.get(name, standard), present)
-        if header in present:
+        if present.count(header) > 1:
+            faults.append(f'expected one column "{header}" but got {present.count(header)}')
+        elif header in present:
             gaps = known is not COLUMNS and name not in required
             values[name], found = _column(frame[header], sign * _factor(header, standard, unit), gaps=gaps)
             faults += found
@@ -109,10 +114,11 @@ def _factor(header: str, standard: str, unit: str) -> float:
 def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
     import pandas as pd  # noqa: PLC0415 - half a second that `--help` need not wait for
 
-    values = np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
+    with np.errstate(over="ignore"):
+        values = factor * np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
     bad = np.flatnonzero(~np.isfinite(values) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
-        return values * factor, []
+        return values, []
     came = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
     return values, [f'expected numbers in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
@@ -133,13 +139,44 @@ def _frame(path: Path) -> pd.DataFrame:
 
     try:
         if path.suffix.lower() in (".xlsx", ".xls"):
-            return pd.read_excel(path)
+            return _sheet(path)
         return pd.read_csv(path, comment="#", encoding="utf-8-sig", **_dialect(path))
     except ImportError as e:
         raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
     except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
         raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({reason})") from e
+
+
+def _sheet(path: Path) -> pd.DataFrame:
+    """The first sheet of a workbook: its filled rows, the first of them the header."""
+    import openpyxl  # noqa: PLC0415 - not everybody has it
+    import pandas as pd  # noqa: PLC0415
+
+    try:
+        with zipfile.ZipFile(path) as packed:
+            unpacked = sum(part.file_size for part in packed.infolist())
+        if unpacked > MOST_UNPACKED:
+            raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
+        with path.open("rb") as file:
+            rows = list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
+    except OSError:
+        raise
+    except Exception as e:  # damaged parts make openpyxl fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
+    if not rows:
+        raise ValueError("no rows")
+    return pd.DataFrame(rows[1:], columns=["" if head is None else str(head) for head in rows[0]])
+
+
+def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
+    """Rows in which something stands; the sheet itself may claim any number of them."""
+    sheet.reset_dimensions()
+    for i, row in enumerate(sheet.iter_rows(max_col=MOST_COLUMNS, values_only=True)):
+        if i == MOST_ROWS:
+            raise ValueError(f"more than {MOST_ROWS} rows")
+        if any(cell is not None for cell in row):
+            yield row
 
 
 def _dialect(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import tomlkit
 
 from frictrack.errors import FrictrackError
+from frictrack.files import replace_text
 
 TABLES = (".csv", ".xlsx")
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
@@ -102,8 +103,7 @@ def write_study(
     text = tomlkit.dumps(document)
     for words in (RUN, EFFECT) if commented else ():
         text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return replace_text(path, text)
 
 
 def _is_recording(path: Path) -> bool:

@@ -19,6 +19,7 @@ from frictrack.workbench.widgets import button, grid, heading, html, note
 
 TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
 LARGEST = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
+LONGEST_UPLOAD = 200  # bytes of a file name; systems end at 255
 
 
 class FilmTab:
@@ -142,7 +143,8 @@ def stored_upload(folder: Path, name: str, content: bytes | str) -> str:
     """
     last = Path(name.replace("\\", "/")).name
     path = folder / last
-    if not last or last.startswith(".") or path.resolve().parent != folder.resolve():
+    fits = last.isprintable() and len(last.encode()) <= LONGEST_UPLOAD and not last.startswith(".")
+    if not last or not fits or path.is_symlink():
         raise FrictrackError(f'expected the name of a recording but got "{name}"')
     data = content.encode() if isinstance(content, str) else content
     if path.exists() and path.read_bytes() != data:

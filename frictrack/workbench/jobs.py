@@ -21,7 +21,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
-from frictrack.files import alone, replace_text
+from frictrack.files import alone, inner, replace_text
 from frictrack.study import Study
 
 STARTING = 20.0  # s that a process may take until it holds its lock
@@ -37,17 +37,15 @@ class Job:
     @property
     def spec(self) -> dict[str, Any]:
         """``do``, ``told``, ``study``, ``seen`` and when it was asked for."""
-        found: dict[str, Any] = json.loads((self.folder / "spec.json").read_text(encoding="utf-8"))
-        return found
+        return _told(self.folder / "spec.json", "do", "at", "study")
 
     @property
     def result(self) -> dict[str, Any]:
         """What the work gave; empty as long as it goes on. A failure stands under ``error``."""
         try:
-            found: dict[str, Any] = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+            return _told(self.folder / "result.json")
         except FileNotFoundError:
             return {}
-        return found
 
     @property
     def progress(self) -> list[dict[str, Any]]:
@@ -90,8 +88,8 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
 
     Raises `FrictrackError` where another one of this study is still running.
     """
-    folder = study.output / "jobs"
     with alone(study.output):
+        folder = inner(study.output, "jobs")
         earlier = listed(study)
         busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:
@@ -115,4 +113,16 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
 
 def listed(study: Study) -> list[Job]:
     """All pieces of work of a study, oldest first."""
-    return [Job(one) for one in sorted((study.output / "jobs").glob("[0-9]*")) if (one / "spec.json").exists()]
+    folders = (one for one in sorted((study.output / "jobs").glob("[0-9]*")) if one.name.isdecimal())
+    return [Job(one) for one in folders if (one / "spec.json").exists()]
+
+
+def _told(path: Path, *keys: str) -> dict[str, Any]:
+    """What a file of a job says, `keys` at least."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict) or not found.keys() >= set(keys):
+        raise FrictrackError(f"{path} is damaged; remove its folder, the results do not lie in it")
+    return found

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
+from frictrack.files import replaced
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
 from frictrack.tracking.show.overlay import corners
@@ -50,7 +51,8 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
     figure.suptitle(_headline(recording, track), fontsize=14)
     figure.supxlabel(target_line(track).replace("\n", "      "), fontsize=18, family="monospace")
-    FigureCanvasAgg(figure).print_png(str(path))
+    with replaced(Path(path)) as part:
+        FigureCanvasAgg(figure).print_png(str(part))
     return Path(path)
 
 
