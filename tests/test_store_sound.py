@@ -303,18 +303,6 @@ def test_a_hostile_link_is_not_written_through(tmp_path: Path) -> None:
     assert outside.read_bytes() == before
 
 
-def test_numbers_in_another_file_are_not_read(tmp_path: Path) -> None:
-    """As a hostile file could ask for."""
-    (tmp_path / "secret").write_bytes(b"12345678")
-    path = tmp_path / "v3.h5"
-    with h5py.File(path, "w") as file:
-        file.attrs.update(schema=1, version="0.1.0")
-        group = file.create_group("a")
-        group.create_dataset("x", shape=(8,), dtype="u1", external=[(str(tmp_path / "secret"), 0, 8)])
-    with pytest.raises(FrictrackError, match="points into another file"):
-        store.read(path, "a")
-
-
 def test_a_table_that_changes_while_it_is_read_is_measured_again(
     study_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
