@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import psutil
 from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
@@ -16,6 +18,8 @@ from frictrack.errors import FrictrackError
 LONGEST_NAME = 100  # characters; a word and a suffix stand behind it
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
+_HOST = re.sub(r"\W", "", platform.node()) or "here"
+DAY = 86400.0  # s
 PATIENCE = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
 
 
@@ -83,12 +87,14 @@ def replaced(path: Path) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}_", suffix=f".part{path.suffix}", dir=path.parent)
+        start = f".{path.stem}_{_HOST}-{os.getpid()}_"
+        handle, name = tempfile.mkstemp(prefix=start, suffix=f".part{path.suffix}", dir=path.parent)
     except OSError as e:
         raise FrictrackError(f"cannot write into {path.parent}: {e.strerror}") from e
     os.close(handle)
     part = Path(name)
     try:
+        _sweep(path, part)
         yield part
         _commit(part, path)
     except OSError as e:
@@ -96,6 +102,19 @@ def replaced(path: Path) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             part.unlink()
+
+
+def _sweep(path: Path, mine: Path) -> None:
+    """Remove what writers of `path` that were killed have left: those of this host, and of others after a day."""
+    left = re.compile(rf"\.{re.escape(path.stem)}_(\w+)-(\d+)_[^.]+\.part{re.escape(path.suffix)}")
+    for part in path.parent.iterdir():
+        told = left.fullmatch(part.name)
+        if told is None or part == mine:
+            continue
+        with suppress(OSError):
+            old = mine.stat().st_mtime - part.stat().st_mtime > DAY
+            if old if told[1] != _HOST else not psutil.pid_exists(int(told[2])):
+                part.unlink()
 
 
 def _commit(part: Path, path: Path) -> None:

@@ -12,10 +12,10 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from campaigns import campaign, results, slide
 from rich.console import Console
 from scipy import stats
 
@@ -29,50 +29,7 @@ from frictrack.cli.live import drawn
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session
 
-MASS = 0.5
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
-
-
-def slide(path: Path, seed: int, force: float = 0.6) -> None:
-    """A run that Coulomb friction alone brakes."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(160) / 1000.0
-    x = 2.0 * t - 0.5 * force / MASS * t**2 + 5e-6 * rng.standard_normal(len(t))
-    np.savetxt(path, np.column_stack([t, x]), delimiter=",", header="t_s,x_m", comments="")
-
-
-def campaign(folder: Path, count: int, runs: int = 1) -> Path:
-    """A folder of studies."""
-    for k in range(count):
-        own = folder / f"day_{k + 1}"
-        own.mkdir(parents=True)
-        text = f'[study]\nmass = {MASS}\nmodel = ["coulomb"]\n'
-        for i in range(runs):
-            slide(own / f"r{i}.csv", 10 * k + i)
-            text += f'[[run]]\ntable = "r{i}.csv"\n'
-        (own / "study.toml").write_text(text)
-    return folder
-
-
-def contents(path: Path) -> dict[str, Any]:
-    """All that an HDF5 file holds, by name."""
-    found: dict[str, Any] = {}
-
-    def note(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            held = item[()]
-            found[name] = held.tobytes() if isinstance(held, np.ndarray) and held.dtype.kind != "O" else str(held)
-        found.update({f"{name}@{key}": str(value) for key, value in item.attrs.items()})
-
-    with h5py.File(path) as file:
-        note("", file)
-        file.visititems(note)
-    return found
-
-
-def results(folder: Path) -> dict[str, Any]:
-    """All that the studies below a folder have come to."""
-    return {str(path.relative_to(folder)): contents(path) for path in sorted(folder.rglob("*.h5"))}
 
 
 class Inline:

@@ -7,7 +7,7 @@ HDF5's own locks are therefore left alone: they would only shut out a viewer, or
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
 from functools import lru_cache
@@ -191,25 +191,16 @@ def _said(path: Path) -> Iterator[None]:
 @contextmanager
 def _replacing(path: Path) -> Iterator[h5py.File]:
     """A new file with the old one's groups, which takes the old one's place when the block ends well."""
-    with alone(path.parent):
-        _sweep(path.parent)
-        with replaced(path) as part:
-            with h5py.File(part, "w", userblock_size=ROOM, **FORMAT) as file:
-                if path.exists():
-                    with _reading(path) as old:
-                        _copy(old, file)
-                file.attrs.update(schema=SCHEMA, version=VERSION)
-                file.attrs.pop(SUM, None)
-                yield file
-                add_sums(file)
-            seal(part, VERSION)
-
-
-def _sweep(folder: Path) -> None:
-    """Remove what a writer that was killed has left of an HDF5 file; nobody else writes one here meanwhile."""
-    for left in folder.glob(".*.part.h5"):
-        with suppress(OSError):
-            left.unlink()
+    with alone(path.parent), replaced(path) as part:
+        with h5py.File(part, "w", userblock_size=ROOM, **FORMAT) as file:
+            if path.exists():
+                with _reading(path) as old:
+                    _copy(old, file)
+            file.attrs.update(schema=SCHEMA, version=VERSION)
+            file.attrs.pop(SUM, None)
+            yield file
+            add_sums(file)
+        seal(part, VERSION)
 
 
 def _copy(old: h5py.File, new: h5py.File) -> None:
