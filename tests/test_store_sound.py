@@ -128,7 +128,7 @@ def test_what_the_sums_of_the_groups_do_not_find_harms_nobody(sound: Path) -> No
         context = multiprocessing.get_context("fork")
         ask = context.Process(target=_compare, args=(path, whole))
         ask.start()
-        ask.join(10)
+        ask.join(3)
         if ask.is_alive():
             ask.kill()
         assert ask.exitcode != 2, f"byte {at} changes what is read and no checksum says so"
