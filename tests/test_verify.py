@@ -212,6 +212,13 @@ def test_a_writer_at_work_is_told_and_its_files_left(study: Path) -> None:
     assert found["at_work"] == [str(results)]
 
 
+def test_an_attempt_of_the_page_is_sound_whatever_came_after(study: Path) -> None:
+    results = study.parent / "study_results"
+    Session(open_study(study)).attempt("drag", results / "jobs" / "0001" / "attempt.h5")
+    assert faults(study.parent) == []
+    assert verify([results])["files"] == 4
+
+
 def test_a_damaged_log_is_said(study: Path) -> None:
     log = study.parent / "study_results" / "log.jsonl"
     log.write_bytes(log.read_bytes() + b'{"rev": 2')
@@ -252,7 +259,7 @@ def test_the_command_says_each_fault_in_one_line(study: Path, capsys: pytest.Cap
     assert left.value.code == 1
     out, err = capsys.readouterr()
     assert [line.split(":")[0] for line in out.splitlines()] == ["damage", "changed"]
-    assert err.endswith("frictrack: 2 faults in 3 files; each line says what to do\n")
+    assert err.endswith("frictrack: 2 fault(s) in 3 file(s); each line says what to do\n")
     with pytest.raises(SystemExit) as left:
         main(["verify", str(study), "--json"])
     assert left.value.code == 1

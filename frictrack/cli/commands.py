@@ -318,7 +318,8 @@ def verify(
         result = look(paths, progress)
     tell(result, as_json, "verify")
     if not result["sound"]:
-        raise FrictrackError(f"{len(result['faults'])} faults in {result['files']} files; each line says what to do")
+        n = len(result["faults"])
+        raise FrictrackError(f"{n} fault(s) in {result['files']} file(s); each line says what to do")
 
 
 @app.command("app")

@@ -58,8 +58,9 @@ def _hit(path: Path, why: Exception) -> list[Fault]:
     what, _, do = str(why).removeprefix(f"{path} ").rpartition("; ")
     if told is None or do == "update it":
         return [Fault(path, "", what, do)]
-    whole = "some of its bytes are not those that were written, none of them in what is read"
-    return _apart(path) or [Fault(path, "", whole, REMEDY)]
+    inside = _apart(path)
+    where = "HDF5 itself fails on them" if inside is None else "none of them in what is read"
+    return inside or [Fault(path, "", f"some of its bytes are not those that were written, {where}", REMEDY)]
 
 
 def _inside(path: Path) -> list[Fault]:
