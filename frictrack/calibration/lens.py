@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -22,6 +24,7 @@ DISTORTION = (
 WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
 LENGTHS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
 LARGEST = 1_000_000  # bytes of a lens file
+DEEPEST = 50  # brackets in brackets; a matrix has two
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 RETURNS = 0.01  # px: a point straightened and distorted again must come back this near
 
@@ -128,10 +131,18 @@ def _fields(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
     try:
+        if _depth(text) > DEEPEST:
+            raise ValueError("brackets without end")
         fields = _json(text) if text.lstrip().startswith("{") else _storage(text)
     except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
     return fields
+
+
+def _depth(text: str) -> int:
+    """How deep brackets stand in brackets at most: a parser's time goes with the square of it."""
+    steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
+    return max(accumulate(steps), default=0)
 
 
 def _json(text: str) -> dict[str, Any]:

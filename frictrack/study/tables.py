@@ -123,13 +123,8 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
         return values, []
     came = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
-    said = f"expected numbers below {MOST:g} (SI)" if _is_large(came) else "expected numbers"
+    said = f"expected numbers below {MOST:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
     return values, [f'{said} in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
-
-
-def _is_large(came: Any) -> bool:
-    """Whether a cell is a finite number."""
-    return isinstance(came, int | float | np.number) and bool(np.isfinite(came))
 
 
 def _time_faults(t: Array) -> list[str]:
