@@ -13,6 +13,7 @@ from frictrack.errors import FrictrackError
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # Pint works out any arithmetic, and 9**9**9 has no end: only a name has an exponent, of two digits at most.
 _ENDLESS = re.compile(r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]")
+_MOST = 1e30  # of any unit: what is larger is no measurement
 _LONGEST = 60  # characters of a unit
 _QUANTITY = re.compile(
     rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
@@ -35,7 +36,7 @@ def quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
         value, std = _float(text), 0.0
     else:
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
-    if not np.isfinite(value):
+    if not abs(value) < _MOST:
         raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
     return value, std
 

@@ -14,6 +14,7 @@ import pytest
 from test_recording import H, W, write_video
 
 from frictrack import export, store
+from frictrack.calibration.lens import read_lens
 from frictrack.errors import LONGEST, FrictrackError
 from frictrack.files import alone, inner, is_file_name
 from frictrack.flow.ledger import Ledger
@@ -345,6 +346,7 @@ def test_a_sheet_with_empty_rows_and_far_ones_is_read(tmp_path: Path) -> None:
         (b"t_s,x_m\n0,0\n1,inf\n", "expected numbers"),
         (b"t_s,x_m\n0,0\n1,1e999\n", "expected numbers"),
         (b"t_s,x_m\nnan,0\n1,1\n", "expected numbers"),
+        (b"t_s,x_m\n0,0\n" + b"3" * 90 + b",1\n", r"expected numbers below 1e\+12"),
         (b"t_s|x_m\n0|0\n1|1\n", 'expected a column "t_s"'),
         (b"t_s,x_m\n0,0,0,0\n1,1\n", "expected"),
         (b"\0" * 5000, "expected"),
@@ -369,6 +371,30 @@ def test_a_byte_order_mark_is_no_part_of_the_header(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b"\xef\xbb\xbft_s,x_m\n0,0\n1,1\n")
     assert len(read_table(path).t) == 2
+
+
+# ---- a lens
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        " - ws: 4\n\n   data: [  0., 1]\ndfs - ]\na: 48",  # OpenCV's own parser does not come back from this
+        "a: &a [1]\nb: *a\n",
+        "K: " + "[" * 100_000,
+        '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "' + "x" * 1000 + '">]><a>' + "&b;" * 100_000 + "</a>",
+        "K: !!python/object/apply:os.system ['touch owned']\n",
+        '{"K": ' + "[" * 100_000,
+    ],
+)
+def test_a_lens_file_that_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("lens.yml").write_text(text)
+    start = time.perf_counter()
+    with pytest.raises(FrictrackError, match=r"lens\.yml: expected OpenCV's yml, xml or json but it cannot be read"):
+        read_lens(Path("lens.yml"))
+    assert time.perf_counter() - start < 2
+    assert not Path("owned").exists()
 
 
 # ---- the store

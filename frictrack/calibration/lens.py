@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+import yaml
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
@@ -20,6 +24,7 @@ DISTORTION = (
 WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
 LENGTHS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
 LARGEST = 1_000_000  # bytes of a lens file
+DEEPEST = 50  # brackets in brackets; a matrix has two
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 RETURNS = 0.01  # px: a point straightened and distorted again must come back this near
 
@@ -126,28 +131,57 @@ def _fields(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
     try:
+        if _depth(text) > DEEPEST:
+            raise ValueError("brackets without end")
         fields = _json(text) if text.lstrip().startswith("{") else _storage(text)
-    except (cv2.error, ValueError, SystemError, RecursionError) as e:
+    except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
     return fields
+
+
+def _depth(text: str) -> int:
+    """How deep brackets stand in brackets at most: a parser's time goes with the square of it."""
+    steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
+    return max(accumulate(steps), default=0)
 
 
 def _json(text: str) -> dict[str, Any]:
     return {k: v["data"] if isinstance(v, dict) and "data" in v else v for k, v in json.loads(text).items()}
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML without references, by which a short text can stand for an endless one."""
+
+    def fetch_alias(self) -> None:
+        """Raise YAMLError."""
+        raise yaml.YAMLError("references are not read")
+
+    def construct_matrix(self, node: yaml.Node) -> Any:
+        """The numbers of OpenCV's matrix."""
+        return self.construct_mapping(node, deep=True).get("data")
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_matrix)
+
+
 def _storage(text: str) -> dict[str, Any]:
-    """OpenCV's own format; a YAML without its first line (ROS writes such) gets that line."""
-    headed = text if text.lstrip().startswith(("%YAML", "<?xml")) else f"%YAML:1.0\n---\n{text}"
-    file = cv2.FileStorage(headed, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    root = file.root()
-    return {name: _node(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no dict
+    """OpenCV's own format, or YAML without its first line (ROS writes such). OpenCV's parser may never return."""
+    if text.lstrip().startswith("<?xml"):
+        return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
+    lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
+    found = yaml.load("\n".join(lines), _Loader)
+    if not isinstance(found, dict):
+        raise ValueError("no names at the top")
+    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
-def _node(node: Any) -> Any:
-    if node.isMap():
-        matrix = None if node.getNode("data").empty() else _node(node.getNode("data"))
-        return matrix
-    if node.isSeq():
-        return [_node(node.at(i)) for i in range(node.size())]
-    return node.string() if node.isString() else node.real()
+def _element(element: ElementTree.Element) -> Any:
+    """A matrix, a list, a number or a text."""
+    data = element.find("data")
+    if data is not None:
+        return (data.text or "").split()
+    text = (element.text or "").strip()
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip('"')

@@ -23,6 +23,7 @@ VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an 
 MOVING = 0.05  # of the highest speed
 SHORTEST = 16  # valid frames that can tell a cut-off
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
+STILL = 1e-15  # m: what moves by less does not move
 STRUCTURAL, KALMAN = "structural", "kalman"
 ALL = (STRUCTURAL, KALMAN, *METHODS)
 
@@ -164,7 +165,7 @@ class _Coordinate:
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
         else:
-            structure = plain if method == KALMAN else growth.grown()
+            structure = plain if method == KALMAN or growth.data.count < SHORTEST else growth.grown()
             reason = described(structure, len(self.y), interval)
         factor = structure.factored(growth.data)
         _, variance, unknowns = factor.judged()
@@ -260,7 +261,7 @@ def _check_position(x: Array, n: int) -> None:
             f"displacement: expected at least {MIN_FRAMES} valid frames but got {len(x)} of {n}; "
             "check that the target was found"
         )
-    if np.all(x == x[0]):
+    if np.ptp(x) < STILL:
         raise FrictrackError(
             f"displacement: expected a moving target but x is {x[0]:g} m in all {len(x)} valid frames; "
             "check which target was tracked"

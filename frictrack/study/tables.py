@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
 MOST_UNPACKED = 256 << 20  # bytes of a workbook
+MOST = 1e12  # SI units: beyond anything that slides
+SHORTEST = 1e-9  # s between rows
 MOST_COLUMNS, MOST_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 NO_COLUMNS: Mapping[str, str] = {}
 
@@ -116,12 +118,13 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
 
     with np.errstate(over="ignore"):
         values = factor * np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(values) & ~(series.isna().to_numpy() & gaps))
+    bad = np.flatnonzero(~(np.abs(values) < MOST) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values, []
     came = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
-    return values, [f'expected numbers in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
+    said = f"expected numbers below {MOST:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
+    return values, [f'{said} in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
 
 
 def _time_faults(t: Array) -> list[str]:
@@ -131,6 +134,8 @@ def _time_faults(t: Array) -> list[str]:
     if len(back):
         i = int(back[0])
         return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
+    if (step := float(np.median(np.diff(t)))) < SHORTEST:
+        return [f"expected rows {SHORTEST:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []
 
 

@@ -154,7 +154,9 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     disp = run.displacement
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
-    noise = noise * noise_level(disp.x, use)[0] / np.sqrt(np.mean(noise[use] ** 2))
+    digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
+    level = max(float(noise_level(disp.x, use)[0]), digits)
+    noise = noise * level / np.sqrt(np.mean(noise[use] ** 2))
     begin = begin_of(run, reference)
     sections = moving_sections(run)
     if turning and run.drive is not None and _stops(sections):

@@ -166,6 +166,8 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     rows[:, bounds[1] <= bounds[0]] = 0.0
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
+        raise FrictrackError("the motion under this law could not be integrated; check mass, drive and units")
     damped = np.vstack([rows / norm, np.sqrt(damping) * np.eye(n)])
     target = np.concatenate([right, np.zeros(n)])
     low, high = (bounds[0] - state.p) * norm, (bounds[1] - state.p) * norm
