@@ -39,7 +39,7 @@ class Page:
         ]
         self.head = html("", width=400)
         self.old = html("", visible=False)
-        self.said = html("")
+        self.said = html("", styles={"position": "sticky", "top": "0", "z-index": "10"})  # seen wherever one scrolls
         self.run = pn.widgets.Select(label="Run", options=[], width=180)
         self.bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
         self.doing = html("", width=520)
