@@ -198,7 +198,8 @@ def _said(parameter: str, values: dict[str, Any]) -> str:
 
 
 def _value(value: dict[str, Any]) -> str:
-    said = number(value["value"]) if value["value"] is not None else "not determined"
-    error = f" ± {number(value['std'], 2)}" if value.get("std") else ""
     reason = f" ({value['reason']})" if value.get("reason") else ""
-    return f"{said}{error} {escape(plots.unit(value['unit']) + reason)}"
+    if value["value"] is None:
+        return escape(f"not determined{reason}")
+    error = f" ± {number(value['std'], 2)}" if value.get("std") else ""
+    return escape(f"{number(value['value'])}{error} {plots.unit(value['unit'])}{reason}")

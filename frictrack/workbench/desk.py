@@ -138,7 +138,7 @@ class Desk(param.Parameterized):
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return False
-        self.tell(f"{self.path.name} is written")
+        self.tell(f"{self.path.name} is written; now run everything")
         return True
 
     def do(self, do: str, **told: Any) -> bool:

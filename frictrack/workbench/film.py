@@ -47,8 +47,9 @@ class FilmTab:
         self.picture = pn.pane.PNG(None, alt_text="", sizing_mode="scale_width", max_width=1280)
         self.sheet = pn.Column(html(heading("Contact sheet")), self.picture, sizing_mode="stretch_width")
         self.keys = pn.Column(self.mass, self.fps, self.scale)
+        self.others = html("")
         self.more = pn.Column(
-            html(heading("Recordings in this folder that are not in the study")),
+            self.others,
             pn.FlexBox(pn.Column(self.found, self.drop), self.keys, self.go, align_items="flex-end", gap="14px"),
         )
         self.tools = pn.FlexBox(
@@ -60,7 +61,7 @@ class FilmTab:
             align_items="flex-end",
             gap="10px",
         )
-        self.keys_of_run = pn.FlexBox(*self.own.values(), align_items="flex-end", gap="10px")
+        self.keys_of_run = pn.FlexBox(align_items="flex-end", gap="10px")
         self.view = pn.Column(
             self.tools, self.linked, self.keys_of_run, self.audit, self.sheet, self.more, sizing_mode="stretch_width"
         )
@@ -76,6 +77,7 @@ class FilmTab:
         self.keys.visible, self.tools.visible = new, not new
         self.found.options = self.desk.recordings
         self.found.visible = bool(self.found.options)
+        self.others.object = heading("Recordings in this folder" + ("" if new else " that are not in the study"))
         run = self.desk.measured
         self.bench.draw(scenes.tracked(run) if run else scenes.Scene(), self.desk.run)
         self.audit.object = self._audited()
@@ -90,7 +92,7 @@ class FilmTab:
 
     def _tell_keys(self) -> None:
         """What the study file says of this run, and in grey what holds where it says nothing."""
-        self.keys_of_run.visible = bool(self.desk.runs)
+        self.keys_of_run.objects = list(self.own.values()) if self.desk.runs else []
         self._filling = True
         for (key, box), common in zip(self.own.items(), ("study", "camera"), strict=True):
             held = self.desk.written("run", key, self.desk.run) if self.desk.run else None
@@ -164,7 +166,7 @@ class FilmTab:
         if run is None or run.film is None:
             if not self.desk.run:
                 return note("Choose recordings, or drop them; then give mass, frame rate and scale.")
-            return note(f"{self.desk.run} is not measured to its end yet.")
+            return note(f"{self.desk.run} is not measured to its end yet: run everything, or track every film first.")
         rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
         notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
         return (

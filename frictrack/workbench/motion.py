@@ -32,14 +32,16 @@ class MotionTab:
         self.price = html("")
         self.words = html("")
         self.trade = pn.Column(sizing_mode="stretch_width")
+        self.part = button("Part trend, vibrations and events instead", lambda: self._edit("cutoff", None))
+        self.find = button("Find the free section by itself", lambda: self._edit("free", None))
         self.use = button("Use this cut-off", self._cut)
         self.view = pn.Column(
             self.words,
             pn.FlexBox(
                 pn.Column(self.cutoff, self.price),
                 self.use,
-                button("Part trend, vibrations and events instead", lambda: self._edit("cutoff", None)),
-                button("Find the free section by itself", lambda: self._edit("free", None)),
+                self.part,
+                self.find,
                 button("Bring up to date", lambda: desk.start("measure", stage="friction"), "primary"),
                 align_items="flex-end",
                 gap="10px",
@@ -59,6 +61,7 @@ class MotionTab:
         self._ghost = None
         self.bench.draw(scenes.motion(run) if run else scenes.Scene(), self.desk.run)
         self.use.visible = self.cutoff.visible = run is not None and run.cutoff is not None
+        self.part.visible = self.find.visible = run is not None
         if run is None:
             self.words.object = note("This run is not measured to its end yet: bring it up to date.")
             self.trade.objects, self.price.object = [], ""
