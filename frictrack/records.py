@@ -7,6 +7,7 @@ the numbers. A column is checked by its metadata: ``nan=True`` lets NaN mean "no
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -98,6 +99,12 @@ class Track(Table):
     def found(self) -> Mask:
         """Frames in which the target was found."""
         return np.isfinite(self.x_px)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Why it was not found, and in how many frames; reasons that differ only in their number count as one."""
+        poor = "match score"
+        return Counter(f"{poor} too low" if why.startswith(poor) else why for why in self.reason.tolist() if why)
 
 
 @dataclass(frozen=True, eq=False)

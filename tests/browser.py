@@ -5,6 +5,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -95,6 +100,47 @@ class Tab:
         if folder := os.environ.get("FRICTRACK_ARTEFACTS"):
             Path(folder).mkdir(parents=True, exist_ok=True)
             self.page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
+
+
+@dataclass
+class Server:
+    """A workbench that runs in a process of its own."""
+
+    study: Path
+    more: tuple[str, ...] = ()
+    process: subprocess.Popen[bytes] | None = None
+    paths: str = ""  # where it looks for programs before all others
+    port: int = 0
+
+    def start(self) -> Server:
+        if not self.port:
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                self.port = free.getsockname()[1]
+        words = [sys.executable, "-m", "frictrack", "app", str(self.study), "--no-browser", "--port", str(self.port)]
+        self.process = subprocess.Popen(
+            [*words, *self.more], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=self.environment
+        )
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            with socket.socket() as knock:
+                if knock.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return self
+            time.sleep(0.1)
+        raise AssertionError("the server did not start")
+
+    def stop(self, how: int = signal.SIGTERM) -> None:
+        assert self.process is not None
+        self.process.send_signal(how)
+        self.process.wait(20)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, "PATH": os.pathsep.join(filter(None, (self.paths, os.environ["PATH"])))}
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
 
 
 Open = Callable[[], Tab]

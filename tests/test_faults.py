@@ -72,7 +72,7 @@ def filmed(folder: Path) -> Path:
 def survives(
     make: Callable[[Path], Path], at: Path, words: Callable[[Path], tuple[str | Path, ...]], kills: int
 ) -> None:
-    """Kill a command at random moments, look at what is there after each, and at the end hold it against undisturbed."""
+    """Kill a command at random moments, look at what is there after each, and hold the end against undisturbed."""
     calm, folder = make(at / "calm"), make(at / "disturbed")
     took = done(calm, *words(calm))
     rng = np.random.default_rng(kills)

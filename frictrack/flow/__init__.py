@@ -7,12 +7,13 @@
 """
 
 from frictrack.flow.demo import demo
+from frictrack.flow.films import sheet
 from frictrack.flow.opening import open_study, start_study
 from frictrack.flow.planned import plan
 from frictrack.flow.script import script
 from frictrack.flow.session import Session
 from frictrack.flow.stages import Progress, silent
-from frictrack.flow.stored import attempted, stored
+from frictrack.flow.stored import attempted, previewed, stored
 from frictrack.flow.tried import Spec, own_effects
 from frictrack.flow.verify import verify
 
@@ -25,7 +26,9 @@ __all__ = [
     "open_study",
     "own_effects",
     "plan",
+    "previewed",
     "script",
+    "sheet",
     "silent",
     "start_study",
     "stored",

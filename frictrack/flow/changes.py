@@ -21,10 +21,15 @@ if TYPE_CHECKING:
 
 def edit(session: Session, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file, in the run or effect that is called `which`; None takes the key away."""
+
+    def how(text: str) -> str:
+        after = edited(text, table, key, value, which)
+        if table == "effect" and session.tried.head is not None:  # what its model does not hold would fail in the fit
+            session.tried.spec(session.tried.head).model(parse(session.study.path, after, bare=True).effects)
+        return after
+
     with session.ledger.turn("edit", table=table, which=which, key=key, value=value) as change:
-        change.before, change.after = _rewritten(
-            session.study.path, lambda text: edited(text, table, key, value, which)
-        )
+        change.before, change.after = _rewritten(session.study.path, how)
     return {"table": table, "which": which, "key": key, "value": value}
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
     from frictrack.flow.stages import RunWork
     from frictrack.recording import Recording
-    from frictrack.study import RunTable
+    from frictrack.study import RunTable, Study
     from frictrack.tracking.measure import Lesson
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
@@ -73,7 +73,7 @@ def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
         for name, target in work.run.targets.items():
             found[name] = tracking.track(opened, target, name=name, progress=work.progress)
         found |= _reference(opened, track, work)
-        tracking.contact_sheet(opened, track, sheet(work), tuple(found.values()))
+        tracking.contact_sheet(opened, track, sheet(work.study, work.run.name), tuple(found.values()))
         return found | _backward(opened, track, work)
 
 
@@ -185,9 +185,9 @@ def least_shake(run: RunTable) -> float:
     return LEAST_SHAKE if run.reference == "auto" else 0.0
 
 
-def sheet(work: RunWork) -> Path:
-    """Where the contact sheet of a film lies."""
-    return work.study.output / f"{work.run.name}_track.png"
+def sheet(study: Study, run: str) -> Path:
+    """Where the contact sheet of a run's film lies."""
+    return study.output / f"{run}_track.png"
 
 
 def overlaid(work: RunWork) -> Path:

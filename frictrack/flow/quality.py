@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
@@ -137,7 +136,7 @@ def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | N
     return {
         "frames": len(track),
         "found": int(np.sum(found)),
-        "lost": dict(Counter(_kind(reason) for reason in track.reason if reason)),
+        "lost": dict(track.lost),
         "travel_px": float(np.ptp(track.x_px[found])) if np.any(found) else None,
         "sigma_px": sigma,
         "sigma_um": None if um is None or sigma is None else um * sigma,
@@ -167,11 +166,6 @@ def _reference(track: Track | None, um: float | None) -> dict[str, Any]:
         "shake_px": float(np.hypot(*found.size)),
         "shake_Hz": found.frequency,
     }
-
-
-def _kind(reason: str) -> str:
-    """Reasons that differ only in their number count as one."""
-    return "match score too low" if reason.startswith("match score") else reason
 
 
 def _fastest(track: Track) -> float:

@@ -89,7 +89,7 @@ class Session:
         return self.runs
 
     def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
-        """Every run up to `track`, `motion` or `friction`: JSON of those commands.
+        """Every run up to `track`, `motion` or `friction`: JSON of those commands. A motion has its cut-off priced.
 
         With `overlay` every film is written once more with what was tracked in it.
         """
@@ -97,6 +97,8 @@ class Session:
             if work.run.video:
                 overlaid(work)
         works = self.bring_up_to("tracks" if stage == "track" else stage)
+        if stage != "track":
+            self.bring_up_to("cutoff")
         return {"runs": summary(works, stage), "output": str(self.study.output)}
 
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:

@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from frictrack import store
-from frictrack.flow.beside import sensor_rows
+from frictrack.flow.beside import known, sensor_rows
 from frictrack.flow.budgets import budgeted
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.quality import quality
 from frictrack.flow.stages import RunWork, silent
 from frictrack.flow.tried import Tried, model_results
-from frictrack.records import Happenings
+from frictrack.motion import derivatives, low_pass
+from frictrack.records import Array, Happenings
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.study import Study
 
@@ -52,6 +56,13 @@ def stored(study: Study) -> Results:
 def attempted(path: Path) -> ModelResults:
     """The model of an attempt."""
     return model_results(path, store.names(path, "models")[0])
+
+
+def previewed(run: RunResults, cutoff: float) -> Array:
+    """What x, v and a (3, n) of a run would be with a plain low-pass at a cut-off, Hz; nothing is stored."""
+    along = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # across costs as much again
+    beside = None if run.sensors is None else known(run.sensors)
+    return derivatives(low_pass(along, cutoff, acceleration=beside))
 
 
 def _is_measured(work: RunWork) -> bool:

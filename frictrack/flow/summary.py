@@ -34,7 +34,7 @@ def _track(work: RunWork) -> dict[str, Any]:
     return {
         **quality(work.get("recording"), track, work.get("tracks"), pitch),
         "target": target_line(track),
-        "contact_sheet": str(sheet(work)),
+        "contact_sheet": str(sheet(work.study, work.run.name)),
         "overlay": str(overlay(work)) if overlay(work).exists() else None,
         "notes": notes,
     }

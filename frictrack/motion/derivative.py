@@ -61,6 +61,11 @@ def differentiate(filtered: Filtered) -> Motion:
     )
 
 
+def derivatives(filtered: Filtered) -> Array:
+    """The same x, v and a (3, n) without their standard deviations, which take most of the time."""
+    return Derived.along(filtered).values()
+
+
 def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = None) -> Array:
     """Covariance (m, m) of x, v or a among some rows (m,), all by default: smoothing colours the noise.
 

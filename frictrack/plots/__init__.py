@@ -12,7 +12,7 @@ from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.profiles import profiles
 from frictrack.plots.settle import settle
-from frictrack.plots.style import number, plain_name, png, svg, unit
+from frictrack.plots.style import number, numbered_name, plain_name, png, svg, unit
 from frictrack.plots.unexplained import in_step, unexplained
 from frictrack.plots.where import drawable, missing_force
 
@@ -36,6 +36,7 @@ __all__ = [
     "motion",
     "noise_um",
     "number",
+    "numbered_name",
     "passes",
     "plain_name",
     "png",

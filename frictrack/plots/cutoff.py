@@ -30,7 +30,7 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
     below.set(xlabel=axis("cut-off frequency", "Hz"), ylabel=axis("error of m a" if mass else "error of a", unit))
     for ax in (above, below):
         ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
-        ax.legend(fontsize=8, loc="best")
+        ax.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)  # a curve may run anywhere inside
     above.annotate(
         f"{number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
         xytext=(3, -10), textcoords="offset points", fontsize=8,

@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
+from threading import RLock
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -65,6 +66,7 @@ STYLE: Any = {
 }
 
 P = ParamSpec("P")
+_ALONE = RLock()  # matplotlib's settings are one for all threads
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -72,7 +74,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(STYLE):
+        with _ALONE, mpl.rc_context(STYLE):
             return draw(*args, **kwargs)
 
     return drawn
@@ -87,7 +89,7 @@ def blank(height: float, title: str, width: float = WIDTH) -> Figure:
 
 def svg(figure: Figure) -> str:
     """The figure as an `<svg>` element: no header, no metadata, coordinates to a hundredth of a point."""
-    with mpl.rc_context(STYLE):
+    with _ALONE, mpl.rc_context(STYLE):
         held = io.StringIO()
         figure.savefig(
             held,
@@ -102,7 +104,7 @@ def svg(figure: Figure) -> str:
 
 def png(figure: Figure, dpi: float = 110) -> bytes:
     """The figure as a PNG file."""
-    with mpl.rc_context(STYLE):
+    with _ALONE, mpl.rc_context(STYLE):
         held = io.BytesIO()
         figure.savefig(held, format="png", dpi=dpi)
     return held.getvalue()
@@ -183,6 +185,11 @@ def number(value: float | None, digits: int = 3) -> str:
         return f"{value:.{digits}g}"
     decimals = digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]) if value else 0
     return f"{value:.{max(decimals, 0)}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def numbered_name(group: str) -> str:
+    """The same with its number in the history, which keeps apart what was tried twice: ``"2. Tustin + texture"``."""
+    return f"{group.split('_', 1)[0]}. {plain_name(group)}"
 
 
 def plain_name(group: str) -> str:

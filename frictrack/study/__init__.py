@@ -4,7 +4,7 @@
 were measured by something other than a camera.
 """
 
-from frictrack.study.edit import edited, with_effect, with_runs, without_run
+from frictrack.study.edit import edited, with_effect, with_runs, without_run, written
 from frictrack.study.load import Study, load, parse, read_toml, results_of
 from frictrack.study.schema import EffectTable, RunTable, nearest
 from frictrack.study.tables import TableData, read_clocked, read_table
@@ -29,4 +29,5 @@ __all__ = [
     "with_runs",
     "without_run",
     "write_study",
+    "written",
 ]

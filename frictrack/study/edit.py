@@ -30,6 +30,15 @@ def edited(text: str, table: str, key: str, value: Any, which: str | None = None
     return tomlkit.dumps(document)
 
 
+def written(text: str, table: str, key: str, which: str | None = None) -> Any:
+    """What stands under `key` of ``[table]``, or of that ``[[table]]`` which is called so; None where nothing does.
+
+    Raises `FrictrackError` as `edited` does.
+    """
+    found = _home(_parsed(text), table, which).get(key)
+    return found.unwrap() if hasattr(found, "unwrap") else found
+
+
 def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
     """The text with a ``[[run]]`` more for each recording; paths relative to the `folder` of the study file."""
     document = _parsed(text)

@@ -27,6 +27,7 @@ class CompareTab:
         self.model = pn.widgets.Select(label="Model", options=[], width=300)
         self.behind = pn.widgets.Select(label="Behind it", options=[NONE], width=300)
         self.spans = html("")
+        self._filling = False
         self.view = pn.Column(
             pn.FlexBox(self.model, self.behind, gap="10px"),
             html(
@@ -45,14 +46,18 @@ class CompareTab:
     def refresh(self) -> None:
         """Show the current model, and behind it what was attempted last."""
         models = self.desk.results.models if self.desk.results else ()
-        names = {plots.plain_name(m.name): m.name for m in models}
+        names = {plots.numbered_name(m.name): m.name for m in models}
         current = self.desk.model
         attempt = {"attempted": "attempted"} if self.desk.ghost else {}
+        self._filling = True  # each of the two would draw by itself
         self.model.param.update(options=names, value=current.name if current else None)
         self.behind.param.update(options={NONE: "", **names, **attempt}, value="attempted" if attempt else "")
+        self._filling = False
         self._draw()
 
     def _draw(self, *events: Any) -> None:
+        if self._filling:
+            return
         results = self.desk.results
         model = next((m for m in (results.models if results else ()) if m.name == self.model.value), None)
         if results is None or model is None:

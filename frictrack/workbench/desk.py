@@ -17,7 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, start_study, stored
 from frictrack.flow.ledger import Ledger
 from frictrack.results import ModelResults, Results, RunResults
-from frictrack.study import RunTable, Study, find_recordings
+from frictrack.study import RunTable, Study, find_recordings, written
 from frictrack.workbench import jobs
 from frictrack.workbench.jobs import Job
 
@@ -97,6 +97,13 @@ class Desk(param.Parameterized):
         """Runs of the study file."""
         return {run.name: run for run in self.study.runs} if self.study else {}
 
+    def written(self, table: str, key: str, which: str | None = None) -> Any:
+        """What the study file itself says under a key, None where it says nothing."""
+        try:
+            return written(self.path.read_text(encoding="utf-8"), table, key, which)
+        except (OSError, FrictrackError):  # while somebody rewrites it by hand
+            return None
+
     @property
     def measured(self) -> RunResults | None:
         """What was measured of the run that is looked at."""
@@ -131,7 +138,7 @@ class Desk(param.Parameterized):
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return False
-        self.tell(f"{self.path.name} is written")
+        self.tell(f"{self.path.name} is written; now run everything")
         return True
 
     def do(self, do: str, **told: Any) -> bool:
@@ -143,7 +150,7 @@ class Desk(param.Parameterized):
             self.tell(str(e), wrong=True)
             return False
         self.rev = Ledger(self.study.output).rev
-        self.tell(f"{do}: done")
+        self.tell(" ".join((f"{do}: done", *(str(told[k]) for k in ("which", "key") if told.get(k) is not None))))
         return True
 
     def start(self, do: str, **told: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import panel as pn
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replaced
+from frictrack.flow import sheet
 from frictrack.report.tables import table
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
@@ -18,6 +20,7 @@ from frictrack.workbench.linked import Linked
 from frictrack.workbench.widgets import button, grid, heading, html, note
 
 TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
+OWN = {"mass": "Mass of this run", "scale": "Scale of this run"}
 LARGEST = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
 LONGEST_UPLOAD = 200  # bytes of a file name; systems end at 255
 
@@ -33,6 +36,7 @@ class FilmTab:
         self.tool = pn.widgets.RadioButtonGroup(label="Draw", options=TOOLS, value="")
         self.length = pn.widgets.TextInput(label="Length of the ruler", placeholder="100 mm", width=140)
         self.shape: dict[str, Any] = {}
+        self._filling = False
         self.found = pn.widgets.CheckBoxGroup(label="Recordings in this folder", options=[], width=330)
         self.drop = pn.widgets.FileDropper(label="or drop them here", multiple=True, max_file_size=LARGEST, width=330)
         self.mass = pn.widgets.TextInput(label="Mass of the slider", placeholder="0.350 +/- 0.002 kg", width=160)
@@ -40,9 +44,13 @@ class FilmTab:
         self.scale = pn.widgets.TextInput(label="Scale", placeholder="0.5 mm/px", width=160)
         self.go = button("Take them in", self._take_in, "primary")
         self.audit = html("")
+        self.own = {key: pn.widgets.TextInput(label=label, width=200) for key, label in OWN.items()}
+        self.picture = pn.pane.PNG(None, alt_text="", sizing_mode="scale_width", max_width=1280)
+        self.sheet = pn.Column(html(heading("Contact sheet")), self.picture, sizing_mode="stretch_width")
         self.keys = pn.Column(self.mass, self.fps, self.scale)
+        self.others = html("")
         self.more = pn.Column(
-            html(heading("Recordings in this folder that are not in the study")),
+            self.others,
             pn.FlexBox(pn.Column(self.found, self.drop), self.keys, self.go, align_items="flex-end", gap="14px"),
         )
         self.tools = pn.FlexBox(
@@ -54,19 +62,52 @@ class FilmTab:
             align_items="flex-end",
             gap="10px",
         )
-        self.view = pn.Column(self.tools, self.linked, self.audit, self.more, sizing_mode="stretch_width")
+        self.keys_of_run = pn.FlexBox(align_items="flex-end", gap="10px")
+        self.view = pn.Column(
+            self.tools, self.linked, self.keys_of_run, self.audit, self.sheet, self.more, sizing_mode="stretch_width"
+        )
         self.tool.link(self.linked, value="tool")
         self.linked.listen("drawn", self._drawn)
         self.drop.param.watch(self._dropped, "value")
+        for key, box in self.own.items():
+            box.param.watch(partial(self._keyed, key), "value")
 
     def refresh(self) -> None:
         """Show the study as it is now."""
         new = self.desk.study is None
         self.keys.visible, self.tools.visible = new, not new
         self.found.options = self.desk.recordings
+        self.found.visible = bool(self.found.options)
+        self.others.object = heading("Recordings in this folder" + ("" if new else " that are not in the study"))
         run = self.desk.measured
         self.bench.draw(scenes.tracked(run) if run else scenes.Scene(), self.desk.run)
         self.audit.object = self._audited()
+        self._tell_keys()
+        path = sheet(self.desk.study, self.desk.run) if self.desk.study else None
+        self.sheet.visible = run is not None and run.film is not None and path is not None and path.exists()
+        if self.sheet.visible and path is not None:
+            self.picture.alt_text = f"contact sheet: what was tracked in {self.desk.run}"
+            self.picture.object = path.read_bytes()
+
+    # --- mass and scale of one run
+
+    def _tell_keys(self) -> None:
+        """What the study file says of this run, and in grey what holds where it says nothing."""
+        self.keys_of_run.objects = list(self.own.values()) if self.desk.runs else []
+        self._filling = True
+        for (key, box), common in zip(self.own.items(), ("study", "camera"), strict=True):
+            held = self.desk.written("run", key, self.desk.run) if self.desk.run else None
+            told = self.desk.written(common, key)
+            box.placeholder = "drawn on the film" if _is_drawn(held or told) else f"{told or 'none'} for all runs"
+            box.value = "" if held is None or _is_drawn(held) else str(held)
+        self._filling = False
+
+    def _keyed(self, key: str, event: Any) -> None:
+        """Write a key of the run; an empty one is taken away, so that the study's holds again."""
+        if not self._filling and self.desk.run:
+            text = event.new.strip()
+            value = _number(text) if text else None
+            self.desk.do("edit", table="run", which=self.desk.run, key=key, value=value)
 
     # --- recordings
 
@@ -126,7 +167,7 @@ class FilmTab:
         if run is None or run.film is None:
             if not self.desk.run:
                 return note("Choose recordings, or drop them; then give mass, frame rate and scale.")
-            return note(f"{self.desk.run} is not measured to its end yet.")
+            return note(f"{self.desk.run} is not measured to its end yet: run everything, or track every film first.")
         rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
         notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
         return (
@@ -152,6 +193,11 @@ def stored_upload(folder: Path, name: str, content: bytes | str) -> str:
     with replaced(path) as part:
         part.write_bytes(data)
     return last
+
+
+def _is_drawn(scale: Any) -> bool:
+    """Whether a scale comes from the film itself."""
+    return isinstance(scale, dict | list)
 
 
 def _number(text: str | None) -> Any:

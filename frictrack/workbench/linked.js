@@ -92,7 +92,12 @@ class Plot {
 
   home() {
     const shown = this.spec.layers.filter((l) => l.kind !== "span" && !l.loose);
-    const ys = shown.flatMap((l) => (l.kind === "band" ? [this.column(l.low), this.column(l.high)] : [this.column(l.y)]));
+    const { focus } = this.spec;  // of x: what lies outside does not stretch y
+    const near = (l, key) => {
+      const xs = this.xOf(l), values = this.column(key);
+      return focus ? values.filter((v, i) => xs[i] >= focus[0] && xs[i] <= focus[1]) : values;
+    };
+    const ys = shown.flatMap((l) => (l.kind === "band" ? [near(l, l.low), near(l, l.high)] : [near(l, l.y)]));
     return { x: Axis.around(shown.map((l) => this.xOf(l)), 0.02), y: Axis.around(ys, 0.06) };
   }
 
@@ -174,15 +179,18 @@ class Plot {
     pen.font = FONT;
   }
 
-  // Inside, at the top right, on a pale ground: a title never meets it.
+  // Beside the title, or where that leaves no room inside at the top right, on a pale ground.
   legend(pen) {
-    const { x, y, w } = this.inner, told = this.spec.layers.filter((l) => l.label);
+    const { x, w } = this.inner, told = this.spec.layers.filter((l) => l.label);
     if (!told.length) return;
     const width = told.reduce((sum, l) => sum + pen.measureText(l.label).width + 32, 0);
+    pen.font = `600 ${FONT}`;
+    const beside = pen.measureText(this.spec.title).width + width + 12 < w, y = beside ? SPACE.top - 21 : SPACE.top;
+    pen.font = FONT;
     pen.fillStyle = "rgba(255,255,255,.8)";
-    pen.fillRect(x + w - width - 4, y + 2, width + 2, 18);
+    if (!beside) pen.fillRect(x + w - width - 4, y + 2, width + 2, 18);
     pen.textAlign = "right";
-    let at = x + w - 8;
+    let at = x + w - (beside ? 0 : 8);
     for (const layer of told.reverse()) {
       pen.fillStyle = INK;
       pen.fillText(layer.label, at, y + 15);

@@ -42,6 +42,7 @@ class MissingTab:
         self.falls = pn.Column(sizing_mode="stretch_width")
         self.left = pn.Column(sizing_mode="stretch_width")
         self.next = html("")
+        self._made: object = None  # what the cards were made from
         self.diagnose = button("Find what is missing", lambda: desk.start("diagnose"), "primary")
         self.view = pn.Column(
             pn.FlexBox(self.diagnose, gap="10px"),
@@ -58,17 +59,22 @@ class MissingTab:
         """Show the verdict on the current model."""
         results, model, told = self.desk.results, self.desk.model, self.desk.diagnosis
         self.diagnose.disabled = model is None
-        self.falls.objects = [figure(plots.history(results.models))] if results and results.models else []
+        models = results.models if results else ()
+        made = (told, [(m.name, m.current, m.summary["errors"]) for m in models])
+        new, self._made = made != self._made, made
+        if new:
+            self.falls.objects = [figure(plots.history(models))] if models else []
         if results is None or model is None or told is None:
             self.head.object = note("The current model was not diagnosed yet.")
             self.left.objects, self.cards.objects, self.next.object = [], [], ""
             self.bench.draw(scenes.Scene())
             return
         self.head.object = _verdict(told)
-        figures = results.figures
-        self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(told)[:CARDS]]
-        self.left.objects = self._unexplained(told.get("unexplained") or {})
-        self.next.object = _next(told)
+        if new:  # cards stay while they hold: nobody's click meets one that is being replaced
+            figures = results.figures
+            self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(told)[:CARDS]]
+            self.left.objects = self._unexplained(told.get("unexplained") or {})
+            self.next.object = _next(told)
         self.bench.draw(scenes.residual(results, model, self.desk.ghost))
 
     def _unexplained(self, left: dict[str, Any]) -> list[Any]:

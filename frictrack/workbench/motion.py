@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import numpy as np
 import panel as pn
 
 from frictrack import plots
+from frictrack.errors import FrictrackError
+from frictrack.flow import previewed
+from frictrack.results import RunResults
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
@@ -22,17 +26,22 @@ class MotionTab:
 
     def __init__(self, desk: Desk, films: Films) -> None:
         self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
-        self.cutoff = pn.widgets.DiscreteSlider(label="Cut-off of a plain low-pass / Hz", options=[1.0], width=420)
+        self.cutoff = pn.widgets.DiscreteSlider(
+            label="Preview a plain low-pass, cut-off / Hz", options=[1.0], width=420
+        )
         self.price = html("")
         self.words = html("")
         self.trade = pn.Column(sizing_mode="stretch_width")
+        self.part = button("Part trend, vibrations and events instead", lambda: self._edit("cutoff", None))
+        self.find = button("Find the free section by itself", lambda: self._edit("free", None))
+        self.use = button("Use this cut-off", self._cut)
         self.view = pn.Column(
             self.words,
             pn.FlexBox(
                 pn.Column(self.cutoff, self.price),
-                button("Use this cut-off", self._cut),
-                button("Trend, vibrations and events by themselves", lambda: self._edit("cutoff", None)),
-                button("Find the free section by itself", lambda: self._edit("free", None)),
+                self.use,
+                self.part,
+                self.find,
                 button("Bring up to date", lambda: desk.start("measure", stage="friction"), "primary"),
                 align_items="flex-end",
                 gap="10px",
@@ -41,37 +50,84 @@ class MotionTab:
             self.trade,
             sizing_mode="stretch_width",
         )
-        self.cutoff.param.watch(lambda event: self._priced(), "value")
+        self._ghost: float | None = None  # cut-off that is previewed, Hz
+        self._filling = self._busy = False
+        self.cutoff.param.watch(self._slid, "value")
         self.bench.linked.listen("moved", self._moved)
 
     def refresh(self) -> None:
         """Show the run that is looked at."""
         run = self.desk.measured
+        self._ghost = None
         self.bench.draw(scenes.motion(run) if run else scenes.Scene(), self.desk.run)
+        self.use.visible = self.cutoff.visible = run is not None and run.cutoff is not None
+        self.part.visible = self.find.visible = run is not None
         if run is None:
             self.words.object = note("This run is not measured to its end yet: bring it up to date.")
-            self.trade.objects = []
+            self.trade.objects, self.price.object = [], ""
             return
         free = run.friction.reason if run.friction else "without a mass there is no force"
-        self.words.object = note(f"Free section: {free}. {run.filtered.reason}. Drag its green handles to change it.")
+        self.words.object = note(f"Free section: {free}. Drag its green handles to change it.") + note(
+            f"Smoothed by {run.filtered.reason}. Acceleration and force are drawn to the scale of the free section; "
+            "zoom out (shift and wheel) to see what comes before it."
+        )
+        self.trade.objects = []
+        self.price.object = note("Bring up to date to choose a cut-off.")
         if run.cutoff is not None:
+            asked = run.settings.get("cutoff")
+            near = asked or run.cutoff.chosen
+            self._filling = True  # nobody has moved it
             self.cutoff.options = [float(np.round(f, 1)) for f in run.cutoff.frequency]
-            wanted = run.settings.get("cutoff") or run.cutoff.chosen
-            self.cutoff.value = min(self.cutoff.options, key=lambda f: abs(f - wanted))
-            self._priced()
+            self.cutoff.value = min(self.cutoff.options, key=lambda f: abs(f - near))
+            self._filling = False
+            self._priced(run)
             self.trade.objects = [figure(plots.cutoff(run.name, run.cutoff, run.mass))]
+            if asked and not (run.filtered.asked and np.isclose(run.filtered.cutoff, asked)):
+                self._look(float(asked))  # it stands in the study file and waits for the work to be done again
 
-    def _priced(self) -> None:
+    def _priced(self, run: RunResults) -> None:
         """What a cut-off costs: noise that it lets pass, detail that it takes away."""
-        run = self.desk.measured
-        if run is None or run.cutoff is None:
-            return
+        assert run.cutoff is not None
         noise, lost = run.cutoff.at(float(self.cutoff.value))
         factor, unit = (run.mass, "N") if run.mass else (1.0, "m/s²")
         self.price.object = note(
-            f"noise that passes {noise * factor:.3g} {unit}, detail that is lost {lost * factor:.3g} {unit}; parted by "
-            f"themselves: {run.cutoff.structural * factor:.3g} {unit} in all"
+            f"lets {noise * factor:.3g} {unit} of noise pass and takes {lost * factor:.3g} {unit} of detail; trend, "
+            f"vibrations and events parted: {run.cutoff.structural * factor:.3g} {unit} in all"
         )
+
+    # --- the preview
+
+    def _slid(self, event: Any) -> None:
+        run = self.desk.measured
+        if self._filling or run is None or run.cutoff is None:
+            return
+        self._priced(run)
+        self._look(float(self.cutoff.value))
+
+    def _look(self, cutoff: float) -> None:
+        """Have the ghosts of a cut-off drawn."""
+        self._ghost = cutoff
+        if not self._busy:
+            pn.state.execute(self._previews)
+
+    async def _previews(self) -> None:
+        """One at a time, beside the server's loop; of those asked for meanwhile the last one counts."""
+        shown, self._busy = None, True
+        try:
+            while self._ghost is not None and (wanted := (self.desk.run, self._ghost)) != shown:
+                run = self.desk.measured
+                if run is None:
+                    return
+                found = await asyncio.to_thread(previewed, run, wanted[1])
+                if self._ghost is not None and self.desk.measured is run:
+                    self.bench.draw(scenes.motion(run, found, f"at {wanted[1]:.3g} Hz"))
+                    shown = wanted
+        except FrictrackError as e:
+            self.desk.tell(str(e), wrong=True)
+        finally:
+            self._busy = False
+
+    # --- what is put into the study
 
     def _cut(self) -> None:
         self._edit("cutoff", f"{self.cutoff.value:g} Hz")

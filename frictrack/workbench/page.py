@@ -39,7 +39,9 @@ class Page:
         ]
         self.head = html("", width=400)
         self.old = html("", visible=False)
-        self.said = html("")
+        self.said = html(
+            "", visible=False, styles={"position": "sticky", "top": "0", "z-index": "10"}
+        )  # seen wherever one scrolls
         self.run = pn.widgets.Select(label="Run", options=[], width=180)
         self.bar = pn.indicators.Progress(value=0, max=100, width=260, visible=False, align="center")
         self.doing = html("", width=520)
@@ -118,6 +120,7 @@ class Page:
 
     def _told(self, *events: Any) -> None:
         kind = " wrong" if self.desk.wrong else ""
+        self.said.visible = bool(self.desk.said)
         self.said.object = f"<div class='ft-said{kind}' role=status>{escape(self.desk.said)}</div>"
 
     def _working(self, event: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import zipfile
 from collections.abc import Callable
@@ -34,13 +35,16 @@ class RecordTab:
         self.choice = pn.widgets.Select(label="Model", options={}, width=300)
         self.kind = pn.widgets.RadioButtonGroup(label="Figures as", options=list(KINDS), value="svg")
         self.link = html("")
+        self.reports = (
+            self._file("Report (HTML)", "report.html", self._report),
+            self._file("Report (PDF)", "report.pdf", self._paper),
+        )
         self.view = pn.Column(
             self.models,
             pn.FlexBox(self.choice, button("Make it current", self._use), align_items="flex-end", gap="10px"),
             pn.FlexBox(
                 button("Write the report", lambda: desk.start("report"), "primary"),
-                self._file("Report (HTML)", "report.html", self._report),
-                self._file("Report (PDF)", "report.pdf", self._paper),
+                *self.reports,
                 self._file("Tables (CSV)", "tables.zip", self._tables),
                 self._file("Everything (HDF5)", "hdf5.zip", self._stores),
                 self._file("Python script", "repeat.py", self._script),
@@ -53,23 +57,41 @@ class RecordTab:
             sizing_mode="stretch_width",
         )
 
-    def _file(self, label: str, name: str, make: Callable[[], bytes | None]) -> pn.widgets.FileDownload:
-        def made() -> io.BytesIO:
-            return io.BytesIO(make() or b"")
+    def _file(self, label: str, name: str, make: Callable[[], bytes]) -> pn.widgets.FileDownload:
+        """A button that gives a file; it is made beside the server's loop, so that the page lives on meanwhile."""
 
-        return pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, color="default")
+        async def made() -> io.BytesIO:
+            one.param.update(label=f"{label} ...", disabled=True)
+            self.desk.tell(f"{name} is being made")
+            try:
+                content = await asyncio.to_thread(make)
+            except FrictrackError as e:
+                self.desk.tell(str(e), wrong=True)
+                raise  # nothing is downloaded
+            finally:
+                one.param.update(label=label, disabled=False)
+            self.desk.tell(f"{name}: done")
+            return io.BytesIO(content)
+
+        one = pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, color="default")
+        return one
 
     def refresh(self) -> None:
         """Show the models tried."""
         results = self.desk.results
         models = results.models if results else ()
+        path = results.output / "report.html" if results else None
+        written = path is not None and path.exists()
+        self.link.object = note(f"The report is {path}" if written else "Write the report before you take it with you.")
+        for one in self.reports:
+            one.disabled = not written
         if not models:
             self.models.object = note("No model was fitted yet.")
+            self.choice.options = {}
             return
         self.models.object = grid(history(models))
-        self.choice.options = {plots.plain_name(m.name): m.name for m in models}
-        path = results.output / "report.html" if results else None
-        self.link.object = note(f"The report is {path}") if path and path.exists() else ""
+        self.choice.options = {plots.numbered_name(m.name): m.name for m in models}
+        self.choice.value = next((m.name for m in models if m.current), models[-1].name)
 
     def _use(self) -> None:
         if self.choice.value:
@@ -81,25 +103,17 @@ class RecordTab:
         assert self.desk.results is not None
         return self.desk.results
 
-    def _written(self) -> Path | None:
-        """The report, or a word that there is none."""
+    def _written(self) -> Path:
         path = self._results().output / "report.html"
-        if path.exists():
-            return path
-        self.desk.tell("write the report first", wrong=True)
-        return None
+        if not path.exists():
+            raise FrictrackError(f"expected the report {path} but there is none; write it first")
+        return path
 
-    def _report(self) -> bytes | None:
-        path = self._written()
-        return path.read_bytes() if path else None
+    def _report(self) -> bytes:
+        return self._written().read_bytes()
 
-    def _paper(self) -> bytes | None:
-        path = self._written()
-        try:
-            return printed(path).read_bytes() if path else None
-        except FrictrackError as e:
-            self.desk.tell(str(e), wrong=True)
-            return None
+    def _paper(self) -> bytes:
+        return printed(self._written()).read_bytes()
 
     def _tables(self) -> bytes:
         return zipped({path.name: path.read_bytes() for path in write(self._results(), "csv")})

@@ -15,6 +15,7 @@ from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 
 BAND, FREE, MEASURED = "#e0e0e0", "rgba(0,158,115,.12)", "#333333"
+GHOST = VERMILLION  # of a motion that is only previewed
 TARGET = "target"
 TRACKS = (ORANGE, SKY, GREEN, PURPLE)
 
@@ -119,8 +120,11 @@ def places(run: RunResults) -> dict[str, Array]:
     return {on_film(name, axis, run): q for name, place in found.items() for axis, q in place.items()}
 
 
-def motion(run: RunResults) -> Scene:
-    """Displacement, velocity, acceleration and friction of one run with their bands; the free section has handles."""
+def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scene:
+    """Displacement, velocity, acceleration and friction of one run with their bands; the free section has handles.
+
+    `other` (3, n) is x, v and a smoothed otherwise, which lie over v and a as ghosts; the axes stay.
+    """
     m, d, f = run.motion, run.displacement, run.friction
     columns: dict[str, Array] = {
         "t": 1e3 * m.t,
@@ -132,20 +136,28 @@ def motion(run: RunResults) -> Scene:
     bands = [_around(columns, name, columns[name], sigma) for name, sigma in (("v", m.sigma_v), ("a", m.sigma_a))]
     around = _around(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
     columns |= places(run)
+    ghosts: dict[str, list[dict[str, Any]]] = {"v": [], "a": []}
+    if other is not None:
+        columns |= {"v_ghost": other[1], "a_ghost": other[2]}
+        ghosts = {q: [line(f"{q}_ghost", GHOST, label, dash=[6, 3], width=2, loose=True)] for q in ghosts}
     time = ("t", "time / ms")
     free = _free(run)
-    shade = [span(*free, FREE, "free section")] if free else []
+    shade = [span(*free, FREE)] if free else []
+    named = [span(*free, FREE, "free section")] if free else []
+    near = {"focus": list(free)} if free else {}  # the push would flatten all that comes after
     grip = {"handles": [{"name": "free", "span": list(free)}]} if free else {}
     shown = [
-        plot("Displacement", time, "x / mm", *shade, line("x", MEASURED), brush="x", **grip),
-        plot("Velocity", time, "v / (m/s)", *shade, bands[0], line("v", MEASURED), brush="x"),
-        plot("Acceleration", time, "a / (m/s²)", *shade, bands[1], line("a", MEASURED), brush="x"),
+        plot("Displacement", time, "x / mm", *named, line("x", MEASURED), brush="x", **grip),
+        plot("Velocity", time, "v / (m/s)", *shade, bands[0], line("v", MEASURED), *ghosts["v"], brush="x"),
+        plot(
+            "Acceleration", time, "a / (m/s²)", *shade, bands[1], line("a", MEASURED), *ghosts["a"], brush="x", **near
+        ),
         plot("Measured minus smoothed", time, "x / µm", around, dots("raw", BLUE)),
     ]
     if f is not None:
         columns["F"] = f.F
         layer = _around(columns, "F", f.F, f.sigma_F)
-        shown.insert(3, plot("Friction force", time, "F / N", *shade, layer, line("F", MEASURED), brush="x"))
+        shown.insert(3, plot("Friction force", time, "F / N", *shade, layer, line("F", MEASURED), brush="x", **near))
     return Scene(len(m), columns, shown, [_run(run, 0, len(m))])
 
 
@@ -170,7 +182,7 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
     unit = residual_unit(model)
     left = f"measured minus modelled / {unit}"
     now = dots("left", by_run=True, main=True)
-    behind = [dots("ghost", "#bbbbbb", label=plots.plain_name(ghost.name))] if ghost is not None else []
+    behind = [dots("ghost", "#bbbbbb", label=_called(ghost))] if ghost is not None else []
     noise = band("noise_low", "noise_high", label="noise")
     looks = [_run(run, int(firsts[i]), len(run.motion), RUNS[i % len(RUNS)]["color"]) for i, run in enumerate(runs)]
     order = {look["name"]: (i, look["colour"]) for i, look in enumerate(looks)}
@@ -182,7 +194,7 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
     forces = [
         line("F", MEASURED, "measured", width=1),
         line("F_model", VERMILLION, "model", width=2),
-        *([line("F_ghost", GREEN, plots.plain_name(ghost.name), dash=[5, 3])] if ghost is not None else []),
+        *([line("F_ghost", GREEN, _called(ghost), dash=[5, 3])] if ghost is not None else []),
     ]
     loops = [dots("F", by_run=True), dots("F_model", VERMILLION, "model")]
     shown = [
@@ -193,6 +205,11 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
         plot("Force against velocity", ("v", "velocity / (m/s)"), "F / N", *loops),
     ]
     return Scene(int(firsts[-1]), columns, shown, looks)
+
+
+def _called(model: ModelResults) -> str:
+    """A model's name with its number; one that was only attempted has none."""
+    return plots.plain_name(model.name) if model.name.startswith("0_") else plots.numbered_name(model.name)
 
 
 def residual(results: Results, model: ModelResults, ghost: ModelResults | None = None) -> Scene:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -77,14 +76,8 @@ def _rectangle(track: Track) -> tuple[int, int, int, int]:
 
 
 def _headline(recording: Recording, track: Track) -> str:
-    lost = Counter(_kind(r) for r in track.reason if r)
-    why = "; ".join(f"{count} frames: {reason}" for reason, count in lost.most_common(3))
+    why = "; ".join(f"{count} frames: {reason}" for reason, count in track.lost.most_common(3))
     return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames\n{why}".strip()
-
-
-def _kind(reason: str) -> str:
-    """Reasons that differ only in their number count as one."""
-    return "match score too low" if reason.startswith("match score") else reason
 
 
 def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
