@@ -179,13 +179,16 @@ class Tried:
         with self.ledger.turn(do, **asked) as change:
             group, head = f"{len(self.groups) + 1}_{spec.name}", self.head
             marks = {"models": {"study_model": self._asked}} | self._marks(group)
-            links = {f"runs/{work.run.name}": work.path.name for work in self._works}
             entry = {f"models/{group}": self._entry(spec, fitted, current=True)}
-            store.write(self.path, entry, remove=STALE, links=links, marks=marks)
+            store.write(self.path, entry, remove=STALE, links=self._links(), marks=marks)
             change.before = {} if head is None else {"current": head}
             change.after = {"current": group}
         self._fits[group] = fitted
         return group, spec
+
+    def _links(self) -> dict[str, str]:
+        """The files of the runs, as the study's file shows them."""
+        return {f"runs/{work.run.name}": work.path.name for work in self._works}
 
     def attempt(self, spec: Spec, path: Path) -> dict[str, Any]:
         """Fit a model into a file beside the study: JSON of `fit`."""
@@ -204,7 +207,8 @@ class Tried:
             else:
                 self._fits[group] = self._fit(spec)
                 entry = self._entry(spec, self._fits[group], current=group == self.head)
-                store.write(self.path, {f"models/{group}": entry}, remove=("diagnosis",))  # a link into what was
+                removed = ("diagnosis",)  # a link into what was
+                store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._links())
         return self._fits[group]
 
     def _restored(self, group: str) -> Any:

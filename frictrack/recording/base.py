@@ -124,15 +124,24 @@ class Recording(ABC):
 
     @property
     def hash(self) -> str:
-        """SHA-256 over names, sizes and the first, middle and last megabyte of the recording's files."""
+        """SHA-256 over names, sizes and the first, middle and last megabyte of the recording's files.
+
+        Raises `FrictrackError` where one has vanished since it was opened, or cannot be read.
+        """
         digest = hashlib.sha256()
-        for file in self._files():
-            size = file.stat().st_size
-            digest.update(f"{file.name}:{size}\n".encode())
-            with file.open("rb") as stream:
-                for at in sorted({0, max(0, size // 2 - _CHUNK // 2), max(0, size - _CHUNK)}):
-                    stream.seek(at)
-                    digest.update(stream.read(_CHUNK))
+        try:
+            for file in self._files():
+                size = file.stat().st_size
+                digest.update(f"{file.name}:{size}\n".encode())
+                with file.open("rb") as stream:
+                    for at in sorted({0, max(0, size // 2 - _CHUNK // 2), max(0, size - _CHUNK)}):
+                        stream.seek(at)
+                        digest.update(stream.read(_CHUNK))
+        except OSError as e:
+            raise FrictrackError(
+                f"{self.path.name}: expected the recording that was opened but it cannot be read any more "
+                f"({e.strerror or e}); is the disk still there?"
+            ) from e
         return digest.hexdigest()
 
     def _files(self) -> list[Path]:

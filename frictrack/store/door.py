@@ -20,8 +20,8 @@ from frictrack.errors import FrictrackError
 from frictrack.files import alone, replaced
 from frictrack.store import layout
 from frictrack.store.layout import VERSION, Entry, Stamp, members
-from frictrack.store.migrations import FORMAT, migrated
-from frictrack.store.seal import ROOM, SCHEMA, head, intact, is_bare, seal, state
+from frictrack.store.migrations import in_memory, migrated
+from frictrack.store.seal import SCHEMA, head, intact, is_bare, sealed, state
 from frictrack.store.sums import SUM, add_sums, drop_sums
 
 NOTHING: Mapping[Any, Any] = {}
@@ -190,9 +190,12 @@ def _said(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[h5py.File]:
-    """A new file with the old one's groups, which takes the old one's place when the block ends well."""
+    """A new file with the old one's groups, which takes the old one's place when the block ends well.
+
+    It is made in memory: HDF5 itself would crash on a disk that is full.
+    """
     with alone(path.parent), replaced(path) as part:
-        with h5py.File(part, "w", userblock_size=ROOM, **FORMAT) as file:
+        with in_memory() as file:
             if path.exists():
                 with _reading(path) as old:
                     _copy(old, file)
@@ -200,7 +203,9 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             file.attrs.pop(SUM, None)
             yield file
             add_sums(file)
-        seal(part, VERSION)
+            file.flush()
+            whole = sealed(file.id.get_file_image(), VERSION)
+        part.write_bytes(whole)
 
 
 def _copy(old: h5py.File, new: h5py.File) -> None:

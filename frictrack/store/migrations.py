@@ -13,7 +13,7 @@ import numpy as np
 
 from frictrack.store.claims import array_of
 from frictrack.store.layout import new_group, put_array
-from frictrack.store.seal import SCHEMA
+from frictrack.store.seal import ROOM, SCHEMA
 from frictrack.store.sums import add_sums
 
 FORMAT = {"libver": ("v108", "v108"), "locking": False}  # HDF5 1.8: MATLAB and HDFView of the last ten years read it
@@ -23,7 +23,7 @@ _NUMBER = count()
 def in_memory() -> h5py.File:
     """An empty file that never reaches the disk."""
     name = f"in memory {next(_NUMBER)}"  # HDF5 knows open files by name
-    return h5py.File(name, "w", driver="core", backing_store=False, **FORMAT)
+    return h5py.File(name, "w", driver="core", backing_store=False, userblock_size=ROOM, **FORMAT)
 
 
 def migrated(file: h5py.File) -> h5py.File:

@@ -19,11 +19,12 @@ _MARK = "frictrack results, schema"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def seal(path: Path, version: str) -> None:
-    """Put the checksum of a finished file into its first bytes, beside its schema and what wrote it."""
-    room = _room(path, SCHEMA, version)
-    with path.open("r+b") as file:
-        file.write(room)
+def sealed(hdf5: bytes, version: str) -> bytes:
+    """A finished HDF5 part as the whole file: before it its checksum, beside its schema and what wrote it."""
+    first = _first(SCHEMA, version)
+    digest = hashlib.sha256(first.encode())
+    digest.update(memoryview(hdf5)[START - ROOM :])
+    return _room(first, digest.hexdigest()) + hdf5
 
 
 def head(path: Path) -> tuple[int, str] | None:
@@ -59,14 +60,19 @@ def state(path: Path) -> tuple[int, int, int]:
 def _intact(path: Path, *_: int) -> bool:
     """The answer for one state of a file."""
     told = head(path)
+    if told is None:
+        return False
+    first = _first(*told)
     with path.open("rb") as file:
-        return told is not None and file.read(ROOM) == _room(path, *told)
-
-
-def _room(path: Path, schema: int, version: str) -> bytes:
-    """What stands before the HDF5 part of a sound file."""
-    first = f"{_MARK} {schema}, written by {version}\n"
-    with path.open("rb") as file:
+        room = file.read(ROOM)
         file.seek(START)
-        digest = hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest()
+        return room == _room(first, hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest())
+
+
+def _first(schema: int, version: str) -> str:
+    return f"{_MARK} {schema}, written by {version}\n"
+
+
+def _room(first: str, digest: str) -> bytes:
+    """What stands before the HDF5 part of a sound file."""
     return f"{first}sha256 of this line and all after byte {START}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"
