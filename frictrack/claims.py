@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -25,7 +24,7 @@ def array_of(dataset: Any) -> Any:
     text = h5py.check_string_dtype(dataset.dtype)
     if text is None and dataset.dtype.kind not in "biuf":
         raise ValueError(f"expected numbers or strings but got {dataset.dtype}")
-    size = Path(dataset.file.filename).stat().st_size
+    size = dataset.file.id.get_filesize()
     most = _DENSEST * min(dataset.id.get_storage_size(), size) + _FREE
     chunk = math.prod(dataset.chunks or (0,)) * dataset.dtype.itemsize
     if max(dataset.nbytes, chunk) > most:
