@@ -1,0 +1,53 @@
+"""How frictrack scales: over cores, the length of a film, the number of runs; and where the time of a study goes.
+
+    python pipelines/benchmarks/scale [--only cores,length,runs,stages] [--json FILE]
+
+cores   studies of four rendered films each, by `frictrack batch` on 1, 2, 4, ... processes: runs a minute, and how much
+        of the ideal speed that is; resumed once, to see what a finished study costs
+length  one film of 1000, 4000 and 16000 frames of 1024 x 256 px (up to 4 GB, in files with holes): the most memory that
+        tracking takes, and its time a frame
+runs    5 to 40 runs of 700 frames: processor time of fit and diagnosis, and the exponent in the number of runs
+stages  one study of four films: time of every stage, beside the decoder alone
+
+What is measured is put into the file (default: results.json beside this one); the rest of it stays. A quiet machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from machine import described  # noqa: E402
+
+from scale import cores, length, runs, stages  # noqa: E402 - found only now
+
+PARTS = {"cores": cores.measure, "length": length.measure, "runs": runs.measure, "stages": stages.measure}
+RESULTS = Path(__file__).with_name("results.json")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default=",".join(PARTS), help="parts, with commas")
+    parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")
+    args = parser.parse_args()
+    wanted = args.only.split(",")
+    if unknown := sorted({*wanted} - {*PARTS}):
+        parser.error(f"expected parts out of {', '.join(PARTS)} but got {unknown}")
+    known: dict[str, Any] = json.loads(args.json.read_text()) if args.json.exists() else {}
+    known["machine"] = described("numpy", "scipy", "h5py", "opencv-python-headless") | {"cores": cores.here()}
+    for name in wanted:
+        known[name] = PARTS[name](lambda text: print(text, flush=True))
+        args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    print(f"results: {args.json}")
+
+
+if __name__ == "__main__":
+    main()
