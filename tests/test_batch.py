@@ -199,6 +199,19 @@ def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch:
     assert done[0].failures == [{"run": "", "reason": "not asked"}, {"run": "r0", "reason": "no light"}]
 
 
+def test_a_crew_that_gives_up(tmp_path: Path) -> None:
+    class Leaving(Inline):
+        def submit(self, of: Callable[..., Any], *told: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            future.cancel()
+            future.set_running_or_notify_cancel()
+            return future
+
+    path = campaign(tmp_path, 1) / "day_1" / "study.toml"
+    done = list(Campaign([path], 0, Leaving(), State(1)).worked(lambda state: None))
+    assert "gave it up" in done[0].failures[0]["reason"]
+
+
 def test_a_moment_of_a_batch_is_shown() -> None:
     state = State(5, kept=1, done=["/a/b.toml"], runs=3)
     state.under_way = {"/a/[c].toml": state.began}

@@ -12,6 +12,7 @@ from typing import Any
 
 from frictrack.batch.work import Begun, Done, begin, conclude, in_words, measure, undone
 from frictrack.crew import Crew
+from frictrack.errors import FrictrackError
 
 LOOK = 0.5  # s between two looks at what is under way
 
@@ -102,7 +103,7 @@ class Campaign:
     def _ended(self, piece: _Piece, future: Future[Any]) -> Done | None:
         """What a piece of work leads to; the study, where that was its last one."""
         case = piece.case
-        died = future.exception()
+        died = _death(future)
         if piece.of is measure:
             reason = in_words(died) if died is not None else future.result()
             case.films -= 1
@@ -131,6 +132,15 @@ class Campaign:
         self.state.done.append(done.study)
         self.state.runs += sum(1 for row in done.rows if row.get("run"))
         self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
+
+
+def _death(future: Future[Any]) -> BaseException | None:
+    """Why a piece of work has no result; None where it has one."""
+    if future.cancelled():
+        return FrictrackError(
+            "whoever worked on it gave it up, as a cluster does that is shut down; run the batch again"
+        )
+    return future.exception()
 
 
 def _title(piece: _Piece) -> str:
