@@ -39,7 +39,7 @@ class Outcome:
     alike: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden cause: what nobody can tell from it
     noted: tuple[str, ...] = ()  # faults that the measuring chain told and took away by itself
     reduced_chi2: float | None = None  # after adding what was named
-    heldout: float | None = None  # held-out error over the true noise, of films the estimated one, after adding
+    heldout: float | None = None  # held-out error over the true noise, after adding
     z: dict[str, float] = field(default_factory=dict)  # (found - true)/stated deviation of the law that was named
     overlap: float | None = None  # F1 of the frames where it fails
     limits: dict[str, float] = field(default_factory=dict)  # detection limits over the ideal detector's, nothing hidden
@@ -84,8 +84,27 @@ def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         limits=against_ideal(truth, said["detection_limits"]) if truth.kind == "none" and not named else {},
         seconds=seconds,
     )
-    noise = said["noise_um"] if truth.film else 1e6 * truth.noise
+    noise = (_tracked_noise(session, truth) or said["noise_um"]) if truth.film else 1e6 * truth.noise
     return _added(session, truth, noise, out) if named else _as_it_is(session, noise, out)
+
+
+def _tracked_noise(session: Session, truth: Truth) -> float | None:
+    """What the tracker was truly off by in the fitted frames, rms in um, beside each film's own start and speed.
+
+    A shake of the camera is taken away by the fixed reference. None where frames are lost: they are no longer those
+    that were drawn.
+    """
+    squares = []
+    for run, work in zip(truth.runs, session.runs, strict=True):
+        slide, seen = truth.slide(run), work.get("displacement")
+        if len(seen.x) != len(slide.x):
+            return None
+        drawn = slide.x if "camera_shake" in run.values else slide.x + slide.shift
+        kept = seen.valid & work.get("friction").free
+        off, t = (seen.x - drawn)[kept], slide.t[kept] - slide.t[kept].mean()
+        off = off - off.mean()
+        squares.append((off - t * (t @ off) / (t @ t)) ** 2)
+    return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _group(said: dict[str, Any]) -> tuple[str, ...]:
