@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from filelock import FileLock
 from frictrack import store
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
+from frictrack.files import _HOST
 from frictrack.flow import Session, open_study, verify
 from frictrack.flow.stages import FILM, TABLE
 from frictrack.store import Entry
@@ -196,10 +199,12 @@ def test_a_link_out_of_the_folder_is_said(study: Path) -> None:
 
 def test_what_a_killed_writer_left_is_said_and_swept(study: Path) -> None:
     results = study.parent / "study_results"
-    left = results / ".slow_abc.part.h5"
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left = results / f".slow_{_HOST}-{gone.pid}_abc.part.h5"
     left.write_bytes(b"half")
-    assert faults(study) == [("leftover", ".slow_abc.part.h5", "")]
-    store.write(results / "fast.h5", {})
+    assert faults(study) == [("leftover", left.name, "")]
+    store.write(results / "slow.h5", {})
     assert faults(study) == []
 
 
@@ -293,7 +298,7 @@ def test_a_study_of_an_earlier_schema_is_sound_and_migrated(tmp_path: Path, monk
         velocity = file["motion/v"][()]
     np.testing.assert_array_equal(store.read(results / "v3.h5", "motion")["v"], velocity)
     assert {path.name: path.read_bytes() for path in results.glob("*.h5")} == before  # reading leaves them
-    monkeypatch.setattr("frictrack.store.door.seal", lambda path, version: 1 / 0)
+    monkeypatch.setattr("frictrack.store.door.sealed", lambda hdf5, version: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         store.write(results / "v3.h5", {})
     assert (results / "v3.h5").read_bytes() == before["v3.h5"]
