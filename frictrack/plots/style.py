@@ -16,6 +16,7 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from frictrack import records
@@ -90,25 +91,16 @@ def blank(height: float, title: str, width: float = WIDTH) -> Figure:
 def svg(figure: Figure) -> str:
     """The figure as an `<svg>` element: no header, no metadata, coordinates to a hundredth of a point."""
     with _ALONE, mpl.rc_context(STYLE):
-        _settle(figure)
         held = io.StringIO()
-        figure.savefig(
-            held,
-            format="svg",
-            dpi=200,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
+        figure.set_dpi(200)
+        canvas, engine = FigureCanvasSVG(figure), figure.get_layout_engine()
+        if engine is not None:  # laid out once here; `savefig` would draw the whole figure once more for that
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        canvas.print_svg(held, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = held.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
-
-
-def _settle(figure: Figure) -> None:
-    """Lay the figure out once and for all; `savefig` would draw all of it once more for that."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
 
 
 def png(figure: Figure, dpi: float = 110) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import frictrack as ft
+from frictrack.records import Displacement
 
 Say = Callable[[str], None]
 COUNTS = (5, 10, 20, 40)
@@ -48,7 +49,7 @@ def _runs(n: int) -> list[ft.Run]:
         x = x + NOISE * rng.standard_normal(FRAMES)
         nan = np.full(FRAMES, np.nan)
         sigma, valid = np.full(FRAMES, NOISE), np.ones(FRAMES, dtype=bool)
-        displacement = ft.Displacement(t=t, x=x, y=nan, angle=nan, sigma_x=sigma, sigma_y=nan, valid=valid)
+        displacement = Displacement(t=t, x=x, y=nan, angle=nan, sigma_x=sigma, sigma_y=nan, valid=valid)
         motion = ft.differentiate(ft.low_pass(displacement))
         out.append(ft.Run(displacement, motion, mass=MASS, name=f"r{i}"))
     return out

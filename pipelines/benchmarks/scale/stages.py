@@ -26,7 +26,7 @@ def measure(say: Say) -> dict[str, Any]:
         start = time.process_time()
         for run in session.study.runs:
             assert run.video is not None
-            for _ in open_recording(Path(str(run.video)), fps=run.fps):
+            for _ in open_recording(Path(str(run.video)), fps=run.fps).frames():
                 frames += 1
         decoder = time.process_time() - start
         spent: dict[str, float] = {}
