@@ -96,6 +96,14 @@ def test_a_line_of_progress_that_is_half_written_is_left_out(tmp_path: Path) -> 
     assert Job(tmp_path).progress == [{"done": 1, "total": 2, "what": "a"}]
 
 
+def test_a_process_that_never_began_is_not_running_whatever_the_clock(tmp_path: Path) -> None:
+    for jump in (-3600.0, 3600.0):
+        (tmp_path / "spec.json").write_text(json.dumps({"do": "fit", "study": "a.toml", "at": time.time() - jump}))
+        assert Job(tmp_path).state == jobs.INTERRUPTED
+    (tmp_path / "spec.json").write_text(json.dumps({"do": "fit", "study": "a.toml", "at": time.time()}))
+    assert Job(tmp_path).state == jobs.RUNNING
+
+
 def test_an_attempt_changes_nothing_of_the_study(study: Study) -> None:
     session = Session(study)
     session.fit()

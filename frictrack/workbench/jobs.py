@@ -61,7 +61,7 @@ class Job:
         """Running, done, failed, cancelled, or interrupted: its process was ended from outside."""
         if result := self.result:
             return FAILED if "error" in result else DONE
-        if self._held() or (time.time() - self.spec["at"] < STARTING and not (self.folder / "alive").exists()):
+        if self._held() or (abs(time.time() - self.spec["at"]) < STARTING and not (self.folder / "alive").exists()):
             return RUNNING
         if result := self.result:  # it came while we looked
             return FAILED if "error" in result else DONE
