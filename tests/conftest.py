@@ -28,7 +28,7 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
     return (v0 + F_C / F_V) / decay * (1 - np.exp(-decay * t)) - F_C / F_V * t
 
 
-LONG = ("notebooks", "workbench", "diagnose", "lab", "reproduce", "blind")  # files that take minutes
+LONG = ("notebooks", "workbench", "workbench_tabs", "diagnose", "lab", "reproduce", "blind")  # files that take minutes
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

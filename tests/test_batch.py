@@ -342,6 +342,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_cluster_that_loses_a_worker_comes_to_the_same_as_this_machine(tmp_path: Path) -> None:
     import subprocess  # noqa: PLC0415

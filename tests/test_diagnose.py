@@ -140,6 +140,7 @@ def test_the_noise_of_an_angle_that_rests_is_no_rotation():
     assert found.detection_limits["target_rotation"]["value"] is None
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_p_values():
     fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
     first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))
@@ -204,6 +205,7 @@ def test_two_effects_are_found_one_after_the_other_and_nothing_more():
     assert all(c.p == 0.001 for c in found.candidates[:2])
 
 
+@pytest.mark.slow
 def test_two_plain_effects_are_not_taken_for_one_wave_that_imitates_their_sum():
     law = {
         "coulomb": {"F_c": 8.2},
