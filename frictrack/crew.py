@@ -23,7 +23,9 @@ from typing import Any, Protocol
 import psutil
 
 from frictrack.errors import FrictrackError
+from frictrack.threads import processors
 
+VERSION = version("frictrack")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 TRIES = 3  # of one piece of work whose process dies
 NEED = 0.5e9  # bytes that a piece of work takes, until one has shown what it takes
@@ -39,11 +41,6 @@ class Crew(Protocol):
 
     def room(self) -> int:
         """How many pieces of work may be under way at once."""
-
-
-def processors() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
@@ -219,17 +216,16 @@ def _follow(parent: int) -> None:
 
 def _check(client: Any) -> None:
     """Every worker has our version."""
-    ours = _version()
     found = client.run(_version, on_error="return")
     if not found:
         raise FrictrackError("expected workers at the scheduler but there are none; start some, as `dask worker` does")
     for worker, theirs in found.items():
-        if theirs != ours:
-            raise FrictrackError(f"expected frictrack {ours} on every worker but {worker} says: {theirs}; update it")
+        if theirs != VERSION:
+            raise FrictrackError(f"expected frictrack {VERSION} on every worker but {worker} says: {theirs}; update it")
 
 
 def _version() -> str:
-    return version("frictrack")
+    return VERSION
 
 
 @contextmanager

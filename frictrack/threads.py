@@ -29,15 +29,18 @@ def one_thread() -> Iterator[None]:
 
 def side_by_side(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
     """Results for every item in order, worked out in as many threads as there are processors to spare."""
-    workers = min(_processors(), MOST, len(items))
+    workers = min(_spare(), MOST, len(items))
     if workers < 2:
         return [of(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(of, items))
 
 
-def _processors() -> int:
-    """Processors that this process may use; one where it is told to keep to one, as a worker among others is."""
-    if os.environ.get("OMP_NUM_THREADS") == "1":
-        return 1
+def _spare() -> int:
+    """Processors for threads: one where this process is told to keep to one, as a worker among others is."""
+    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else processors()
+
+
+def processors() -> int:
+    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -117,8 +117,7 @@ class Campaign:
         if isinstance(found, Begun):
             case.failed |= found.failed
             case.films = len(found.others)
-            told = (case.path,)
-            self._next += [_Piece(case, measure, (*told, run, dict(case.failed)), run) for run in found.others]
+            self._next += [_Piece(case, measure, (case.path, run, dict(case.failed)), run) for run in found.others]
             self._go_on(case)
             return None
         return found if isinstance(found, Done) else None

@@ -112,7 +112,8 @@ def _measured(study: Study, name: str) -> str | None:
     work = RunWork(study, _run(study, name))
     try:
         for stage in work.stages:
-            work.get(stage)
+            if not work.is_current(stage):  # what is there need not be read: the study reads it
+                work.get(stage)
     except Exception as e:  # noqa: BLE001
         return in_words(e).removeprefix(f'run "{name}", ')
     return None

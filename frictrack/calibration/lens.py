@@ -146,7 +146,12 @@ def _depth(text: str) -> int:
 
 
 def _json(text: str) -> dict[str, Any]:
-    return {k: v["data"] if isinstance(v, dict) and "data" in v else v for k, v in json.loads(text).items()}
+    return _unwrapped(json.loads(text))
+
+
+def _unwrapped(found: dict[str, Any]) -> dict[str, Any]:
+    """Matrices as their numbers alone."""
+    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 class _Loader(yaml.SafeLoader):
@@ -172,7 +177,7 @@ def _storage(text: str) -> dict[str, Any]:
     found = yaml.load("\n".join(lines), _Loader)
     if not isinstance(found, dict):
         raise ValueError("no names at the top")
-    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
+    return _unwrapped(found)
 
 
 def _element(element: ElementTree.Element) -> Any:

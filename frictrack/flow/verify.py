@@ -139,7 +139,7 @@ def _measured(work: RunWork, name: str, stamp: Stamp) -> Iterator[Fault]:
     """Whether the files that a stage read still hold the same."""
     then = {file: found for file, found in json.loads(stamp.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
-        now = {file: found for file, found in work.inputs(name) if not _GROUP.fullmatch(file)}
+        now = {str(work.written(path)): work.content(path) for path in work.files(work.stages[name])}
     except (FrictrackError, OSError) as e:
         words = f"what it was made from cannot be read ({e})"
         yield Fault(work.path, f"/{name}", words, "put it back; these results still stand", "missing")

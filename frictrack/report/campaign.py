@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from frictrack.files import replace_text
@@ -16,6 +14,7 @@ from frictrack.plots.campaign import series
 from frictrack.report.numbers import number, quantity
 from frictrack.report.page import Draw
 from frictrack.report.tables import Cell, Table, code, table
+from frictrack.report.templates import now, template
 
 MOST = 1000  # studies in the page's table; the others stand in the files
 PANELS = 12  # drawn; the clearest trends first
@@ -33,10 +32,7 @@ def write(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links:
 
 def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> str:
     """The page as HTML."""
-    loader = PackageLoader("frictrack", "report")
-    page = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("campaign.html.j2")
+    page = template("campaign.html.j2")
     clearest = sorted(trends, key=lambda one: one["p"])[:PANELS]
     return page.render(
         result=result,
@@ -52,7 +48,7 @@ def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links
         failed=_failed(result, links),
         studies=_studies(result["studies"][:MOST], links),
         more=max(0, len(result["studies"]) - MOST),
-        written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        written=now(),
     )
 
 

@@ -6,12 +6,10 @@ import base64
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -20,6 +18,7 @@ from frictrack.files import replace_text
 from frictrack.records import Array
 from frictrack.report import budgets, measured, record, settle, tables, unexplained, where, words
 from frictrack.report.numbers import formula, quantity
+from frictrack.report.templates import now, template
 from frictrack.results import ModelResults, Results, RunResults
 
 MOST_FILMS = 6  # whose first frame is shown
@@ -50,10 +49,7 @@ def write(results: Results, path: Path, key: str = "") -> Path:
 
 def render(results: Results, key: str = "") -> str:
     """The report as HTML."""
-    loader = PackageLoader("frictrack", "report")
-    page = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("page.html.j2")
+    page = template("page.html.j2")
     draw = Draw()
     steps = settle.shown(results.diagnosis)
     return page.render(
@@ -61,7 +57,7 @@ def render(results: Results, key: str = "") -> str:
         key=key,
         verdict=words.verdict(results),
         model=results.current,
-        written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        written=now(),
         films=_pictures(results),
         motions=[draw(plots.motion(run)) for run in results.runs[:MOST_RUNS]],
         cutoffs=_cutoffs(results, draw),

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from frictrack.files import replace_text
 from frictrack.plots.plan import apart, falling
 from frictrack.report.numbers import size, typed
 from frictrack.report.page import Draw
 from frictrack.report.tables import Table, code, table
+from frictrack.report.templates import now, template
 
 
 def write(plan: Mapping[str, Any], path: Path) -> Path:
@@ -26,15 +24,12 @@ def write(plan: Mapping[str, Any], path: Path) -> Path:
 
 def render(plan: Mapping[str, Any]) -> str:
     """The page as HTML."""
-    loader = PackageLoader("frictrack", "report")
-    page = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("plan.html.j2")
+    page = template("plan.html.j2")
     draw = Draw()
     return page.render(
         plan=plan,
         headline=headline(plan),
-        written=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        written=now(),
         falling=draw(falling(plan)),
         apart=draw(apart(plan)),
         runs=_runs(plan["runs"]),

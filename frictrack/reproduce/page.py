@@ -10,13 +10,13 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.report.page import IDS
+from frictrack.report.templates import template
 from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
 
 KINDS = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
@@ -77,15 +77,13 @@ def write(done: Reproduction, folder: Path) -> dict[str, Any]:
 
 def render(done: Reproduction) -> str:
     """The page as HTML."""
-    loader = ChoiceLoader([PackageLoader("frictrack", "reproduce"), PackageLoader("frictrack", "report")])
-    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     marks = count(1)
 
     def draw(figure: Figure) -> Markup:
         """A figure within the page, with ids of its own."""
         return Markup(IDS.sub(rf"\g<1>f{next(marks)}-", plots.svg(figure)))
 
-    return made.get_template("page.html.j2").render(
+    return template("page.html.j2", "reproduce").render(
         parts=done.parts,
         claims=done.claims,
         counts=done.counts,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import h5py
@@ -56,3 +57,10 @@ def once(item: Any, met: set[int]) -> None:
     if address in met:
         raise ValueError(f"expected every group in one place but {item.name} is in several")
     met.add(address)
+
+
+def members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    """What lies in a group itself; a link to somewhere else is not followed."""
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            yield name, group[name]

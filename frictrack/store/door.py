@@ -19,7 +19,8 @@ import h5py
 from frictrack.errors import FrictrackError
 from frictrack.files import alone, replaced
 from frictrack.store import layout
-from frictrack.store.layout import VERSION, Entry, Stamp, members
+from frictrack.store.claims import members
+from frictrack.store.layout import VERSION, Entry, Stamp
 from frictrack.store.migrations import in_memory, migrated
 from frictrack.store.seal import SCHEMA, head, intact, is_bare, sealed, state
 from frictrack.store.sums import SUM, add_sums, drop_sums

@@ -8,7 +8,6 @@ stage wrote carries the attributes of its `Stamp`.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from importlib.metadata import version
@@ -18,7 +17,7 @@ import h5py
 import numpy as np
 
 from frictrack.results import plain
-from frictrack.store.claims import array_of, once
+from frictrack.store.claims import array_of, members, once
 from frictrack.store.sums import SUM
 
 VERSION = version("frictrack")
@@ -91,13 +90,6 @@ def put_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5py
     if value.ndim == 0 or value.size == 0:
         return group.create_dataset(name, data=value)
     return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
-
-
-def members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
-    """What lies in a group itself; a link to somewhere else is not followed."""
-    for name in group:
-        if isinstance(group.get(name, getlink=True), h5py.HardLink):
-            yield name, group[name]
 
 
 def take(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from frictrack.store.claims import members
+
 SUM = "sha256"
 
 
@@ -21,7 +23,7 @@ def add_sums(item: h5py.Group | h5py.Dataset) -> str:
     held = item.attrs.get(SUM)
     if held is None:
         if isinstance(item, h5py.Group):
-            for child in _children(item):
+            for _, child in members(item):
                 add_sums(child)
         held = item.attrs[SUM] = _sum(item)
     return str(held)
@@ -64,12 +66,6 @@ def _wrong_child(group: h5py.Group, name: str) -> Iterator[tuple[str, str]]:
         return
     if inside is not None:
         yield from wrong_sums(inside)
-
-
-def _children(group: h5py.Group) -> Iterator[h5py.Group | h5py.Dataset]:
-    for name in group:
-        if isinstance(group.get(name, getlink=True), h5py.HardLink):
-            yield group[name]
 
 
 def _sum(item: h5py.Group | h5py.Dataset) -> str:

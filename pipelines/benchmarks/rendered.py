@@ -25,8 +25,8 @@ HIDDEN = {
     "none": "",
 }
 
-SCENE = """
-name = "rendered: {hidden}"
+FOUR = """
+name = "{name}"
 mass = 0.35
 scatter = 0.03
 [camera]
@@ -59,7 +59,8 @@ name = "double_mass"
 v = 3.8
 frames = 240
 mass = 0.70
-[[run]]
+"""
+BACK = """[[run]]
 name = "back_fast"
 v = -6.0
 frames = 150
@@ -72,7 +73,7 @@ frames = 240
 
 def study(hidden: str, folder: Path, seed: int) -> str:
     """Film one study, run the loop on it, and say what came out, in one line."""
-    film_scene(read_scene(SCENE.format(hidden=hidden, law=HIDDEN[hidden])), folder, seed=seed)
+    film_scene(read_scene((FOUR + BACK).format(name=f"rendered: {hidden}", law=HIDDEN[hidden])), folder, seed=seed)
     start = time.perf_counter()
     session = Session(open_study(folder / "study.toml"))
     found = session.diagnose(seed)

@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from machine import described  # noqa: E402
 
+from frictrack.threads import processors  # noqa: E402
 from scale import cores, length, runs, stages  # noqa: E402 - found only now
 
 PARTS = {"cores": cores.measure, "length": length.measure, "runs": runs.measure, "stages": stages.measure}
@@ -42,7 +43,7 @@ def main() -> None:
     if unknown := sorted({*wanted} - {*PARTS}):
         parser.error(f"expected parts out of {', '.join(PARTS)} but got {unknown}")
     known: dict[str, Any] = json.loads(args.json.read_text()) if args.json.exists() else {}
-    known["machine"] = described("numpy", "scipy", "h5py", "opencv-python-headless") | {"cores": cores.here()}
+    known["machine"] = described("numpy", "scipy", "h5py", "opencv-python-headless") | {"cores": processors()}
     for name in wanted:
         known[name] = PARTS[name](lambda text: print(text, flush=True))
         args.json.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")

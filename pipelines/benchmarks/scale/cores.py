@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -13,20 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from frictrack.threads import processors
 from scale.scenes import RUNS, filmed
 
 STUDIES = 6  # for every process that there is
 Say = Callable[[str], None]
 
 
-def here() -> int:
-    """Processors of this machine that we may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def measure(say: Say) -> dict[str, Any]:
     """Runs a minute on 1, 2, 4, ... processes, how much of the ideal that is, and what a finished study costs."""
-    steps = [n for n in (1, 2, 4, 8, 16, 32, 64) if n <= here()]
+    steps = [n for n in (1, 2, 4, 8, 16, 32, 64) if n <= processors()]
     count = STUDIES * steps[-1]
     rows = []
     with tempfile.TemporaryDirectory() as name:
