@@ -80,7 +80,7 @@ def inner(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
+def replaced(path: Path, mode: int = 0o644) -> Iterator[Path]:
     """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.
 
     Raises `FrictrackError` when it cannot be written, and leaves what was there.
@@ -96,7 +96,7 @@ def replaced(path: Path) -> Iterator[Path]:
     try:
         _sweep(path, part)
         yield part
-        _commit(part, path)
+        _commit(part, path, mode)
     except OSError as e:
         raise FrictrackError(f"cannot write {path}: {e.strerror or e}; what was there is untouched") from e
     finally:
@@ -117,8 +117,8 @@ def _sweep(path: Path, mine: Path) -> None:
                 part.unlink()
 
 
-def _commit(part: Path, path: Path) -> None:
-    part.chmod(0o644)
+def _commit(part: Path, path: Path, mode: int) -> None:
+    part.chmod(mode)
     with part.open("rb") as f:
         os.fsync(f.fileno())
     part.replace(path)

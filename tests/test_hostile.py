@@ -22,7 +22,8 @@ from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import Entry
-from frictrack.store.seal import ROOM, sealed
+from frictrack.store.marks import mark
+from frictrack.store.seal import ROOM, START, sealed
 from frictrack.study import load, parse, read_table, tables, write_study
 from frictrack.units import quantity
 
@@ -505,7 +506,11 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
         file["soft"] = h5py.SoftLink("/models/1_a")
         file["track/inside"] = h5py.ExternalLink("other.h5", "/track")
         file["turning"] = h5py.SoftLink("/turning")
-    path.write_bytes(sealed(path.read_bytes()[ROOM:], store.VERSION))
+    held = path.read_bytes()
+    path.write_bytes(sealed(held[ROOM:], store.VERSION))
+    with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
+        store.read(path, "track")
+    path.write_bytes(sealed(held[ROOM:], store.VERSION, mark(held[START:])))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow import schema as written
-from frictrack.store import Entry, Stamp
+from frictrack.store import Entry, Stamp, apart, marks
+from frictrack.store.seal import sealed
 from frictrack.store.sums import wrong_sums
 
 
@@ -145,6 +147,50 @@ def _compare(path: Path, whole: dict[str, Any]) -> None:
         os._exit(1 if faults else 0 if everything(path) == whole else 2)
     except Exception:  # noqa: BLE001
         os._exit(1)
+
+
+def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sealed again by who means harm: in this heap of strings a few of the bytes let HDF5 2.0 search without end."""
+    monkeypatch.setattr(apart, "PATIENCE", 1.0)
+    content, path = sound.read_bytes(), sound.with_name("harm.h5")
+    text = content.index(b'{"mass": 0.35}')
+    for at in range(text - 8, text + 30):
+        harm = bytearray(content)
+        harm[at] = 8
+        path.write_bytes(sealed(bytes(harm[store.ROOM :]), store.VERSION))
+        with suppress(FrictrackError):
+            store.read(path, "models/1_tustin")
+        assert all(fault.file == path for fault in store.check(path))
+
+
+@pytest.mark.parametrize("child", ["import os; os.abort()", "import time; time.sleep(60)", "print('no JSON')"])
+def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest.MonkeyPatch, child: str) -> None:
+    monkeypatch.setattr(apart, "PATIENCE", 1.0)
+    monkeypatch.setattr(apart, "_CHILD", child)
+    monkeypatch.setattr(apart, "_APART", apart._Apart())
+    path = sound.with_name("strange.h5")
+    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], store.VERSION))
+    for _ in range(2):  # the answer is kept
+        with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
+            store.read(path, "models/1_tustin")
+    assert [fault.what for fault in store.check(path)] == ["HDF5 itself fails on it: it is damaged, or made to do harm"]
+
+
+def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = Path(shutil.copy(sound, sound.with_name("theirs.h5")))
+    asked: list[Path] = []
+    monkeypatch.setattr(apart, "asked", lambda path: asked.append(path) or [])
+    assert store.names(path)
+    assert asked == []
+    for secret in (b"of somebody else", b""):  # also where there is no home to keep it
+        monkeypatch.setattr(marks, "_secret", lambda secret=secret: secret)
+        shutil.copy(sound, path)
+        for _ in range(3):
+            assert store.read(path, "other") == {"n": 1}
+        store.write(path, {"other": Entry({"n": 1})})
+        assert store.read(path, "other") == {"n": 1}
+        assert marks.is_ours(path) == bool(secret)
+    assert asked == [path] * 3
 
 
 def test_a_plain_reader_needs_nothing_of_ours(sound: Path) -> None:

@@ -68,6 +68,9 @@ are in SI units, pixels and grey values apart; NaN means "not measured in this f
 - The file: its first {room} bytes are text, which HDF5 skips (a user block). The second line is the SHA-256 of the
   first line and of all after byte {start}; `(head -n 1 v3.h5; tail -c +{after} v3.h5) | sha256sum` prints the same.
   The bytes between are HDF5's superblock, which has a checksum of HDF5's own.
+- The mark in the first line says that this user wrote the file: HMAC-SHA256 of all after byte {start} under a secret in
+  the user's own data folder. A file without it, of a colleague or of schema 1, is as good as any other, but on bytes
+  made to do harm HDF5 may crash or never return: frictrack first lets a process of its own go through it.
 - Every group and dataset: the attribute `sha256`, over what is read of it (kind, shape, values, attributes; of a group
   the names and checksums of what lies in it, and the targets of links). It says which group a fault is in.
 - `frictrack verify PATH...` looks at both, at where results come from, and at the recordings.

@@ -3,6 +3,8 @@
     door        write, read, what is there
     layout      records and dictionaries as groups
     seal        the checksum of a whole file, looked at before HDF5 sees a byte of it
+    marks       whether this user wrote a file
+    apart       files of others, opened by a process of its own before we do
     sums        the checksum of every group and dataset, which says where a fault is
     migrations  files of earlier schemas
     faults      all that can be wrong with one file

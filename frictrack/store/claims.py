@@ -17,22 +17,29 @@ _TOGETHER = 64  # strings read at a time
 def array_of(dataset: Any) -> Any:
     """The array of a dataset: numbers as they are, strings as such, a single string as one.
 
-    Raises ValueError for what frictrack never writes: data in another file, other types than numbers and strings, and
-    an array or a chunk that is larger than the bytes in the file can unfold to.
+    Raises ValueError for what frictrack never writes, as `fits` does.
+    """
+    fits(dataset)
+    text = h5py.check_string_dtype(dataset.dtype)
+    if text is None:
+        return dataset[()]
+    return _strings(dataset, 16 * dataset.file.id.get_filesize() + _FREE if text.length is None else math.inf)
+
+
+def fits(dataset: Any) -> None:
+    """Look at what a dataset claims to be before it is read.
+
+    Raises ValueError for data in another file, other types than numbers and strings, and an array or a chunk that is
+    larger than the bytes in the file can unfold to.
     """
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
         raise ValueError("expected an array in this very file")
-    text = h5py.check_string_dtype(dataset.dtype)
-    if text is None and dataset.dtype.kind not in "biuf":
+    if h5py.check_string_dtype(dataset.dtype) is None and dataset.dtype.kind not in "biuf":
         raise ValueError(f"expected numbers or strings but got {dataset.dtype}")
-    size = dataset.file.id.get_filesize()
-    most = _DENSEST * min(dataset.id.get_storage_size(), size) + _FREE
+    most = _DENSEST * min(dataset.id.get_storage_size(), dataset.file.id.get_filesize()) + _FREE
     chunk = math.prod(dataset.chunks or (0,)) * dataset.dtype.itemsize
     if max(dataset.nbytes, chunk) > most:
         raise ValueError(f"expected at most {most} bytes but {dataset.name} claims {max(dataset.nbytes, chunk)}")
-    if text is None:
-        return dataset[()]
-    return _strings(dataset, 16 * size + _FREE if text.length is None else math.inf)
 
 
 def _strings(dataset: Any, most: float) -> Any:

@@ -19,10 +19,12 @@ import h5py
 from frictrack.errors import FrictrackError
 from frictrack.files import alone, replaced
 from frictrack.store import layout
+from frictrack.store.apart import is_sound
 from frictrack.store.claims import members
 from frictrack.store.layout import VERSION, Entry, Stamp
+from frictrack.store.marks import is_ours, mark
 from frictrack.store.migrations import in_memory, migrated
-from frictrack.store.seal import SCHEMA, head, intact, is_bare, sealed, state
+from frictrack.store.seal import ROOM, SCHEMA, START, head, intact, is_bare, sealed, state
 from frictrack.store.sums import SUM, add_sums, drop_sums
 
 NOTHING: Mapping[Any, Any] = {}
@@ -141,6 +143,8 @@ def _reading(path: Path) -> Iterator[h5py.File]:
             yield _HELD.get()[path]
             return
         border(path)
+        if not (is_ours(path) or is_sound(path)):
+            raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 raise FrictrackError(
@@ -199,17 +203,19 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
         with in_memory() as file:
             if path.exists():
                 with _reading(path) as old:
-                    _copy(old, file)
+                    copy(old, file)
             file.attrs.update(schema=SCHEMA, version=VERSION)
             file.attrs.pop(SUM, None)
             yield file
             add_sums(file)
             file.flush()
-            whole = sealed(file.id.get_file_image(), VERSION)
+            image = file.id.get_file_image()
+            whole = sealed(image, VERSION, mark(memoryview(image)[START - ROOM :]))
         part.write_bytes(whole)
 
 
-def _copy(old: h5py.File, new: h5py.File) -> None:
+def copy(old: h5py.File, new: h5py.File) -> None:
+    """All groups of a file into another one, links as they are."""
     new.attrs.update(old.attrs)
     for name in old:
         link = old.get(name, getlink=True)

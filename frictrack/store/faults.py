@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 
 from frictrack.errors import FrictrackError
-from frictrack.store.door import REMEDY, border
-from frictrack.store.migrations import migrated
+from frictrack.store.apart import asked, serve
+from frictrack.store.claims import once
+from frictrack.store.door import REMEDY, border, copy
+from frictrack.store.marks import is_ours
+from frictrack.store.migrations import in_memory, migrated
 from frictrack.store.seal import head
 from frictrack.store.sums import wrong_sums
-
-PATIENCE = 30.0  # s; HDF5 can search without end in a damaged file
-_CHILD = "import sys; from frictrack.store.faults import tell; tell(sys.argv[1])"
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,12 @@ def check(path: Path) -> list[Fault]:
         border(path, anew=True)
     except (FrictrackError, OSError) as e:
         return _hit(path, e)
-    if head(path) is not None:
-        return _inside(path)
-    found = _apart(path)  # without a seal: HDF5 might not survive it
-    return [Fault(path, "", "is damaged: HDF5 itself fails on it", REMEDY)] if found is None else found
+    found = _inside(path) if is_ours(path) else _apart(path)
+    return (
+        [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
+        if found is None
+        else found
+    )
 
 
 def _hit(path: Path, why: Exception) -> list[Fault]:
@@ -69,13 +69,16 @@ def _inside(path: Path) -> list[Fault]:
             if "schema" not in file.attrs:
                 return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
             now = migrated(file)
-            return [Fault(path, name, what, REMEDY) for name, what in wrong_sums(now)] + list(_links(path, now, "/"))
+            return [Fault(path, name, what, REMEDY) for name, what in wrong_sums(now)] + list(
+                _links(path, now, "/", set())
+            )
     except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
         return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
 
 
-def _links(path: Path, file: h5py.File, inside: str) -> Iterator[Fault]:
-    """Links that show nothing, or something outside the folder."""
+def _links(path: Path, file: h5py.File, inside: str, met: set[int]) -> Iterator[Fault]:
+    """Links that show nothing, or something outside the folder; `met` are the groups above and beside."""
+    once(file[inside], met)
     for name in file[inside]:
         link, full = file.get(f"{inside}{name}", getlink=True), f"{inside}{name}"
         if isinstance(link, h5py.ExternalLink):
@@ -88,21 +91,24 @@ def _links(path: Path, file: h5py.File, inside: str) -> Iterator[Fault]:
             if full not in file:
                 yield Fault(path, full, f"links to {link.path}, which is not there", "run the study", "link")
         elif isinstance(file[full], h5py.Group):
-            yield from _links(path, file, f"{full}/")
+            yield from _links(path, file, f"{full}/", met)
 
 
 def _apart(path: Path) -> list[Fault] | None:
     """What is wrong inside, looked for by a process of its own; None where it crashes or never returns."""
-    try:
-        child = subprocess.run(
-            [sys.executable, "-c", _CHILD, str(path)], capture_output=True, timeout=PATIENCE, check=True
-        )
-    except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
-        return None
-    return [Fault(path, **told) for told in json.loads(child.stdout)]
+    found = asked(path)
+    return None if found is None else [Fault(path, **told) for told in found]
 
 
-def tell(path: str) -> None:
-    """Write what is wrong inside a file to stdout, in JSON."""
-    found = [{k: v for k, v in vars(fault).items() if k != "file"} for fault in _inside(Path(path))]
-    sys.stdout.write(json.dumps(found))
+def answer() -> None:
+    """Be the process that looks into files for others."""
+    serve(_told)
+
+
+def _told(path: Path) -> list[dict[str, str]]:
+    """What is wrong inside a file; one that will be read is copied too, as it is when something is written into it."""
+    found = _inside(path)
+    if all(fault.kind != "damage" for fault in found):
+        with suppress(Exception), h5py.File(path, "r", locking=False) as old, in_memory() as new:
+            copy(old, new)
+    return [{k: v for k, v in vars(fault).items() if k != "file"} for fault in found]

@@ -7,6 +7,7 @@ may crash or never return. The seal also finds a flip where nothing else would, 
 from __future__ import annotations
 
 import hashlib
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,24 +16,36 @@ ROOM = 512  # bytes before the HDF5 part
 # Where sealed bytes begin. Before that stand the 48 of HDF5's superblock: a viewer that has the file open for editing
 # marks it there for as long, and HDF5 guards them by a checksum of its own, which it looks at first.
 START = ROOM + 48
-_MARK = "frictrack results, schema"
+_FIRST = re.compile(r"frictrack results, schema (\d+), written by (.+?)(?:, mark ([0-9a-f]{64}))?")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def sealed(hdf5: bytes, version: str) -> bytes:
-    """A finished HDF5 part as the whole file: before it its checksum, beside its schema and what wrote it."""
-    first = _first(SCHEMA, version)
-    digest = hashlib.sha256(first.encode())
+def sealed(hdf5: bytes, version: str, mark: str = "") -> bytes:
+    """A finished HDF5 part as the whole file: before it its checksum, beside schema, what wrote it and whose mark."""
+    by = f"{version}, mark {mark}" if mark else version
+    first = f"frictrack results, schema {SCHEMA}, written by {by}"
+    digest = hashlib.sha256(f"{first}\n".encode())
     digest.update(memoryview(hdf5)[START - ROOM :])
     return _room(first, digest.hexdigest()) + hdf5
 
 
 def head(path: Path) -> tuple[int, str] | None:
     """Schema and version that a seal names; None of a file without a seal: of schema 1, or another program's."""
+    told = _FIRST.fullmatch(_first(path))
+    return None if told is None else (int(told[1]), told[2])
+
+
+def marked(path: Path) -> str:
+    """The mark that a seal bears; "" of one without."""
+    told = _FIRST.fullmatch(_first(path))
+    return "" if told is None else told[3] or ""
+
+
+def content(path: Path) -> bytes:
+    """The bytes that a seal is about."""
     with path.open("rb") as file:
-        first = file.read(ROOM).split(b"\n")[0].decode(errors="replace")
-    schema, _, version = first.removeprefix(_MARK).strip().partition(", written by ")
-    return (int(schema), version) if first.startswith(_MARK) and schema.isdecimal() else None
+        file.seek(START)
+        return file.read()
 
 
 def is_bare(path: Path) -> bool:
@@ -59,20 +72,20 @@ def state(path: Path) -> tuple[int, int, int]:
 @lru_cache(maxsize=4096)
 def _intact(path: Path, *_: int) -> bool:
     """The answer for one state of a file."""
-    told = head(path)
-    if told is None:
-        return False
-    first = _first(*told)
+    first = _first(path)
     with path.open("rb") as file:
         room = file.read(ROOM)
         file.seek(START)
-        return room == _room(first, hashlib.file_digest(file, lambda: hashlib.sha256(first.encode())).hexdigest())
+        digest = hashlib.file_digest(file, lambda: hashlib.sha256(f"{first}\n".encode()))
+        return _FIRST.fullmatch(first) is not None and room == _room(first, digest.hexdigest())
 
 
-def _first(schema: int, version: str) -> str:
-    return f"{_MARK} {schema}, written by {version}\n"
+def _first(path: Path) -> str:
+    """The first line of a file."""
+    with path.open("rb") as file:
+        return file.read(ROOM).split(b"\n")[0].decode(errors="replace")
 
 
 def _room(first: str, digest: str) -> bytes:
     """What stands before the HDF5 part of a sound file."""
-    return f"{first}sha256 of this line and all after byte {START}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"
+    return f"{first}\nsha256 of this line and all after byte {START}: {digest}\n".encode().ljust(ROOM - 1) + b"\n"

@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.store.claims import members
+from frictrack.store.claims import fits, members, once
 
 SUM = "sha256"
 
@@ -39,15 +39,16 @@ def drop_sums(file: h5py.File, name: str) -> None:
             file[inside].attrs.pop(SUM, None)
 
 
-def wrong_sums(item: h5py.Group | h5py.Dataset) -> Iterator[tuple[str, str]]:
+def wrong_sums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None) -> Iterator[tuple[str, str]]:
     """(name, what is wrong) of everything inside that is not as its checksum says, or cannot be read.
 
-    A fault stands with the innermost thing that it is in.
+    A fault stands with the innermost thing that it is in; `met` are the groups above and beside it.
     """
-    if isinstance(item, h5py.Group):
-        for name in item:
-            yield from _wrong_child(item, name)
+    met = set() if met is None else met
     try:
+        once(item, met)
+        for name in item if isinstance(item, h5py.Group) else ():
+            yield from _wrong_child(item, name, met)
         held, found = item.attrs.get(SUM), _sum(item)
     except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
         yield item.name, f"cannot be read ({' '.join(str(e).split())})"
@@ -58,20 +59,20 @@ def wrong_sums(item: h5py.Group | h5py.Dataset) -> Iterator[tuple[str, str]]:
         yield item.name, "holds something else than was written (its checksum is another one)"
 
 
-def _wrong_child(group: h5py.Group, name: str) -> Iterator[tuple[str, str]]:
+def _wrong_child(group: h5py.Group, name: str, met: set[int]) -> Iterator[tuple[str, str]]:
     try:
         inside = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     except Exception as e:  # noqa: BLE001 - as above
         yield f"{group.name.rstrip('/')}/{name}", f"cannot be read ({' '.join(str(e).split())})"
         return
     if inside is not None:
-        yield from wrong_sums(inside)
+        yield from wrong_sums(inside, met)
 
 
 def _sum(item: h5py.Group | h5py.Dataset) -> str:
     """Of what lies in the thing itself; of what is inside a group the checksums that stand there are taken."""
     digest = hashlib.sha256()
-    for part in _group(item) if isinstance(item, h5py.Group) else _coded(item[()], item.dtype):
+    for part in _group(item) if isinstance(item, h5py.Group) else _coded(_array(item), item.dtype):
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)
     for name in sorted(item.attrs):
@@ -81,6 +82,14 @@ def _sum(item: h5py.Group | h5py.Dataset) -> str:
                 digest.update(len(part).to_bytes(8, "little"))
                 digest.update(part)
     return digest.hexdigest()
+
+
+def _array(dataset: h5py.Dataset) -> Any:
+    """The array as it stands in the file. Raises ValueError for what frictrack never writes in today's schema."""
+    fits(dataset)
+    if (text := h5py.check_string_dtype(dataset.dtype)) and text.length is None:
+        raise ValueError("expected texts of fixed length")
+    return dataset[()]
 
 
 def _group(group: h5py.Group) -> Iterator[bytes]:

@@ -1,0 +1,99 @@
+"""HDF5 in a process of its own, for files of others: on bytes made to do harm its library may crash or never return."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock, Timer
+from typing import Any
+
+from frictrack.store.seal import state
+
+PATIENCE = 30.0  # s for one file
+MEMORY = 2 << 30  # bytes that looking at a file may take, and the most that its own bytes can unfold to
+_CHILD = "from frictrack.store.faults import answer; answer()"
+
+
+class _Apart:
+    """A process that answers what it finds in files; begun when first asked, and again where a file has ended it."""
+
+    def __init__(self) -> None:
+        self._child: subprocess.Popen[str] | None = None
+        self._lock = Lock()
+
+    def ask(self, path: Path) -> Any:
+        """What `frictrack.store.faults.answer` finds in a file; None where it crashes, or has not ended in time."""
+        with self._lock:
+            child = self._child or self._begin()
+            late = Timer(PATIENCE, child.kill)
+            late.start()
+            try:
+                print(json.dumps(str(path.absolute())), file=child.stdin, flush=True)
+                return json.loads(child.stdout.readline() if child.stdout else "")
+            except (OSError, ValueError):  # the pipe is broken, or ended within a line
+                self._end()
+                return None
+            finally:
+                late.cancel()
+
+    def _begin(self) -> subprocess.Popen[str]:
+        pipe, call = subprocess.PIPE, [sys.executable, "-c", _CHILD]
+        self._child = subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+        atexit.register(self._end)
+        return self._child
+
+    def _end(self) -> None:
+        atexit.unregister(self._end)
+        if self._child is not None:
+            self._child.kill()
+            with suppress(OSError):
+                self._child.communicate()
+        self._child = None
+
+
+_APART = _Apart()
+
+
+def asked(path: Path) -> Any:
+    """What a process of its own finds in a file, as JSON; None where HDF5 fails on it."""
+    return _APART.ask(path)
+
+
+def is_sound(path: Path) -> bool:
+    """Whether HDF5 can go through a whole file, and finds no damage.
+
+    One that was looked at is not asked about again as long as it is the same file.
+    """
+    return _is_sound(path, *state(path))
+
+
+@lru_cache(maxsize=4096)
+def _is_sound(path: Path, *_: int) -> bool:
+    """The answer for one state of a file."""
+    found = asked(path)
+    return found is not None and all(fault["kind"] != "damage" for fault in found)
+
+
+def serve(found: Callable[[Path], Any]) -> None:
+    """Be that process: a path a line from stdin, what is found in it a line to stdout, until nobody asks any more."""
+    _limit()
+    for line in sys.stdin:
+        sys.stdout.write(json.dumps(found(Path(json.loads(line)))) + "\n")
+        sys.stdout.flush()
+
+
+def _limit() -> None:
+    """Take no more memory than looking needs: what HDF5 asks for beyond fails there, and not the machine."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+    except ModuleNotFoundError:
+        return
+    with suppress(OSError, ValueError):
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
