@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from stat import S_ISDIR
 
 from frictrack.flow.stages import RunWork
 from frictrack.remote import Remote, is_remote
@@ -34,7 +35,7 @@ def _state(path: Path | Remote) -> list[int]:
         return path.state()
     try:
         told = path.stat()
-        if not path.is_dir():
+        if not S_ISDIR(told.st_mode):
             return [told.st_size, told.st_mtime_ns]
         inside = [one.stat() for one in path.iterdir() if one.is_file()]
     except OSError:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from frictrack.flow.tried import Tried
 from frictrack.store import Fault, Stamp
 from frictrack.study import Study, load, results_of
 
+Stamps = Callable[[Path], dict[str, Stamp]]
 AGAIN = "run the study again"
 _GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # as `RunWork.inputs` and `Tried.inputs` name groups
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
@@ -43,6 +45,7 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         studies |= {p.resolve(): p for p in named}
     faults, works = _opened(studies.values())
     sound: set[Path] = set()
+    stamps = lru_cache(maxsize=256)(store.stamps)  # what is told of a file is asked for by those made from it
     for i, path in enumerate(files):
         progress(i, len(files), "files")
         found = store.check(files[path])
@@ -50,7 +53,7 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         if "foreign" in kinds and files[path] not in paths:
             continue
         if not kinds & {"damage", "foreign"}:
-            found += _told(files[path])
+            found += _told(files[path], stamps)
             sound.add(path)
         faults += found
     progress(len(files), len(files), "files")
@@ -161,23 +164,23 @@ def _models(study: Study, works: list[RunWork]) -> Iterator[Fault]:
             yield Fault(tried.path, f"/models/{group}", words, AGAIN, "outdated")
 
 
-def _told(path: Path) -> list[Fault]:
+def _told(path: Path, stamps: Stamps) -> list[Fault]:
     """What is wrong with the provenance of a file whose bytes are sound."""
     try:
-        return list(_provenance(path))
+        return list(_provenance(path, stamps))
     except (ValueError, TypeError, KeyError) as e:
         return [Fault(path, "", f"its provenance is not that of frictrack ({e})", AGAIN)]
 
 
-def _provenance(path: Path) -> Iterator[Fault]:
+def _provenance(path: Path, stamps: Stamps) -> Iterator[Fault]:
     """Whether every result of a file tells where it comes from, and comes from what lies there."""
-    for group, stamp in store.stamps(path).items():
+    for group, stamp in stamps(path).items():
         full = f"/{group}"
         if not (stamp.key and stamp.input_hash and stamp.version):
             yield Fault(path, full, "does not say what it was made from", AGAIN)
             continue
         inputs = json.loads(stamp.inputs or "[]")
-        yield from _upstream(path, full, inputs)
+        yield from _upstream(path, full, inputs, stamps)
         hashes = [found for _, found in inputs]
         if hashes and (group in FILM or group in TABLE):
             key = key_of(group, stamp.version, json.loads(stamp.settings), hashes)
@@ -185,12 +188,13 @@ def _provenance(path: Path) -> Iterator[Fault]:
                 yield Fault(path, full, "its key is not that of its settings, version and inputs", AGAIN)
 
 
-def _upstream(path: Path, full: str, inputs: list[list[str]]) -> Iterator[Fault]:
+def _upstream(path: Path, full: str, inputs: list[list[str]], stamps: Stamps) -> Iterator[Fault]:
     """Whether the groups that one was made from are there, and were not made again since."""
     for name, key in inputs:
         if found := _GROUP.fullmatch(name):
+            other = path.parent / found[1] if found[1] else path
             try:
-                held = store.stamp(path.parent / found[1] if found[1] else path, found[2])
+                held = stamps(other).get(found[2]) if other.exists() else None
             except FrictrackError:
                 continue  # told of that file
             if held is None:

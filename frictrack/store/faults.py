@@ -41,12 +41,10 @@ def check(path: Path) -> list[Fault]:
         border(path, anew=True)
     except (FrictrackError, OSError) as e:
         return _hit(path, e)
-    found = _inside(path) if is_ours(path) else _apart(path)
-    return (
-        [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
-        if found is None
-        else found
-    )
+    found = _inside(path, sealed=True) if is_ours(path) else _apart(path)
+    if found is None:
+        return [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
+    return found
 
 
 def _hit(path: Path, why: Exception) -> list[Fault]:
@@ -63,15 +61,15 @@ def _hit(path: Path, why: Exception) -> list[Fault]:
     return inside or [Fault(path, "", f"some of its bytes are not those that were written, {where}", REMEDY)]
 
 
-def _inside(path: Path) -> list[Fault]:
+def _inside(path: Path, *, sealed: bool = False) -> list[Fault]:
+    """What is wrong inside a file; where our own seal is whole, every checksum inside is that of its content."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
             now = migrated(file)
-            return [Fault(path, name, what, REMEDY) for name, what in wrong_sums(now)] + list(
-                _links(path, now, "/", set())
-            )
+            wrong = [Fault(path, name, what, REMEDY) for name, what in (() if sealed else wrong_sums(now))]
+            return wrong + list(_links(path, now, "/", set()))
     except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
         return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
 
