@@ -1,6 +1,6 @@
 """How frictrack scales: over cores, the length of a film, the number of runs; and where the time of a study goes.
 
-    python pipelines/benchmarks/scale [--only cores,length,runs,stages] [--json FILE]
+    python pipelines/benchmarks/scale [--only cores,length,runs,stages,archive] [--json FILE]
 
 cores   studies of four rendered films each, by `frictrack batch` on 1, 2, 4, ... processes: runs a minute, and how much
         of the ideal speed that is; resumed once, to see what a finished study costs
@@ -8,6 +8,7 @@ length  one film of 1000, 4000 and 16000 frames of 1024 x 256 px (up to 4 GB, in
         tracking takes, and its time a frame
 runs    5 to 40 runs of 700 frames: processor time of fit and diagnosis, and the exponent in the number of runs
 stages  one study of four films: time of every stage, beside the decoder alone
+archive 1000, 5000 and 25 000 finished studies of four runs: time and memory of a batch that finds nothing to do
 
 What is measured is put into the file (default: results.json beside this one); the rest of it stays. A quiet machine.
 """
@@ -28,9 +29,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from machine import described  # noqa: E402
 
 from frictrack.threads import processors  # noqa: E402
-from scale import cores, length, runs, stages  # noqa: E402 - found only now
+from scale import archive, cores, length, runs, stages  # noqa: E402 - found only now
 
-PARTS = {"cores": cores.measure, "length": length.measure, "runs": runs.measure, "stages": stages.measure}
+PARTS = {
+    "cores": cores.measure,
+    "length": length.measure,
+    "runs": runs.measure,
+    "stages": stages.measure,
+    "archive": archive.measure,
+}
 RESULTS = Path(__file__).with_name("results.json")
 
 
