@@ -17,8 +17,6 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-__version__ = "0.1.0"
-
 _HOME = {
     "open_recording": "recording",
     "track": "tracking",
@@ -45,6 +43,7 @@ _HOME = {
     "effect": "effects",
     "Run": "records",
     "FrictrackError": "errors",
+    "__version__": "version",
 }
 _MODULES = ("models", "effects", "search", "simulate")
 

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
-from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,8 +23,8 @@ import psutil
 
 from frictrack.errors import FrictrackError
 from frictrack.threads import processors
+from frictrack.version import __version__
 
-VERSION = version("frictrack")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 TRIES = 3  # of one piece of work whose process dies
 NEED = 0.5e9  # bytes that a piece of work takes, until one has shown what it takes
@@ -220,12 +219,14 @@ def _check(client: Any) -> None:
     if not found:
         raise FrictrackError("expected workers at the scheduler but there are none; start some, as `dask worker` does")
     for worker, theirs in found.items():
-        if theirs != VERSION:
-            raise FrictrackError(f"expected frictrack {VERSION} on every worker but {worker} says: {theirs}; update it")
+        if theirs != __version__:
+            raise FrictrackError(
+                f"expected frictrack {__version__} on every worker but {worker} says: {theirs}; update it"
+            )
 
 
 def _version() -> str:
-    return VERSION
+    return str(__version__)
 
 
 @contextmanager

@@ -142,7 +142,7 @@ def test_another_version_makes_everything_again(
 ) -> None:
     session(study_file).bring_up_to("motion")
     made.clear()
-    monkeypatch.setattr("frictrack.store.VERSION", "99.0")
+    monkeypatch.setattr("frictrack.flow.stages.__version__", "99.0")
     session(study_file).bring_up_to("motion")
     assert len(made) == 12
 

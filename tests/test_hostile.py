@@ -26,6 +26,7 @@ from frictrack.store.marks import mark
 from frictrack.store.seal import ROOM, START, sealed
 from frictrack.study import load, parse, read_table, tables, write_study
 from frictrack.units import quantity
+from frictrack.version import __version__
 
 RUN = '[[run]]\nname = {name}\ntable = "t.csv"\n'
 GOOD = RUN.format(name='"one"')
@@ -489,7 +490,7 @@ def test_results_that_mean_harm(tmp_path: Path, harm: object) -> None:
     path = results(tmp_path / "v3.h5")
     with h5py.File(path, "r+") as file:
         harm(file)
-    path.write_bytes(sealed(path.read_bytes()[ROOM:], store.VERSION))  # who means harm seals it too
+    path.write_bytes(sealed(path.read_bytes()[ROOM:], __version__))  # who means harm seals it too
     assert path.stat().st_size < 2 << 20
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match="damaged or is not HDF5; delete it and run again"):
@@ -507,10 +508,10 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
         file["track/inside"] = h5py.ExternalLink("other.h5", "/track")
         file["turning"] = h5py.SoftLink("/turning")
     held = path.read_bytes()
-    path.write_bytes(sealed(held[ROOM:], store.VERSION))
+    path.write_bytes(sealed(held[ROOM:], __version__))
     with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
         store.read(path, "track")
-    path.write_bytes(sealed(held[ROOM:], store.VERSION, mark(held[START:])))  # not even where it is ours
+    path.write_bytes(sealed(held[ROOM:], __version__, mark(held[START:])))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):

@@ -26,6 +26,7 @@ from frictrack.flow import schema as written
 from frictrack.store import Entry, Stamp, apart, marks
 from frictrack.store.seal import sealed
 from frictrack.store.sums import wrong_sums
+from frictrack.version import __version__
 
 
 def sample(path: Path) -> Path:
@@ -157,7 +158,7 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
     for at in range(text - 8, text + 30):
         harm = bytearray(content)
         harm[at] = 8
-        path.write_bytes(sealed(bytes(harm[store.ROOM :]), store.VERSION))
+        path.write_bytes(sealed(bytes(harm[store.ROOM :]), __version__))
         with suppress(FrictrackError):
             store.read(path, "models/1_tustin")
         assert all(fault.file == path for fault in store.check(path))
@@ -169,7 +170,7 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
     monkeypatch.setattr(apart, "_CHILD", child)
     monkeypatch.setattr(apart, "_APART", apart._Apart())
     path = sound.with_name("strange.h5")
-    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], store.VERSION))
+    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], __version__))
     for _ in range(2):  # the answer is kept
         with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
             store.read(path, "models/1_tustin")

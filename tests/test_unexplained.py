@@ -17,8 +17,7 @@ from frictrack.diagnose.axes import axes, smooth_forces
 from frictrack.diagnose.formulas import formulas
 from frictrack.diagnose.plainer import plainer
 from frictrack.diagnose.reduced import reduced
-from frictrack.diagnose.repeats import Axis as Along
-from frictrack.diagnose.repeats import Repeats
+from frictrack.diagnose.repeats import Repeat, Repeats
 from frictrack.diagnose.rivals import information
 from frictrack.diagnose.shapes import SHAPES
 from frictrack.diagnose.unexplained import unexplained_force
@@ -156,7 +155,7 @@ def test_the_json_has_what_the_report_shows(fits):
 
 
 def repeated(axis):
-    return Repeats([Along(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
+    return Repeats([Repeat(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
 
 
 def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
@@ -165,7 +164,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     imitation = fit([*LAW, "load_modulation"], start.runs)
     told = plainer(start.solution, imitation.solution, repeated("v"))
     assert told["decisive"]
-    assert told["words"].startswith("a force of velocity alone explains more with ")
+    assert told["words"].startswith("a force of speed alone explains more with ")
     assert told["formulas"][0]["axis"] == "v"
     worth = information(start.solution) - information(imitation.solution)
     assert told["formulas"][0]["delta_bic"] > 10 + worth

@@ -23,6 +23,7 @@ from frictrack.files import _HOST
 from frictrack.flow import Session, open_study, verify
 from frictrack.flow.stages import FILM, TABLE
 from frictrack.store import Entry
+from frictrack.version import __version__
 
 DATA = Path(__file__).parent / "data" / "schema_1"
 
@@ -244,7 +245,7 @@ def test_every_stage_says_where_it_comes_from(study: Path) -> None:
         for group, stamp in store.stamps(path).items():
             assert min(len(stamp.key), len(stamp.input_hash)) == 64, group
             assert json.loads(stamp.inputs), group
-            assert stamp.version == store.VERSION
+            assert stamp.version == __version__
             json.loads(stamp.settings)
     assert set(TABLE) == set(store.stamps(results / "slow.h5"))
     assert {"models/1_coulomb+viscous", "comparison"} == set(store.stamps(results / "study.h5"))

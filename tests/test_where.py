@@ -14,7 +14,7 @@ from frictrack.compare.chance import Chance, arc
 from frictrack.compare.deconvolve import deconvolved, hats, matern
 from frictrack.compare.local import local_forces
 from frictrack.compare.looks import _times
-from frictrack.diagnose.repeats import Axis, repeats, told
+from frictrack.diagnose.repeats import Repeat, repeats, told
 from frictrack.diagnose.where import common, figures_of
 from frictrack.fit import fit
 from frictrack.fit.simulated.growth import grow
@@ -191,8 +191,8 @@ def test_one_run_cannot_tell_whether_a_failure_repeats():
 
 
 def test_words_say_which_axes_these_runs_hardly_part():
-    axes = [Axis("x", 0.8, 0.005, 5, 6, evidence=40.0), Axis("t", 0.75, 0.005, 4, 6, evidence=33.0),
-            Axis("v", 0.1, 0.5, 0, 6, evidence=20.0)]  # fmt: skip
+    axes = [Repeat("x", 0.8, 0.005, 5, 6, evidence=40.0), Repeat("t", 0.75, 0.005, 4, 6, evidence=33.0),
+            Repeat("v", 0.1, 0.5, 0, 6, evidence=20.0)]  # fmt: skip
     assert told(axes) == (
         "The failure repeats at the same place in 5 of 6 runs: it belongs to the course. "
         "These runs hardly tell this from the same time since release; another speed would."
@@ -200,7 +200,7 @@ def test_words_say_which_axes_these_runs_hardly_part():
 
 
 def test_what_the_runs_show_too_little_of_is_left_open():
-    axes = [Axis("v", 0.2, 0.01, 1, 6, evidence=9.0), Axis("x", 0.1, 0.5, 0, 6, evidence=-5.0)]
+    axes = [Repeat("v", 0.2, 0.01, 1, 6, evidence=9.0), Repeat("x", 0.1, 0.5, 0, 6, evidence=-5.0)]
     assert told(axes).startswith("Whether the failure repeats from run to run cannot be told")
     assert told([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from frictrack.batch.seen import unchanged
 from frictrack.batch.work import Done
-from frictrack.crew import VERSION
 from frictrack.errors import FrictrackError
+from frictrack.version import __version__
 
 
 class Journal:
@@ -28,7 +28,7 @@ class Journal:
 
     def note(self, done: Done) -> None:
         """Put down what came of a study. Raises `FrictrackError` where the journal cannot be written."""
-        line = json.dumps({"version": VERSION, **asdict(done)}, ensure_ascii=False)
+        line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("ab") as file:
@@ -54,7 +54,7 @@ class Journal:
         for line in lines:
             try:
                 told = json.loads(line)
-                if told.pop("version") == VERSION:
+                if told.pop("version") == __version__:
                     held[told["study"]] = Done(**told)
             except (ValueError, TypeError, KeyError, AttributeError):
                 continue  # cut off or not ours: the study is done again

@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-AXES = {"x": "place", "t": "time since release", "v": "speed", "phase": "the phase of the motion"}
+from frictrack.axes import AXES
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:
@@ -20,7 +20,7 @@ def unexplained(out: Console, left: dict[str, Any] | None) -> None:
     """The axis, the formulas, and what to paste into the study file."""
     if not left:
         return
-    said = f"what no effect explains repeats best along {AXES.get(left['axis'], left['axis'])}"
+    said = f"what no effect explains repeats best along {AXES[left['axis']].word}"
     out.print(escape(left.get("words") or said))
     for f in left["formulas"]:
         beside = f" beside {', '.join(f['beside'])}" if f.get("beside") else ""

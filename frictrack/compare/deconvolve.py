@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.compare.beside import Beside, place, traces
+from frictrack.compare.linear import Linearised, place, traces
 from frictrack.compare.lines import Line, line_at, strongest_line, strongest_ripple
 from frictrack.compare.local import ALPHA, local_forces, uncertain
 from frictrack.fit.series import SeriesPiece
@@ -139,7 +139,7 @@ def _vibration(solution: Solution) -> float | None:
     return next((q["frequency"] for name, q in values.items() if name.startswith("vibration")), None)
 
 
-def _averaged(law: Beside) -> tuple[list[Array], list[Array]]:
+def _averaged(law: Linearised) -> tuple[list[Array], list[Array]]:
     """Means and variances of the force, averaged over sizes and reaches as likely as they are."""
     knots = [_knots(r) for r in law.responses]
     made = [_seen(law, i, k) for i, k in enumerate(knots)]
@@ -167,14 +167,14 @@ def _knots(response: Response) -> Array:
     return np.linspace(t[0], t[-1], count)
 
 
-def _seen(law: Beside, i: int, knots: Array) -> tuple[Array, Array, Array]:
+def _seen(law: Linearised, i: int, knots: Array) -> tuple[Array, Array, Array]:
     """Gram matrix (K, K), inner products with the law (K, P') and with the data (K,) of a force through the knots."""
     response, rows = law.responses[i], law.rows[i]
     columns = traces(response, hats(response.piece.panels.t, knots))
     return columns.T @ columns, columns.T @ law.u[rows], columns.T @ law.r[rows]
 
 
-def _process(law: Beside, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], reach: float) -> _Process:
+def _process(law: Linearised, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], reach: float) -> _Process:
     shape, seen, on_law, data = [], [], [], []
     for response, at, (gram, w, b) in zip(law.responses, knots, made, strict=True):
         root = np.linalg.cholesky(matern(at, reach) + 1e-10 * np.eye(len(at)))

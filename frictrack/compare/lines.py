@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from frictrack.compare.beside import Beside, traces
+from frictrack.compare.linear import Linearised, traces
 from frictrack.compare.looks import Nodes, nodes
 from frictrack.effects.base import frequencies
 from frictrack.effects.texture import periods
@@ -47,7 +47,7 @@ def waves(t: Array, f: Array) -> Array:
     return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(t), -1)
 
 
-def scanned(law: Beside) -> Array:
+def scanned(law: Linearised) -> Array:
     """Frequencies worth a look, Hz: fewer periods than `PERIODS` in the longest run are no line."""
     span = law.solution.problem.layout.span
     f = frequencies(span)[::EVERY]
@@ -59,7 +59,7 @@ def seen(response: Response, f: Array) -> Array:
     return traces(response, waves(response.piece.panels.t, f))
 
 
-def strongest_line(law: Beside) -> Line | None:
+def strongest_line(law: Linearised) -> Line | None:
     """The frequency at which all runs together gain most; None where the law has no frame to look at."""
     f = scanned(law)
     runs = sorted({r.piece.run for r in law.responses})
@@ -82,12 +82,12 @@ def strongest_line(law: Beside) -> Line | None:
     return _at(law, float(found.x), len(f))
 
 
-def line_at(law: Beside, frequency: float) -> Line:
+def line_at(law: Linearised, frequency: float) -> Line:
     """A line of a known frequency."""
     return _at(law, frequency, 1)
 
 
-def _at(law: Beside, frequency: float, tried: int) -> Line:
+def _at(law: Linearised, frequency: float, tried: int) -> Line:
     runs = sorted({r.piece.run for r in law.responses})
     columns = np.zeros((len(law.r), 2 * len(runs)))
     for rows, response in zip(law.rows, law.responses, strict=True):
@@ -111,7 +111,7 @@ class Ripple:
     columns: Array  # (N + m, 2)
 
 
-def strongest_ripple(law: Beside) -> Ripple | None:
+def strongest_ripple(law: Linearised) -> Ripple | None:
     """The period over the place at which all runs together gain most."""
     f = np.sort(1 / periods(law.solution.problem.layout.span))
     at = [nodes(law.solution, r) for r in law.responses]
@@ -132,7 +132,7 @@ def strongest_ripple(law: Beside) -> Ripple | None:
     return _ripple(law, at, float(found.x), len(f))
 
 
-def _ripple(law: Beside, at: Sequence[Nodes], f: float, tried: int) -> Ripple:
+def _ripple(law: Linearised, at: Sequence[Nodes], f: float, tried: int) -> Ripple:
     """One period; how well it is known follows from the traces of sine, cosine and their change with the period."""
     columns = np.zeros((len(law.r), 2))
     for rows, response, n in zip(law.rows, law.responses, at, strict=True):

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.compare.beside import Beside, beside, traces
 from frictrack.compare.chance import Chance
+from frictrack.compare.linear import Linearised, linearised, traces
 from frictrack.compare.looks import Bump, Looks, Nodes, chances, families, limits, looks_of, nodes, norms, over
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.pieces import Piece
@@ -38,8 +38,8 @@ class Local:
     """What local forces explain: the bumps, the law beside them, and the chance of the whole search."""
 
     bumps: list[Bump]
-    law: Beside  # without the bumps
-    left: Beside  # with them
+    law: Linearised  # without the bumps
+    left: Linearised  # with them
     nodes: list[Nodes]
     looks: Looks
     chance: Chance
@@ -70,7 +70,7 @@ class Local:
         return self.rest >= ALPHA
 
 
-def opened(law: Beside) -> Local:
+def opened(law: Linearised) -> Local:
     """The search for local forces before anything is found."""
     at = [nodes(law.solution, r) for r in law.responses]
     looks = looks_of(law, at)
@@ -82,7 +82,7 @@ def local_forces(solution: Solution) -> Local:
 
     Where a law misses much it has bent too far to be linear: it is fitted again beside the forces found, once or twice.
     """
-    found = searched(opened(beside(solution)))
+    found = searched(opened(linearised(solution)))
     for _ in range(REFITS):
         much = float(found.law.r @ found.law.r) > STRONG * len(found.law.r)
         if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
@@ -112,7 +112,9 @@ def _refitted(found: Local, bare: Problem) -> Local:
         pieces.append(replace(piece, known=piece.known - force / piece.mass))
     problem = bare.over(bare.layout, pieces)
     try:
-        law = beside(refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=REFIT_STEPS))
+        law = linearised(
+            refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=REFIT_STEPS)
+        )
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
     fresh = opened(law)
@@ -197,7 +199,7 @@ def _fitted(found: Local, steps: int = 6) -> Local:
     return replace(found, bumps=_weighed(found.law, columns[:, :, 0], bumps, sizes), left=left)
 
 
-def solved(law: Beside, columns: Array) -> tuple[Array, float]:
+def solved(law: Linearised, columns: Array) -> tuple[Array, float]:
     """Best sizes (K,) beside the law, and chi-squared."""
     clean = columns - law.u @ (law.u.T @ columns)
     sizes, *_ = np.linalg.lstsq(clean, law.r, rcond=1e-10)
@@ -226,7 +228,7 @@ def _stepped(found: Local, bumps: Sequence[Bump], columns: Array, sizes: Array, 
     return out
 
 
-def _weighed(law: Beside, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
+def _weighed(law: Linearised, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
     """Bumps with their sizes, and by how many standard deviations each stands out beside all others."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean)

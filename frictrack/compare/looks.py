@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare.beside import Beside, place, traces
 from frictrack.compare.chance import Chance, arc
+from frictrack.compare.linear import Linearised, place, traces
 from frictrack.fit.series import SeriesPiece
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
@@ -99,7 +99,7 @@ class Looks:
         return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.common], axis=0))
 
 
-def looks_of(law: Beside, at: Sequence[Nodes]) -> Looks:
+def looks_of(law: Linearised, at: Sequence[Nodes]) -> Looks:
     """All bumps of the search, and what each would leave in the runs."""
     own_bumps = [_times(i, r) for i, r in enumerate(law.responses)]
     common_bumps = _places(law.responses)
@@ -153,7 +153,7 @@ def limits(responses: Sequence[Response], bump: Bump) -> tuple[float, float]:
     return SHORTEST * float(np.median(np.diff(t))), 2 * LONGEST * float(t[-1] - t[0])
 
 
-def norms(law: Beside, looks: Looks) -> tuple[list[Array], Array]:
+def norms(law: Linearised, looks: Looks) -> tuple[list[Array], Array]:
     """Norms of all traces beside the law; 0 where the law takes up nearly all of one."""
     own = [_norm(full, law.u[rows].T @ c) for rows, c, full in zip(law.rows, looks.own, looks.own_squares, strict=True)]
     on_common = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, looks.common, strict=True)], axis=0)
@@ -166,7 +166,7 @@ def _norm(squares: Array, on_law: Array) -> Array:
     return np.where(left > SEEN * squares, np.sqrt(np.maximum(left, 0)), 0.0)
 
 
-def chances(law: Beside, looks: Looks) -> tuple[Chance, list[Chance]]:
+def chances(law: Linearised, looks: Looks) -> tuple[Chance, list[Chance]]:
     """The chance of the whole search, and of that in every piece alone."""
     own_norms, common_norms = norms(law, looks)
     frames = float(np.mean([len(r.r) for r in law.responses]))

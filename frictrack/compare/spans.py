@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from frictrack.compare.beside import Beside, beside, place, traces
+from frictrack.compare.linear import Linearised, linearised, place, traces
 from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.looks import Bump, limits
 from frictrack.compare.residual import effect_force, nodes_force
@@ -105,7 +105,7 @@ def _joined(spans: Sequence[Span]) -> list[Span]:
     return out
 
 
-def misfit(law: Beside) -> float:
+def misfit(law: Linearised) -> float:
     """What the law leaves beyond the noise, of chi-squared; at least what noise makes uncertain of it."""
     freedom = max(len(law.r) - law.u.shape[1], 1)
     return max(float(law.r @ law.r) - freedom, float(np.sqrt(2 * freedom)))
@@ -175,7 +175,7 @@ def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
     return float(grid[max(rows.min() - 1, 0)]), float(grid[min(rows.max() + 1, len(grid) - 1)])
 
 
-def _likelihood(found: Local, law: Beside, bumps: Sequence[Bump]) -> Array:
+def _likelihood(found: Local, law: Linearised, bumps: Sequence[Bump]) -> Array:
     """Likelihood of every bump over that of the best, (k,), each of its best size; 0 where it is next to nothing."""
     columns = bump_columns(found, bumps, moved=False)[:, :, 0]
     clean = columns - law.u @ (law.u.T @ columns)
@@ -183,7 +183,7 @@ def _likelihood(found: Local, law: Beside, bumps: Sequence[Bump]) -> Array:
     return np.asarray(np.where(gain > gain.max() - LIKELY, np.exp((gain - gain.max()) / 2), 0.0))
 
 
-def _astray(found: Local, law: Beside, bump: Bump) -> float:
+def _astray(found: Local, law: Linearised, bump: Bump) -> float:
     """Standard deviation of the centre of a bump beside its size and width, of which no more is known than a factor."""
     bent = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
     bent -= law.u @ (law.u.T @ bent)
@@ -253,11 +253,11 @@ def _own(effect: Effect) -> bool:
     return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
 
 
-def _without(solution: Solution, effect: Effect) -> Beside:
+def _without(solution: Solution, effect: Effect) -> Linearised:
     """The law without one of its effects, and the residual that it would leave."""
     slots = solution.problem.layout.slots
     kept = [i for i, s in enumerate(slots) if s.effect != effect.name]
-    whole = beside(solution, kept)
+    whole = linearised(solution, kept)
     trace = np.zeros_like(whole.r)
     for rows, response in zip(whole.rows, solution.responses, strict=True):
         at = nodes_force(solution, response, effect.name)
@@ -265,7 +265,7 @@ def _without(solution: Solution, effect: Effect) -> Beside:
     return replace(whole, r=whole.r + trace - whole.u @ (whole.u.T @ trace))
 
 
-def _part(law: Beside, i: int, rows: Rows, solution: Solution, name: str) -> Array:
+def _part(law: Linearised, i: int, rows: Rows, solution: Solution, name: str) -> Array:
     """Trace of an effect's force over some frames of one piece, over all frames (N + m,)."""
     response = solution.responses[i]
     t, nodes = response.piece.t, response.piece.panels.t
@@ -276,7 +276,7 @@ def _part(law: Beside, i: int, rows: Rows, solution: Solution, name: str) -> Arr
     return out
 
 
-def _stand_out(law: Beside, made: Array) -> Array:
+def _stand_out(law: Linearised, made: Array) -> Array:
     """By how many standard deviations each of the columns (N + m, k) stands out beside the law and all others."""
     clean = made - law.u @ (law.u.T @ made)
     inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)

@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from frictrack.axes import AXES
+
 DECISIVE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
 
 WHERE = {
     "x": ("at the same place", "it belongs to the course"),
     "t": ("at the same time since release", "it belongs to what happens since release, not to the place"),
-    "v": ("at the same velocity", "it belongs to the law of friction itself"),
+    "v": ("at the same speed", "it belongs to the law of friction itself"),
     "phase": ("with one frequency, each run at a phase of its own", "something vibrates"),
 }
 
 
 @dataclass(frozen=True)
-class Axis:
+class Repeat:
     """How well the failure repeats along one axis: share of the misfit foretold, p, and in how many of the runs.
 
     `evidence` is that against a force that every run has for itself, twice the log of the likelihood ratio.
@@ -43,24 +45,24 @@ class Axis:
         return found | ({} if self.frequency is None else {"frequency": self.frequency})
 
 
-def ordered(axes: Sequence[Axis]) -> list[Axis]:
+def ordered(axes: Sequence[Repeat]) -> list[Repeat]:
     """The likeliest first; of those between which the likelihood does not decide, the one that foretells most."""
     near = _near(axes)
     return sorted(axes, key=lambda a: (not a.holds, a not in near, -a.share if a in near else -a.evidence))
 
 
-def _near(axes: Sequence[Axis]) -> list[Axis]:
+def _near(axes: Sequence[Repeat]) -> list[Repeat]:
     """Those between which and the likeliest one the likelihood does not decide, itself among them."""
     top = max(a.evidence for a in axes)
     return [a for a in axes if a.evidence > top - DECISIVE]
 
 
-def told(axes: Sequence[Axis]) -> str:
+def told(axes: Sequence[Repeat]) -> str:
     """What it means, for a person."""
     best = axes[0]
     if not best.holds:
         if best.evidence < -DECISIVE:
-            return "The failure does not repeat from run to run: no place, time, velocity or frequency is common to it."
+            return "The failure does not repeat from run to run: no place, time, speed or frequency is common to it."
         return "Whether the failure repeats from run to run cannot be told: these runs show too little of it."
     where, why = WHERE[best.axis]
     if best.axis == "phase" and best.frequency is not None:
@@ -69,8 +71,6 @@ def told(axes: Sequence[Axis]) -> str:
     words = f"The failure repeats {where}{how_often}: {why}."
     like = [a.axis for a in _near(axes) if a is not best]
     if like:
-        names = {"x": "place", "t": "time since release", "v": "velocity", "phase": "phase"}
-        words += (
-            f" These runs hardly tell this from the same {' or '.join(names[a] for a in like)}; another speed would."
-        )
+        names = " or ".join(AXES[name].word for name in like)
+        words += f" These runs hardly tell this from the same {names}; another speed would."
     return words

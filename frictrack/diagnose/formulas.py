@@ -20,7 +20,7 @@ from frictrack.diagnose.axes import smooth_forces
 from frictrack.diagnose.reduced import Reduced, reduced
 from frictrack.diagnose.rivals import information
 from frictrack.diagnose.shapes import SHAPES, Shape
-from frictrack.diagnose.terms import AXES, NAME, Formula, Term, bounds_of, coefficients_of, effect_of, letters_of
+from frictrack.diagnose.terms import LETTERS, NAME, Formula, Term, bounds_of, coefficients_of, effect_of, letters_of
 from frictrack.diagnose.told import told
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow, settled, without
@@ -176,7 +176,7 @@ def _worth(term: Term, left: Reduced) -> float:
 
 def _scanned(left: Reduced, names: Sequence[str] = ()) -> Iterator[Term]:
     """The best setting of every shape over every axis on which a smooth force explains something."""
-    smooth = [s for s in smooth_forces(left) if s.axis.name in (names or AXES)]
+    smooth = [s for s in smooth_forces(left) if s.axis.name in (names or LETTERS)]
     for axis in (s.axis for s in smooth if s.gain > LIKELY * smooth[0].gain):
         u, factor = left.gathered(axis.of), left.gathered(axis.times)
         for shape in SHAPES:

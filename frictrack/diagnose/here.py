@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare.beside import place
+from frictrack.compare.linear import place
 from frictrack.effects import Effect
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.compare.beside import Beside
+from frictrack.compare.linear import Linearised
 from frictrack.compare.lines import scanned, seen
 from frictrack.records import Array
 
@@ -36,7 +36,7 @@ def surplus(gain: float, numbers: int, tried: int) -> float:
     return numbers * (each - 1 - float(np.log(each))) - 2 * float(np.log(tried))
 
 
-def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: int) -> InPhase:
+def in_phase(law: Linearised, runs: Sequence[int], rng: np.random.Generator, draws: int) -> InPhase:
     """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
 
     Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
@@ -57,7 +57,7 @@ def in_phase(law: Beside, runs: Sequence[int], rng: np.random.Generator, draws: 
     return InPhase(share, p, told_in, float(f[best]), surplus(float(free[best]), 2 * len(told), len(f)))
 
 
-def _beyond(law: Beside, runs: Sequence[int]) -> Array:
+def _beyond(law: Linearised, runs: Sequence[int]) -> Array:
     """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
     out = np.zeros((len(runs), 2))
     for rows, response in zip(law.rows, law.responses, strict=True):
@@ -66,7 +66,7 @@ def _beyond(law: Beside, runs: Sequence[int]) -> Array:
     return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
 
 
-def _halves(law: Beside, run: int, f: Array) -> _Halves:
+def _halves(law: Linearised, run: int, f: Array) -> _Halves:
     out: list[Array] = [
         np.zeros((len(f), 2, 2)),
         np.zeros((len(f), 2, 2)),

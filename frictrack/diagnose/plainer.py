@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.axes import smooth_forces
 from frictrack.diagnose.formulas import EQUAL
 from frictrack.diagnose.reduced import reduced
 from frictrack.diagnose.repeats import Repeats
 from frictrack.diagnose.rivals import SAME, information
 from frictrack.diagnose.shapes import SHAPES
+from frictrack.diagnose.terms import LETTERS
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.simulated.solve import Solution
-
-AXES = {"x": "place", "t": "time", "v": "velocity"}
 
 
 def plainer(start: Solution, found: Solution, repeats: Repeats) -> dict[str, Any] | None:
@@ -50,7 +50,7 @@ def _asked(start: Solution, found: Solution, repeats: Repeats, worth: float) -> 
     several = len({p.run for p in start.problem.pieces}) > 1
     imitated = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
     along = repeats.best
-    if imitated and along is not None and along.axis in AXES:
+    if imitated and along is not None and along.axis in LETTERS:
         return True
     return smooth_forces(reduced(start))[0].gain > worth + SAME
 
@@ -64,6 +64,6 @@ def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
     much, than = ("more", "than") if decisive else ("as much", "as")
     count = "one number" if first["unknowns"] == 1 else f"{first['unknowns']} numbers"
     return (
-        f"a force of {AXES[first['axis']]} alone explains {much} with {count}, the same in all runs, "
+        f"a force of {AXES[first['axis']].word} alone explains {much} with {count}, the same in all runs, "
         f"{than} what was found with {added}: {first['formula']}"
     )

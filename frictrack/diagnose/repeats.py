@@ -1,4 +1,4 @@
-"""Whether a failure repeats: at the same place, the same time since release, the same velocity, or the same phase.
+"""Whether a failure repeats: at the same place, the same time since release, the same speed, or the same phase.
 
 Of every axis it is asked how much of the misfit of a run is foretold by one common curve over this axis that only the
 other runs have drawn: a smooth one, over the place also a wave. The curve is a force, its trace in the displacement is
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare.beside import Beside, beside, traces
 from frictrack.compare.deconvolve import hats, matern
+from frictrack.compare.linear import Linearised, linearised, traces
 from frictrack.compare.lines import waves
 from frictrack.compare.looks import Nodes, course, nodes
-from frictrack.diagnose.along import Axis, ordered, told
+from frictrack.diagnose.along import Repeat, ordered, told
 from frictrack.diagnose.axes import each_alone, smooth_forces
 from frictrack.diagnose.phases import FORETOLD, in_phase, surplus
 from frictrack.diagnose.reduced import reduced
@@ -46,12 +46,12 @@ LAW = 0.03  # of what all runs tell of the law that stays when a run is foretold
 class Repeats:
     """The axes, best first, what is to be said, and the common curve over every axis: (k,) each."""
 
-    axes: list[Axis] = field(default_factory=list)
+    axes: list[Repeat] = field(default_factory=list)
     words: str = ""
     curves: dict[str, dict[str, Array]] = field(default_factory=dict)
 
     @property
-    def best(self) -> Axis | None:
+    def best(self) -> Repeat | None:
         """The axis along which the failure repeats, if it does along any."""
         return next((a for a in self.axes if a.holds), None)
 
@@ -88,7 +88,7 @@ class _Runs:
     `series` (n_i, D) and `shared` (n_i, S) of every piece; `own` (n_i, k) orthonormal; `run` its place among the runs.
     """
 
-    law: Beside
+    law: Linearised
     at: list[Nodes]
     run: list[int]
     own: list[Array]
@@ -126,7 +126,7 @@ class _Runs:
 
 def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Repeats:
     """Along which axis the failure of a fitted law repeats from run to run."""
-    law = beside(solution)
+    law = linearised(solution)
     runs = sorted({r.piece.run for r in law.responses})
     if len(runs) < 2:
         return Repeats(words="One run cannot tell whether a failure repeats: film another one, best at another speed.")
@@ -140,7 +140,7 @@ def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) ->
             made, likely[axis] = _better(made, wave), max(likely[axis], rise)
         found.append(replace(_judged(axis, made, excess), evidence=likely[axis] - own))
     phase = in_phase(law, runs, rng, draws)
-    found.append(Axis("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own))
+    found.append(Repeat("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own))
     found = ordered(found)
     return Repeats(found, told(found), curves)
 
@@ -155,7 +155,7 @@ def _likelihoods(solution: Solution) -> tuple[dict[str, float], float]:
     return likely, max(each_alone(left), 0.0)
 
 
-def _apart(law: Beside, runs: Sequence[int], series: Array) -> _Runs:
+def _apart(law: Linearised, runs: Sequence[int], series: Array) -> _Runs:
     """Every run beside what belongs to it alone."""
     layout = law.solution.problem.layout
     own, shared, left = [], [], []
@@ -185,7 +185,7 @@ def _excess(apart: _Runs) -> Array:
     return np.asarray(np.maximum(left - frames, np.sqrt(2 * frames)))
 
 
-def _drawn(law: Beside, rng: np.random.Generator, draws: int) -> Array:
+def _drawn(law: Linearised, rng: np.random.Generator, draws: int) -> Array:
     """The residual, and draws in which every run keeps its misfit but nothing is common, (N + m, 1 + draws)."""
     out = np.zeros((len(law.r), 1 + draws))
     out[:, 0] = law.r
@@ -254,12 +254,12 @@ def _better(one: Array, other: Array) -> Array:
     return np.where(other.sum(axis=0) > one.sum(axis=0), other, one)
 
 
-def _judged(axis: str, gains: Array, excess: Array) -> Axis:
+def _judged(axis: str, gains: Array, excess: Array) -> Repeat:
     """Share of the misfit that is foretold, its p among the draws, and in how many runs."""
     share = gains.sum(axis=0) / excess.sum(axis=0)
     p = float((1 + np.sum(share[1:] >= share[0])) / len(share))
     runs = int(np.sum(gains[:, 0] > FORETOLD * excess[:, 0]))
-    return Axis(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
+    return Repeat(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
 def _wave(apart: _Runs) -> tuple[Array, float]:

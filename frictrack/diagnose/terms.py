@@ -17,7 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 
-AXES = {"x": ("x", "x", "m"), "t": ("t", "t", "s"), "v": ("abs(v)", "|v|", "m/s")}  # study file, words, unit
+LETTERS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # axes of formulas: in a study file, to read
 NAME = "unexplained"  # of the effect in the study file
 LONGEST = 3.0  # times the axis: a width beyond it is no width
 
@@ -143,7 +143,7 @@ def column_of(column: str, term: Term, suffix: str) -> str:
     """A column with the axis and its numbers under their own names; nothing for a constant."""
     if column == "1":
         return ""
-    text = re.sub(r"\bu\b", AXES[term.axis][0], column)
+    text = re.sub(r"\bu\b", LETTERS[term.axis][0], column)
     for q in term.shape.numbers:
         text = re.sub(rf"\b{q}\b", q + suffix, text)
     return text

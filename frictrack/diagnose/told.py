@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.axes import OTHER
-from frictrack.diagnose.terms import AXES, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
+from frictrack.diagnose.terms import LETTERS, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
 from frictrack.fit.simulated.solve import Solution
 
 FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
@@ -19,14 +20,14 @@ POWERS = {"u": 1, "u^2": 2, "u^3": 3, "sqrt(u)": 0.5}
 
 
 def _unit(kind: str, axis: str) -> str:
-    unit = AXES[axis][2]
+    unit = AXES[axis].unit
     return {"rate": INVERSE[unit][0], "sweep": INVERSE[unit][1], "share": "1"}.get(kind, unit)
 
 
 def _coefficient_unit(column: str, axis: str) -> str:
     """Unit of what multiplies a column: newtons per power of the axis."""
     power = POWERS.get(column, 1 if column.startswith("u*") else 0)
-    unit = AXES[axis][2]
+    unit = AXES[axis].unit
     if axis == "v":
         return {0: "N", 1: "N s/m", 2: "N s^2/m^2", 3: "N s^3/m^3", 0.5: "N s^0.5/m^0.5"}[power]
     return "N" if power == 0 else f"N/{unit}" if power == 1 else f"N/{unit}^{power:g}"
@@ -83,7 +84,7 @@ def _sines(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tu
 
 def _spelled(column: str, term: Term) -> str:
     """A column with its numbers and their units."""
-    text = "" if column == "1" else re.sub(r"\bu\b", AXES[term.axis][1], column)
+    text = "" if column == "1" else re.sub(r"\bu\b", LETTERS[term.axis][1], column)
     for q, kind, number in zip(term.shape.numbers, term.shape.kinds, term.numbers, strict=True):
         digits = 3 if kind in ("width", "scale", "share") else 4
         text = re.sub(rf"\b{q}\b", f"{number:.{digits}g} {_unit(kind, term.axis)}".removesuffix(" 1"), text)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.lines import Line
 from frictrack.diagnose.repeats import Repeats, repeats
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 
-AXES = ("t", "x", "v", "a", "phase")
 PLACES = 161  # of a common curve
 SMOOTH = 1 / 80  # of an axis: width of the smoothing
 ENOUGH = 0.2  # of the usual number of frames round a place for a run to have a say there

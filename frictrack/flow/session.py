@@ -25,6 +25,7 @@ from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
 from frictrack.store import Entry
 from frictrack.study import Study, nearest
+from frictrack.version import __version__
 
 EDITS = ("fit", "add", "remove")  # of the model
 CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
@@ -241,7 +242,7 @@ class Session:
         """
         path = self.study.output / "report.html"
         notes = self._up_to_date(seed)
-        key = digest([store.VERSION, notes, *(hashed(p) for p in self._files())])
+        key = digest([__version__, notes, *(hashed(p) for p in self._files())])
         if anew or not _holds(path, key):
             from frictrack import report  # noqa: PLC0415 - draws for seconds
 

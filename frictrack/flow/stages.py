@@ -40,6 +40,7 @@ from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
+from frictrack.version import __version__
 
 if TYPE_CHECKING:
     from frictrack.recording import Recording
@@ -129,7 +130,7 @@ class RunWork:
             return stamp.key if stamp else "never made"
         if name not in self._keys:
             hashes = [found for _, found in self.inputs(name)]
-            self._keys[name] = key_of(name, store.VERSION, self.settings(name), hashes)
+            self._keys[name] = key_of(name, __version__, self.settings(name), hashes)
         return self._keys[name]
 
     def settings(self, name: str) -> dict[str, Any]:
@@ -215,7 +216,7 @@ class RunWork:
     def _new_stamp(self, name: str) -> Stamp:
         inputs, settings = self.inputs(name), json.dumps(self.settings(name), sort_keys=True)
         together = digest([found for _, found in inputs])
-        return Stamp(self.key(name), together, json.dumps(inputs), settings, store.VERSION)
+        return Stamp(self.key(name), together, json.dumps(inputs), settings, __version__)
 
     def _called(self, stage: Stage, inputs: list[Any]) -> tuple[Any, Stamp]:
         """What a stage makes of its inputs; a failure says in which run and stage, and what is known of the film.

@@ -26,6 +26,7 @@ from frictrack.motion import derivatives, low_pass
 from frictrack.records import Array, Happenings
 from frictrack.results import ModelResults, Results, RunResults, plain
 from frictrack.study import Study
+from frictrack.version import __version__
 
 ASIDE = ("cutoff", "friction", "events")  # stages that a fit does not need
 
@@ -42,7 +43,7 @@ def stored(study: Study) -> Results:
             name=study.name,
             path=study.path,
             output=study.output,
-            version=store.VERSION,
+            version=__version__,
             runs=tuple(run_results(work) for work in works if _is_measured(work)),
             models=models,
             comparison=_summary(tried, "comparison"),

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from frictrack.axes import AXES
 from frictrack.plots import style
 from frictrack.plots.style import axis, blank, styled
 from frictrack.records import Array
 
-AXES = {
-    "x": ("place", axis("displacement x", "m")),
-    "t": ("time", axis("time since release t", "s")),
-    "v": ("speed", axis("speed |v|", "m/s")),
-    "phase": ("the phase of the motion", axis("phase of the motion", "rad")),
-}
 SIDES = {"L * s": "resisting motion, with the load", "s": "resisting motion", "": "whichever way the mass goes"}
 WITNESSES = {"vertical": "vertical motion", "accelerometer": "the accelerometer"}
 
@@ -25,15 +20,16 @@ WITNESSES = {"vertical": "vertical motion", "accelerometer": "the accelerometer"
 @styled
 def unexplained(found: Mapping[str, Any]) -> Figure:
     """Force that no effect explains, over the axis on which it repeats best, with a band of two deviations."""
-    name, label = AXES[found["axis"]]
+    along = AXES[found["axis"]]
     curve = np.asarray(found["curve"], dtype=float)
-    figure = blank(3.4, f"What no effect explains repeats best along {name}, {SIDES[found.get('factor', '')]}")
+    figure = blank(3.4, f"What no effect explains repeats best along {along.word}, {SIDES[found.get('factor', '')]}")
     ax = figure.subplots()
     ax.axhline(0, color="#666666", lw=0.7)
     if found.get("band"):
         band = 2 * np.asarray(found["band"], dtype=float)
         ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILLION, alpha=0.2, lw=0)
     ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILLION, lw=1.8)
+    label = axis("phase of the motion", "rad") if found["axis"] == "phase" else axis(along.label, along.unit)
     ax.set(xlabel=label, ylabel="unexplained force / N")
     ax.margins(x=0)
     return figure

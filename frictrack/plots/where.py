@@ -11,18 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from frictrack.axes import AXES
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, styled
 from frictrack.records import Array, Mask
 
-AXES = {
-    "t": ("time since release t", "s"),
-    "x": ("displacement x", "m"),
-    "v": ("speed", "m/s"),
-    "a": ("acceleration along the motion", "m/s^2"),
-    "phase": ("phase", "cycles"),
-}
-WORDS = {"t": "time", "x": "place", "v": "velocity", "phase": "phase"}
 JUMP = 20.0  # usual steps along an axis beyond which a line is broken
 RUG = 0.03  # of a panel's height between the marks of two runs
 BELOW = 0.05  # of a panel's height, free at its foot
@@ -72,7 +65,7 @@ def missing_force(
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
     if not repeats or not repeats[0]["holds"]:
         return "The force that the model misses"
-    return f"The force that the model misses repeats with {WORDS[repeats[0]['axis']]}"
+    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].word}"
 
 
 def _told(found: Mapping[str, Any] | None) -> str:
@@ -83,10 +76,10 @@ def _told(found: Mapping[str, Any] | None) -> str:
 
 
 def _label(name: str, whole: Mapping[str, Array]) -> str:
-    words, unit = AXES[name]
+    along = AXES[name]
     if name == "phase" and "frequency" in whole:
-        return f"{words} at {style.number(float(whole['frequency'][0]))} Hz / {unit}"
-    return axis(words, unit)
+        return f"{along.label} at {style.number(float(whole['frequency'][0]))} Hz / {along.unit}"
+    return axis(along.label, along.unit)
 
 
 def _reach(whole: Mapping[str, Array]) -> tuple[float, float]:

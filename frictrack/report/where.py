@@ -10,17 +10,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
+from frictrack.axes import AXES
 from frictrack.plots.style import run_looks
 from frictrack.report.numbers import number
 from frictrack.report.tables import Table, spans, table
 from frictrack.results import ModelResults, Results
-
-AXES = {
-    "x": "place on the course",
-    "t": "time since release",
-    "v": "velocity",
-    "phase": "phase of one frequency",
-}
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ def _fit(diagnosis: Mapping[str, Any]) -> str:
 def _repeats(found: Sequence[Mapping[str, Any]]) -> Table:
     rows = [
         (
-            AXES[r["axis"]] + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            AXES[r["axis"]].word + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
             plots.gain(r["evidence"]),

@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from frictrack.axes import AXES
 from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.numbers import low_to_high, number, quantity, typed
 from frictrack.results import ModelResults, Results
@@ -285,8 +286,7 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
     elif not any(passes(c) for c in diagnosis["candidates"]):
         yield Markup("No effect of the library passes.")
     if left:
-        axis = {"x": "place", "t": "time", "v": "velocity"}.get(left["axis"], left["axis"])
-        yield Markup("What is left repeats best along {}.").format(axis)
+        yield Markup("What is left repeats best along {}.").format(AXES[left["axis"]].word)
 
 
 _STATES = {"complete": _complete, "missing": _missing, "ambiguous": _ambiguous, "unexplained": _unexplained}

@@ -14,14 +14,13 @@ What is in a file, and how others read it, is in SCHEMA.md.
 
 from frictrack.store.door import attributes, held, names, read, stamp, stamps, write
 from frictrack.store.faults import Fault, check
-from frictrack.store.layout import VERSION, Entry, Stamp
+from frictrack.store.layout import Entry, Stamp
 from frictrack.store.seal import ROOM, SCHEMA, START, head
 
 __all__ = [
     "ROOM",
     "SCHEMA",
     "START",
-    "VERSION",
     "Entry",
     "Fault",
     "Stamp",

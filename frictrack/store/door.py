@@ -21,11 +21,12 @@ from frictrack.files import alone, replaced
 from frictrack.store import layout
 from frictrack.store.apart import is_sound
 from frictrack.store.claims import members
-from frictrack.store.layout import VERSION, Entry, Stamp
+from frictrack.store.layout import Entry, Stamp
 from frictrack.store.marks import is_ours, mark
 from frictrack.store.migrations import in_memory, migrated
 from frictrack.store.seal import ROOM, SCHEMA, START, head, intact, is_bare, sealed, state
 from frictrack.store.sums import SUM, add_sums, drop_sums
+from frictrack.version import __version__
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"
@@ -174,7 +175,7 @@ def border(path: Path, *, anew: bool = False) -> None:
     if schema > SCHEMA:
         raise FrictrackError(
             f"expected {path} of schema {SCHEMA} at most but it has {schema} and was written by frictrack {version}, "
-            f"this is {VERSION}; update it"
+            f"this is {__version__}; update it"
         )
 
 
@@ -204,13 +205,13 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             if path.exists():
                 with _reading(path) as old:
                     copy(old, file)
-            file.attrs.update(schema=SCHEMA, version=VERSION)
+            file.attrs.update(schema=SCHEMA, version=__version__)
             file.attrs.pop(SUM, None)
             yield file
             add_sums(file)
             file.flush()
             image = file.id.get_file_image()
-            whole = sealed(image, VERSION, mark(memoryview(image)[START - ROOM :]))
+            whole = sealed(image, __version__, mark(memoryview(image)[START - ROOM :]))
         part.write_bytes(whole)
 
 

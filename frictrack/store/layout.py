@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
-from importlib.metadata import version
 from typing import Any
 
 import h5py
@@ -19,8 +18,8 @@ import numpy as np
 from frictrack.results import plain
 from frictrack.store.claims import array_of, members, once
 from frictrack.store.sums import SUM
+from frictrack.version import __version__
 
-VERSION = version("frictrack")
 _LONG = 16_000  # characters; HDF5 keeps an attribute below 64 kB
 _MANY = 64  # attributes of a group that stay in its header, which is smaller and read in one piece
 
@@ -33,7 +32,7 @@ class Stamp:
     input_hash: str = ""  # hash of the inputs together
     inputs: str = "[]"  # JSON: [name, key or hash] of each; ":/track" here, "v3.h5:/track" beside, or a file
     settings: str = "{}"  # JSON: keys of the study file, their values
-    version: str = VERSION  # of frictrack
+    version: str = __version__  # of frictrack
 
 
 @dataclass(frozen=True, eq=False)

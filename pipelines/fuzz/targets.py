@@ -30,6 +30,7 @@ from frictrack.simulate.scene import read_scene
 from frictrack.store.seal import sealed
 from frictrack.study import edited, load, parse, read_clocked, read_table
 from frictrack.units import coherent, quantity
+from frictrack.version import __version__
 
 MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
 LONGEST = 12_000  # characters of an error
@@ -220,7 +221,7 @@ def edited_results(data: bytes, folder: Path) -> None:
     with h5py.File(path, "r+") as file:
         for at in range(0, min(len(data), 40) - 3, 4):
             _edit(file, *data[at : at + 4])
-    path.write_bytes(sealed(path.read_bytes()[store.ROOM :], store.VERSION))  # who means harm seals it too
+    path.write_bytes(sealed(path.read_bytes()[store.ROOM :], __version__))  # who means harm seals it too
     _used(path)
 
 

@@ -10,9 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.axes import Axis, Smooth, smooth_forces
 from frictrack.diagnose.experiments.expected import Explanation
 from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.terms import LETTERS
 from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
@@ -22,7 +24,6 @@ from frictrack.records import Array
 HATS = 14  # over an axis
 LOOSE = 0.5  # of friction: what is known of a height beside the runs
 STEPS = 8
-NAMES = {"x": "place", "t": "time", "v": "speed"}
 
 
 def along_axes(solution: Solution) -> list[Explanation]:
@@ -30,20 +31,20 @@ def along_axes(solution: Solution) -> list[Explanation]:
     friction = float(np.median(np.abs(np.concatenate([r.piece.mass * r.motion.a for r in solution.responses]))))
     found = []
     for smooth in smooth_forces(reduced(solution)):
-        if smooth.axis.name in NAMES:
+        if smooth.axis.name in LETTERS:
             try:
                 made = _explained(solution, smooth, LOOSE * friction)
             except FrictrackError:  # a curve under which no motion can be integrated
                 continue
             gain = max(solution.objective - made.objective, 0.0)
-            found.append(Explanation(NAMES[smooth.axis.name], made, gain, made))
+            found.append(Explanation(AXES[smooth.axis.name].word, made, gain, made))
     return sorted(found, key=lambda e: -e.gain)
 
 
 def _explained(solution: Solution, smooth: Smooth, loose: float) -> Solution:
     """The law with any curve over one axis, from where the smooth one stands."""
     knots = np.linspace(smooth.at[0], smooth.at[-1], HATS)
-    effect = _curve(NAMES[smooth.axis.name], smooth.axis, knots, loose)
+    effect = _curve(AXES[smooth.axis.name].word, smooth.axis, knots, loose)
     old = solution.problem.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     there = dict(zip(old.names, solution.p, strict=True))

@@ -33,7 +33,7 @@ KEEPS = {
     "friction_lag": "a lag needs a speed that swings",
     "lugre": "LuGre's bristles need a reversal or a slow speed",
     "place": "what is tied to the place comes again at the same place",
-    "time": "what is tied to the time comes again as long after release",
+    "time since release": "what is tied to the time comes again as long after release",
     "speed": "what is tied to the speed comes again at the same speed",
 }
 UNPARTED = "No run of this menu parts {0}: they bend the motion in the same way at every speed, mass and direction here"

@@ -25,7 +25,7 @@ LEAST_SPREAD = 1e-3  # of the friction levels
 
 
 @dataclass(frozen=True)
-class Beside:
+class Linearised:
     """The linearised law over all N frames and the m rows that hold it, and the residual beside it.
 
     `u` (N + m, P') is an orthonormal basis of the law, `r` (N + m,) what it leaves, whitened; `rows` of every piece.
@@ -41,16 +41,16 @@ class Beside:
         """The pieces."""
         return self.solution.responses
 
-    def with_columns(self, columns: Array) -> Beside:
+    def with_columns(self, columns: Array) -> Linearised:
         """The same with further columns (N + m, k) in the law."""
         left = columns - self.u @ (self.u.T @ columns)
         left -= self.u @ (self.u.T @ left)
         q, upper = np.linalg.qr(left)
         q = q[:, np.abs(np.diag(upper)) > UNSEEN * np.linalg.norm(columns, axis=0)]
-        return Beside(self.solution, self.rows, np.hstack([self.u, q]), self.r - q @ (q.T @ self.r))
+        return Linearised(self.solution, self.rows, np.hstack([self.u, q]), self.r - q @ (q.T @ self.r))
 
 
-def beside(solution: Solution, kept: Sequence[int] | None = None) -> Beside:
+def linearised(solution: Solution, kept: Sequence[int] | None = None) -> Linearised:
     """The law of a solution, linearised where it came to rest; with `kept`, only these of its unknowns."""
     layout = solution.problem.layout
     tau = max(solution.tau, LEAST_SPREAD)
@@ -63,7 +63,7 @@ def beside(solution: Solution, kept: Sequence[int] | None = None) -> Beside:
     u = u[:, s > UNSEEN * s[0]] if len(s) else u
     ends = np.cumsum([0, *[len(response.r) for response in solution.responses]])
     rows = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
-    return Beside(solution, rows, u, r - u @ (u.T @ r))
+    return Linearised(solution, rows, u, r - u @ (u.T @ r))
 
 
 def traces(response: Response, force: Array) -> Array:
