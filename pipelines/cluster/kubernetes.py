@@ -35,6 +35,7 @@ def main() -> None:
         name="frictrack",
         image=told.image,
         n_workers=told.workers,
+        worker_command="dask worker --nthreads 1",  # a study is one thread of work
         resources={"requests": {"cpu": "1", "memory": told.memory}, "limits": {"memory": told.memory}},
         env={"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )
