@@ -164,10 +164,10 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
         assert all(fault.file == path for fault in store.check(path))
 
 
-@pytest.mark.parametrize("child", ["import os; os.abort()", "import time; time.sleep(60)", "print('no JSON')"])
+@pytest.mark.parametrize("child", ["os.abort()", "time.sleep(60)", "print('no JSON')"])
 def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest.MonkeyPatch, child: str) -> None:
     monkeypatch.setattr(apart, "PATIENCE", 1.0)
-    monkeypatch.setattr(apart, "_CHILD", child)
+    monkeypatch.setattr(apart, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
     monkeypatch.setattr(apart, "_APART", apart._Apart())
     path = sound.with_name("strange.h5")
     path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], __version__))
@@ -175,6 +175,15 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
         with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
             store.read(path, "models/1_tustin")
     assert [fault.what for fault in store.check(path)] == ["HDF5 itself fails on it: it is damaged, or made to do harm"]
+
+
+def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "_CHILD", "import nothing_of_the_kind")
+    monkeypatch.setattr(apart, "_APART", apart._Apart())
+    path = sound.with_name("unknown.h5")
+    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], __version__))
+    with pytest.raises(FrictrackError, match=r"but .*python.* begins none"):
+        store.read(path, "models/1_tustin")
 
 
 def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,13 @@ from pathlib import Path
 from threading import Lock, Timer
 from typing import Any
 
+from frictrack.errors import FrictrackError
 from frictrack.store.seal import state
 
-PATIENCE = 30.0  # s for one file
+PATIENCE = 5.0  # s for one file, and a second more for every `PACE` bytes of it
+PACE = 2e6
 MEMORY = 2 << 30  # bytes that looking at a file may take, and the most that its own bytes can unfold to
+READY = "ready\n"  # the first line of that process
 _CHILD = "from frictrack.store.faults import answer; answer()"
 
 
@@ -28,10 +31,13 @@ class _Apart:
         self._lock = Lock()
 
     def ask(self, path: Path) -> Any:
-        """What `frictrack.store.faults.answer` finds in a file; None where it crashes, or has not ended in time."""
+        """What `frictrack.store.faults.answer` finds in a file; None where it crashes, or has not ended in time.
+
+        Raises `FrictrackError` where such a process cannot be begun.
+        """
         with self._lock:
             child = self._child or self._begin()
-            late = Timer(PATIENCE, child.kill)
+            late = Timer(PATIENCE + path.stat().st_size / PACE, child.kill)
             late.start()
             try:
                 print(json.dumps(str(path.absolute())), file=child.stdin, flush=True)
@@ -44,9 +50,14 @@ class _Apart:
 
     def _begin(self) -> subprocess.Popen[str]:
         pipe, call = subprocess.PIPE, [sys.executable, "-c", _CHILD]
-        self._child = subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+        self._child = child = subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
         atexit.register(self._end)
-        return self._child
+        if child.stdout is None or child.stdout.readline() != READY:
+            self._end()
+            raise FrictrackError(
+                f"a file of somebody else is opened by a process of its own, but {sys.executable} begins none"
+            )
+        return child
 
     def _end(self) -> None:
         atexit.unregister(self._end)
@@ -83,6 +94,8 @@ def _is_sound(path: Path, *_: int) -> bool:
 def serve(found: Callable[[Path], Any]) -> None:
     """Be that process: a path a line from stdin, what is found in it a line to stdout, until nobody asks any more."""
     _limit()
+    sys.stdout.write(READY)
+    sys.stdout.flush()
     for line in sys.stdin:
         sys.stdout.write(json.dumps(found(Path(json.loads(line)))) + "\n")
         sys.stdout.flush()
