@@ -17,6 +17,7 @@ from frictrack.cli.cells import table as _table
 from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
 from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
 from frictrack.cli.unexplained import evidence, unexplained
+from frictrack.words import verdict
 
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
@@ -28,13 +29,6 @@ ERRORS = {
     "relative_force_error": ("relative force error", "force / %", 100.0),
     "reduced_chi2": ("reduced chi²", "chi²", 1.0),
 }  # key of `errors` -> words, column head with its unit, factor
-VERDICTS = {
-    "complete": "complete: nothing more is seen in these runs",
-    "missing": "an effect is missing",
-    "ambiguous": "something is missing, and several effects would explain it equally well",
-    "unexplained": "something is missing that no effect of the library explains",
-}
-
 MOST_STUDIES = 100  # in the table of a batch; the page has more
 UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
 
@@ -156,9 +150,7 @@ def _reach(ends: list[float]) -> str:
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
     """The verdict, the candidates, and the experiment that would settle it."""
-    verdict = VERDICTS.get(result["verdict"], result["verdict"])
-    missing = ", ".join(result["missing"])
-    out.print(f"[bold]{verdict}[/bold]" + (f": [bold]{missing}[/bold]" if missing else ""))
+    out.print(f"[bold]{escape(verdict(result))}[/bold]")
     chi2, p, noise = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit", "noise_um"))
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
     evidence(out, result.get("evidence") or [])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.axes import AXES
+from frictrack.words import AXES
 
 DECISIVE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
 

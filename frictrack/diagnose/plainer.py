@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.axes import smooth_forces
 from frictrack.diagnose.formulas import EQUAL
 from frictrack.diagnose.reduced import reduced
@@ -22,6 +21,7 @@ from frictrack.diagnose.shapes import SHAPES
 from frictrack.diagnose.terms import LETTERS
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.simulated.solve import Solution
+from frictrack.words import AXES
 
 
 def plainer(start: Solution, found: Solution, repeats: Repeats) -> dict[str, Any] | None:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.axes import OTHER
 from frictrack.diagnose.terms import LETTERS, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
 from frictrack.fit.simulated.solve import Solution
+from frictrack.words import AXES
 
 FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
 INVERSE = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.lines import Line
 from frictrack.diagnose.repeats import Repeats, repeats
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
+from frictrack.words import AXES
 
 PLACES = 161  # of a common curve
 SMOOTH = 1 / 80  # of an axis: width of the smoothing

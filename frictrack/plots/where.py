@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from frictrack.axes import AXES
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, styled
 from frictrack.records import Array, Mask
+from frictrack.words import AXES
 
 JUMP = 20.0  # usual steps along an axis beyond which a line is broken
 RUG = 0.03  # of a panel's height between the marks of two runs

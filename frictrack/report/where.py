@@ -10,11 +10,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
-from frictrack.axes import AXES
 from frictrack.plots.style import run_looks
 from frictrack.report.numbers import number
 from frictrack.report.tables import Table, spans, table
 from frictrack.results import ModelResults, Results
+from frictrack.words import AXES
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from frictrack.axes import AXES
 from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.numbers import low_to_high, number, quantity, typed
 from frictrack.results import ModelResults, Results
+from frictrack.words import AXES, group
 
 NAMES = {
     "coulomb": "Coulomb friction",
@@ -177,13 +177,6 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
     if kind == "ambiguous":
         return f"{name} {lacks(diagnosis)}: these runs cannot tell which"
     return f"{name} {lacks(diagnosis)}" if kind else f"{name}, not yet diagnosed"
-
-
-def group(diagnosis: Mapping[str, Any]) -> list[str]:
-    """The best effect and those that predict the same data."""
-    best = diagnosis["missing"][0] if diagnosis["missing"] else diagnosis["candidates"][0]["effect"]
-    found = candidate(diagnosis, best) or {}
-    return [best, *found.get("indistinguishable_from", [])]
 
 
 def _law(results: Results, model: ModelResults) -> Markup:

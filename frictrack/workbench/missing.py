@@ -14,6 +14,7 @@ from frictrack.plots import gain, number
 from frictrack.report import settle
 from frictrack.report.numbers import typed
 from frictrack.report.tables import Card, cards
+from frictrack.words import verdict
 from frictrack.workbench import scenes
 from frictrack.workbench.desk import Desk
 from frictrack.workbench.films import Bench, Films
@@ -22,12 +23,6 @@ from frictrack.workbench.widgets import button, figure, grid, heading, html, not
 
 CARDS = 6
 FORMULAS = 3
-VERDICTS = {
-    "complete": "Complete: nothing that the library knows is missing, as far as these runs can show.",
-    "missing": "Missing: {names}.",
-    "ambiguous": "Something is missing; these runs cannot tell which of a group: {names}.",
-    "unexplained": "Something is missing that no effect of the library explains.",
-}
 
 
 class MissingTab:
@@ -131,13 +126,12 @@ class MissingTab:
 
 def _verdict(told: dict[str, Any]) -> str:
     """The verdict in words, and where the failure repeats."""
-    group = told["missing"] or []
-    rivals = told["candidates"][0]["indistinguishable_from"] if told["candidates"] else []
-    names = ", ".join([*group, *(r for r in rivals if told["verdict"] == "ambiguous" and r not in group)])
-    said = VERDICTS[told["verdict"]].format(names=names)
+    said = verdict(told)
     fit = f"reduced chi-squared {number(told['reduced_chi2'])}, p of the lack of fit {number(told['p_lack_of_fit'], 1)}"
     more = [fit, told.get("repeats_words") or "", (told.get("unexplained") or {}).get("words", "")]
-    return f"<p class=ft-verdict>{escape(said)}</p>" + "".join(note(words) for words in more if words)
+    return f"<p class=ft-verdict>{escape(said[:1].upper() + said[1:])}</p>" + "".join(
+        note(words) for words in more if words
+    )
 
 
 def _next(told: dict[str, Any]) -> str:

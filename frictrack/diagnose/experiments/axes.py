@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.axes import AXES
 from frictrack.diagnose.axes import Axis, Smooth, smooth_forces
 from frictrack.diagnose.experiments.expected import Explanation
 from frictrack.diagnose.reduced import reduced
@@ -20,6 +19,7 @@ from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.records import Array
+from frictrack.words import AXES
 
 HATS = 14  # over an axis
 LOOSE = 0.5  # of friction: what is known of a height beside the runs
