@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -140,3 +143,23 @@ def test_gone_through_once_in_little_memory(monkeypatch):
             film.frame(3)
     with opened(source, once=True) as film:  # leaving early ends the decoder
         film.frame(0)
+
+
+def test_python_may_end_while_a_film_is_decoded(tmp_path):
+    """Somebody leaves with a film open: no abort of the process, nothing stays in the temporary folder."""
+    code = """
+import contextlib, sys
+from frictrack.recording import open_recording, opened, spool
+
+spool.IN_MEMORY = 0
+held = contextlib.ExitStack()
+film = open_recording(sys.argv[1], fps=4000)
+film.frames = lambda frames=film.frames: (frame for _ in range(1000) for frame in frames())  # it goes on
+held.enter_context(opened(film))
+"""
+    film = Path(__file__).resolve().parents[1] / "sample_videos" / "fast.avi"
+    call, room = [sys.executable, "-c", code, film], os.environ | {"TMPDIR": str(tmp_path)}
+    for _ in range(3):
+        done = subprocess.run(call, capture_output=True, text=True, env=room, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert list(tmp_path.iterdir()) == []

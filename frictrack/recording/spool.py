@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -58,6 +59,7 @@ class Spool(Recording):
         self._fault: BaseException | None = None
         self._news = Condition()
         self._decoder = Thread(target=self._decode, name="frictrack decoder", daemon=True)
+        atexit.register(self.close)  # a thread that still decodes when Python ends would abort the process
         self._decoder.start()
 
     @property
@@ -73,7 +75,10 @@ class Spool(Recording):
         return self._store.cut(indices, corners, size)
 
     def close(self) -> None:
-        """End the decoder and give the memory back."""
+        """End the decoder and give the memory back; may be called again."""
+        atexit.unregister(self.close)
+        if self._stop:
+            return
         with self._news:
             self._stop = True
             self._news.notify_all()
