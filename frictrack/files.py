@@ -6,7 +6,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -49,11 +49,35 @@ def alone(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+@contextmanager
+def working(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
+    """Nobody else works on this folder of results meanwhile; says that it `waits` for as long as another one does.
+
+    Readers and short changes do not wait. May be entered again inside.
+    """
+    lock = FileLock(folder / ".work", is_singleton=True)
+    with suppress(OSError):  # where nobody may write, who tries to will say so
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            waits()
+            lock.acquire(timeout=-1)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
 def is_busy(folder: Path) -> bool:
-    """Whether somebody is writing into this folder of results just now."""
-    if not (folder / ".lock").exists():
+    """Whether somebody is writing into this folder of results just now, or works on what he will write."""
+    return any(_is_held(folder / name) for name in (".lock", ".work"))
+
+
+def _is_held(path: Path) -> bool:
+    if not path.exists():
         return False
-    lock = FileLock(folder / ".lock", timeout=0)
+    lock = FileLock(path, timeout=0)
     try:
         lock.acquire()
     except Timeout:

@@ -225,3 +225,13 @@ def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
     os.utime(old, (time.time() - 1e6,) * 2)
     replace_text(tmp_path / "a.txt", "a")
     assert {path.name for path in tmp_path.iterdir()} == {"a.txt", live.name, fresh.name}
+
+
+def test_several_at_once_come_to_what_one_does(tmp_path: Path) -> None:
+    """Two people begin the same study: one works, the others wait and find all done."""
+    calm, folder = campaign(tmp_path / "calm", 1), campaign(tmp_path / "c", 1)
+    done(calm, *run(calm))
+    together = [command(*run(folder)) for _ in range(3)]
+    assert [process.wait(300) for process in together] == [0, 0, 0]
+    assert results(folder) == results(calm)
+    assert verify([folder])["sound"]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects, store
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
+from frictrack.files import working
 from frictrack.fit import certainty
 from frictrack.flow import changes
 from frictrack.flow.films import overlaid
@@ -37,6 +39,19 @@ CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
     "undo": changes.undo,
     "redo": changes.redo,
 }
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def one_at_a_time(do: Callable[Concatenate[Session, P], T]) -> Callable[Concatenate[Session, P], T]:
+    """One process at a time works on the models of a study; the next one waits, and finds what the first has done."""
+
+    @wraps(do)
+    def done(session: Session, *told: P.args, **named: P.kwargs) -> T:
+        with working(session.study.output, lambda: session.progress(0, 1, "waiting for another frictrack")):
+            return do(session, *told, **named)
+
+    return done
 
 
 class Session:
@@ -102,6 +117,7 @@ class Session:
             self.bring_up_to("cutoff")
         return {"runs": summary(works, stage), "output": str(self.study.output)}
 
+    @one_at_a_time
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current: JSON of `fit`.
 
@@ -150,6 +166,7 @@ class Session:
         self.tried.fit(group)  # again when something it rests on has changed
         return self.tried.results(group).summary
 
+    @one_at_a_time
     def compare(self) -> dict[str, Any]:
         """Errors of all models tried, and where the current one fails: JSON of `compare`."""
 
@@ -158,6 +175,7 @@ class Session:
 
         return self._summarised("comparison", make, self._history_key())
 
+    @one_at_a_time
     def history(self) -> dict[str, Any]:
         """Every model tried, in order, with its errors: JSON of `history`."""
         return self._named(history(self._fits(), self._place()).summary())
@@ -172,6 +190,7 @@ class Session:
         found: dict[str, Any] = plain({**summary, "models": named})
         return found
 
+    @one_at_a_time
     def diagnose(self, seed: int = 0) -> dict[str, Any]:
         """Which effect is missing: JSON of `diagnose`."""
         self.bring_up_to("friction")
@@ -194,10 +213,12 @@ class Session:
         beside = [work.key(name) for work in self.runs for name in ("sensors", "tracks") if name in work.stages]
         return [beside, *(table.model_dump(mode="json") for table in self.study.effects)]
 
+    @one_at_a_time
     def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
         """Fit again with one effect more: JSON of `add`."""
         return self._edit("+", effect, seed)
 
+    @one_at_a_time
     def remove(self, effect: str, seed: int | None = None) -> dict[str, Any]:
         """Fit again with one effect less: JSON of `remove`."""
         return self._edit("-", effect, seed)
@@ -221,12 +242,14 @@ class Session:
         do = "add" if edit[0] == "+" else "remove"
         return before, self._summary(self.tried.append(spec, do, effect=edit[1:], seed=spec.seed)[0])
 
+    @one_at_a_time
     def attempt(self, effect: str, path: Path) -> dict[str, Any]:
         """Fit with one effect more and put the model into a file of its own: nothing of the study changes."""
         self.bring_up_to("friction")
         spec = self.tried.current()[1].edited(f"+{effect}")
         return self.tried.attempt(spec, path)
 
+    @one_at_a_time
     def run(self, seed: int = 0) -> dict[str, Any]:
         """Everything: JSON of `run`."""
         fit = self.fit()
@@ -235,6 +258,7 @@ class Session:
         self.report(seed, anew=False)
         return {"fit": fit, "diagnose": diagnosis, "output": str(self.study.output)}
 
+    @one_at_a_time
     def report(self, seed: int | None = None, *, anew: bool = True) -> Path:
         """Write ``report.html`` and say where; `seed` is that of the diagnosis, the last one's when None.
 
@@ -260,6 +284,7 @@ class Session:
                 store.write(self.path, {}, remove=("models", "comparison", "diagnosis", "papers"))
         self._take(self.study)
 
+    @one_at_a_time
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
         notes = self._up_to_date(seed)
