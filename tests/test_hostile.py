@@ -346,6 +346,7 @@ def test_a_sheet_with_empty_rows_and_far_ones_is_read(tmp_path: Path) -> None:
         (b"t_s,x_m,x_m \n0,0,0\n1,1,1\n", 'expected one column "x_m" but got 2'),
         (b"t_s,x_m\n0,0\n0,1\n", "expected rising time"),
         (b"t_s,x_m\n0,0\n1,inf\n", "expected numbers"),
+        (b"t_s,x_m\n0,0\n1," + b"9" * 400 + b"\n", "but got 9{40} in row"),
         (b"t_s,x_m\n0,0\n1,1e999\n", "expected numbers"),
         (b"t_s,x_m\nnan,0\n1,1\n", "expected numbers"),
         (b"t_s,x_m\n0,0\n" + b"3" * 90 + b",1\n", r"expected numbers below 1e\+12"),

@@ -117,14 +117,18 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
     import pandas as pd  # noqa: PLC0415 - half a second that `--help` need not wait for
 
     with np.errstate(over="ignore"):
-        values = factor * np.asarray(pd.to_numeric(series, errors="coerce"), dtype=float)
+        try:
+            numbers = pd.to_numeric(series, errors="coerce")
+        except OverflowError:  # a whole number of more than 308 digits; written as text it is infinite
+            numbers = pd.to_numeric(series.astype(str), errors="coerce")
+        values = factor * np.asarray(numbers, dtype=float)
     bad = np.flatnonzero(~(np.abs(values) < MOST) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values, []
     came = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
     said = f"expected numbers below {MOST:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
-    return values, [f'{said} in "{series.name}" but got {came} in row {bad[0] + 1}{more}']
+    return values, [f'{said} in "{series.name}" but got {str(came)[:40]} in row {bad[0] + 1}{more}']
 
 
 def _time_faults(t: Array) -> list[str]:
