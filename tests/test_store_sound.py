@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -175,6 +176,21 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
         with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
             store.read(path, "models/1_tustin")
     assert [fault.what for fault in store.check(path)] == ["HDF5 itself fails on it: it is damaged, or made to do harm"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGALRM")
+def test_a_process_that_hangs_ends_also_when_nobody_waits(sound: Path) -> None:
+    code = """
+from frictrack.store import apart
+import ctypes
+apart.PATIENCE = 0.3
+apart.serve(lambda path: ctypes.CDLL(None).sleep(60))
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as asked:
+        assert asked.stdin is not None
+        asked.stdin.write(f"{json.dumps(str(sound))}\n".encode())
+        asked.stdin.flush()
+        assert asked.wait(30) == -signal.SIGALRM
 
 
 def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:

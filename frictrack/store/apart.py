@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -37,7 +38,7 @@ class _Apart:
         """
         with self._lock:
             child = self._child or self._begin()
-            late = Timer(PATIENCE + path.stat().st_size / PACE, child.kill)
+            late = Timer(_patience(path), child.kill)
             late.start()
             try:
                 print(json.dumps(str(path.absolute())), file=child.stdin, flush=True)
@@ -97,8 +98,22 @@ def serve(found: Callable[[Path], Any]) -> None:
     sys.stdout.write(READY)
     sys.stdout.flush()
     for line in sys.stdin:
-        sys.stdout.write(json.dumps(found(Path(json.loads(line)))) + "\n")
+        path = Path(json.loads(line))
+        _alarm(2 * _patience(path))
+        sys.stdout.write(json.dumps(found(path)) + "\n")
         sys.stdout.flush()
+        _alarm(0.0)
+
+
+def _patience(path: Path) -> float:
+    """Seconds that going through a file may take."""
+    return PATIENCE + (path.stat().st_size / PACE if path.exists() else 0.0)
+
+
+def _alarm(seconds: float) -> None:
+    """End this very process after so long, 0 for never: who asked may have been killed meanwhile."""
+    if hasattr(signal, "setitimer"):  # not on Windows
+        signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends a process also within HDF5
 
 
 def _limit() -> None:
