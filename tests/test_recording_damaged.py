@@ -138,6 +138,11 @@ def test_damaged_files(tmp_path, form):
     in_another_process(tmp_path, form, range(40))
 
 
+@pytest.mark.parametrize(("form", "seed"), [("bigtiff", 1040)])
+def test_damage_that_was_found_once(tmp_path, form, seed):
+    in_another_process(tmp_path, form, range(seed, seed + 1))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_many_damaged_files(tmp_path, form):

@@ -77,8 +77,10 @@ class Tiff(Direct):
             return None
         if self._contiguous:
             return range(self._at, self._at + count * frame_bytes, frame_bytes)
-        pages = [tif.pages[i] for i in range(count)]
+        pages, size = [tif.pages[i] for i in range(count)], self.path.stat().st_size
         if not all(_bare(page) and page.shape == pages[0].shape and page.dtype == pages[0].dtype for page in pages):
+            return None
+        if any(_end(page) > size for page in pages):  # a damaged one among sound ones
             return None
         return np.array([page.dataoffsets[0] for page in pages], np.int64)
 
