@@ -25,7 +25,10 @@ from frictrack.errors import FrictrackError
 from frictrack.threads import processors
 from frictrack.version import __version__
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ALIKE = {  # of every process: one thread of linear algebra, and no Python files of the folder that we are in
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "PYTHONSAFEPATH": "1",
+}
 TRIES = 3  # of one piece of work whose process dies
 NEED = 0.5e9  # bytes that a piece of work takes, until one has shown what it takes
 GROUP = Path("/sys/fs/cgroup")
@@ -48,7 +51,7 @@ def here(workers: int | None = None) -> Iterator[Crew]:
     from pebble import ProcessPool  # noqa: PLC0415 - only who works side by side needs it
 
     workers = workers or processors()
-    with _single_threaded():
+    with _alike():
         pool = ProcessPool(workers, context=get_context("spawn"), initializer=_follow, initargs=(os.getpid(),))
         try:
             yield _Here(pool, workers)
@@ -230,10 +233,10 @@ def _version() -> str:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes that share the processors: one thread of linear algebra each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def _alike() -> Iterator[None]:
+    """The environment of processes that share the processors."""
+    before = {name: os.environ.get(name) for name in ALIKE}
+    os.environ.update(ALIKE)
     try:
         yield
     finally:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 import time
 import zipfile
 from pathlib import Path
@@ -11,12 +13,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from campaigns import campaign
 from test_recording import H, W, write_video
 
 from frictrack import export, store
 from frictrack.calibration.lens import read_lens
 from frictrack.errors import LONGEST, FrictrackError
 from frictrack.files import alone, inner, is_file_name
+from frictrack.flow import Session, open_study
 from frictrack.flow.ledger import Ledger
 from frictrack.recording import open_recording
 from frictrack.results import Results
@@ -528,3 +532,19 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
     with pytest.raises(FrictrackError):
         store.read(path, "turning")
     assert other.read_bytes() == before
+
+
+@pytest.mark.parametrize("words", [("batch", ".", "--workers", "2"), ("verify", "."), ("fit", "study.toml")])
+def test_python_files_beside_a_study_are_not_run(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """A folder that somebody sent: also the processes that a command begins look for nothing in it."""
+    campaign(tmp_path, 1)
+    folder = tmp_path / "day_1"
+    Session(open_study(folder / "study.toml")).bring_up_to("displacement")
+    for path in (folder / "study_results").glob("*.h5"):
+        path.write_bytes(sealed(path.read_bytes()[ROOM:], __version__))  # of somebody else
+    for name in ("json", "struct", "h5py", "numpy", "frictrack", "multiprocessing", "sitecustomize"):
+        (folder / f"{name}.py").write_text("open('owned', 'w')")
+    command = Path(sys.executable).with_name("frictrack")
+    done = subprocess.run([command, *words], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not (folder / "owned").exists()

@@ -50,7 +50,7 @@ class _Apart:
                 late.cancel()
 
     def _begin(self) -> subprocess.Popen[str]:
-        pipe, call = subprocess.PIPE, [sys.executable, "-c", _CHILD]
+        pipe, call = subprocess.PIPE, [sys.executable, "-P", "-c", _CHILD]
         self._child = child = subprocess.Popen(call, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
         atexit.register(self._end)
         if child.stdout is None or child.stdout.readline() != READY:

@@ -101,7 +101,7 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
         replace_text(made / "spec.json", json.dumps(spec))
     with (made / "output.txt").open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "frictrack.workbench.work", str(made)],
+            [sys.executable, "-P", "-m", "frictrack.workbench.work", str(made)],  # no Python files of this folder
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
