@@ -145,7 +145,7 @@ class TestSearch:
         ("search", "close"),
         [
             ("ga", 15.0),
-            pytest.param("mga", 15.0, marks=pytest.mark.slow),
+            pytest.param("mga", 100.0, marks=pytest.mark.slow),
             ("sga", 1.3),
             pytest.param("sa", 3.0, marks=pytest.mark.slow),
         ],
