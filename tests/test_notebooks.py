@@ -61,7 +61,16 @@ STORIES = {
 }
 
 
-@pytest.mark.parametrize(("name", "figures", "claim"), [(name, *told) for name, told in (PAPERS | STORIES).items()])
+LONG = ("real_data",)  # what it shows is tested in test_real_data too
+
+
+@pytest.mark.parametrize(
+    ("name", "figures", "claim"),
+    [
+        pytest.param(name, *told, marks=[pytest.mark.slow] if name in LONG else [])
+        for name, told in (PAPERS | STORIES).items()
+    ],
+)
 def test_notebook_runs_and_is_kept_with_its_outputs(name: str, figures: int, claim: str, tmp_path: Path):
     path = NOTEBOOK.with_name(f"{name}.ipynb")
     for notebook in (nbformat.read(path, as_version=4), execute(tmp_path, path)):
