@@ -229,7 +229,7 @@ def _check(client: Any) -> None:
 
 
 def _version() -> str:
-    return str(__version__)
+    return __version__
 
 
 @contextmanager

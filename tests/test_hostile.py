@@ -27,7 +27,7 @@ from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import Entry
 from frictrack.store.marks import mark
-from frictrack.store.seal import ROOM, START, sealed
+from frictrack.store.seal import ROOM, sealed
 from frictrack.study import load, parse, read_table, tables, write_study
 from frictrack.units import quantity
 from frictrack.version import __version__
@@ -516,7 +516,7 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
     path.write_bytes(sealed(held[ROOM:], __version__))
     with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
         store.read(path, "track")
-    path.write_bytes(sealed(held[ROOM:], __version__, mark(held[START:])))  # not even where it is ours
+    path.write_bytes(sealed(held[ROOM:], __version__, mark))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):

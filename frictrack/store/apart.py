@@ -19,7 +19,7 @@ from frictrack.store.seal import state
 
 PATIENCE = 5.0  # s for one file, and a second more for every `PACE` bytes of it
 PACE = 2e6
-MEMORY = 2 << 30  # bytes that looking at a file may take, and the most that its own bytes can unfold to
+MEMORY = 2 << 30  # bytes that looking at files may take
 READY = "ready\n"  # the first line of that process
 _CHILD = "from frictrack.store.faults import answer; answer()"
 

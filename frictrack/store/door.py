@@ -24,7 +24,7 @@ from frictrack.store.claims import members
 from frictrack.store.layout import Entry, Stamp
 from frictrack.store.marks import is_ours, mark
 from frictrack.store.migrations import in_memory, migrated
-from frictrack.store.seal import ROOM, SCHEMA, START, head, intact, is_bare, sealed, state
+from frictrack.store.seal import SCHEMA, head, intact, is_bare, sealed, state
 from frictrack.store.sums import SUM, add_sums, drop_sums
 from frictrack.version import __version__
 
@@ -210,8 +210,7 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             yield file
             add_sums(file)
             file.flush()
-            image = file.id.get_file_image()
-            whole = sealed(image, __version__, mark(memoryview(image)[START - ROOM :]))
+            whole = sealed(file.id.get_file_image(), __version__, mark)
         part.write_bytes(whole)
 
 

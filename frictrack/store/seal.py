@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,12 +21,13 @@ _FIRST = re.compile(r"frictrack results, schema (\d+), written by (.+?)(?:, mark
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def sealed(hdf5: bytes, version: str, mark: str = "") -> bytes:
+def sealed(hdf5: bytes, version: str, mark: Callable[[memoryview], str] | None = None) -> bytes:
     """A finished HDF5 part as the whole file: before it its checksum, beside schema, what wrote it and whose mark."""
-    by = f"{version}, mark {mark}" if mark else version
-    first = f"frictrack results, schema {SCHEMA}, written by {by}"
+    told = memoryview(hdf5)[START - ROOM :]
+    by = mark(told) if mark else ""
+    first = f"frictrack results, schema {SCHEMA}, written by {version}" + (f", mark {by}" if by else "")
     digest = hashlib.sha256(f"{first}\n".encode())
-    digest.update(memoryview(hdf5)[START - ROOM :])
+    digest.update(told)
     return _room(first, digest.hexdigest()) + hdf5
 
 

@@ -129,9 +129,8 @@ def _verdict(told: dict[str, Any]) -> str:
     said = verdict(told)
     fit = f"reduced chi-squared {number(told['reduced_chi2'])}, p of the lack of fit {number(told['p_lack_of_fit'], 1)}"
     more = [fit, told.get("repeats_words") or "", (told.get("unexplained") or {}).get("words", "")]
-    return f"<p class=ft-verdict>{escape(said[:1].upper() + said[1:])}</p>" + "".join(
-        note(words) for words in more if words
-    )
+    head = f"<p class=ft-verdict>{escape(said[:1].upper() + said[1:])}</p>"
+    return head + "".join(note(words) for words in more if words)
 
 
 def _next(told: dict[str, Any]) -> str:
