@@ -16,6 +16,7 @@ from frictrack.blind.truth import made
 LEVEL = 0.99  # of the parameters' intervals
 CHI2, HELD_OUT = (0.9, 1.1), 0.05
 Right = Callable[[Outcome], bool]
+SILENT = ("complete", "undetermined")  # verdicts that name nothing
 
 
 def wilson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
@@ -110,12 +111,15 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "named_first": _share(one, first),
             "in_group": _share(one, in_group),
             "first_where_alone": _share([r for r in one if len(_set(r)) == 1], first),
-            "missed": _share(one, lambda r: r.verdict == "complete"),
+            "missed": _share(one, lambda r: r.verdict in SILENT),
             "more_than_hidden": _share(one, lambda r: len(r.named) > 1),
             "median_group": _median([len(r.group) for r in one if r.group]),
             "median_set": _median([len(_set(r)) for r in one]),
         },
-        "none": {"false_alarms": _share(kind["none"], lambda r: r.verdict != "complete")},
+        "none": {
+            "false_alarms": _share(kind["none"], lambda r: r.verdict not in SILENT),
+            "undetermined": _share(kind["none"], lambda r: r.verdict == "undetermined"),
+        },
         "two": {
             "both": _share(kind["two"], both),
             "both_by_name": _share(kind["two"], lambda r: set(r.hidden) <= set(r.named)),

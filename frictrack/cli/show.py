@@ -39,6 +39,8 @@ def fit(out: Console, result: dict[str, Any]) -> None:
     if "equation" in result:
         out.print(escape(result["equation"]))
     out.print(parameters(result["parameters"]))
+    if result.get("misfit"):
+        out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
     for line in result.get("remarks", []):
         out.print(escape(line))
     if result.get("scale_error"):
@@ -68,11 +70,14 @@ def own_motion(out: Console, result: dict[str, Any]) -> None:
 def parameters(values: dict[str, Any]) -> Table:
     """One row per parameter: value ± deviation, unit, and what is to be said of it."""
     sure = any("interval" in p for p in values.values())
-    table = _table("parameter", "value", "unit", *(["95 % interval"] if sure else []), "")
+    rejected = any("std_misfit" in p for p in values.values())
+    heads = [*(["† ± with misfit"] if rejected else []), "unit", *(["95 % interval"] if sure else [])]
+    table = _table("parameter", "value", *heads, "")
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
         cells = [interval(p)] if sure else []
-        table.add_row(escape(name), plus_minus(p["value"], p["std"]), p["unit"], *cells, escape(word))
+        wider = [number(p.get("std_misfit"), 2)] if rejected else []
+        table.add_row(escape(name), plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
     return table
 
 
@@ -157,8 +162,16 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
         out.print(escape(result["repeats_words"]))
+    for gap in result.get("undetermined") or []:
+        advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
+        out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
     if result["candidates"]:
-        out.print(candidates(result["candidates"]))
+        out.print(candidates([c for c in result["candidates"] if not c.get("implausible")]))
+    for c in result["candidates"]:
+        if c.get("implausible"):
+            out.print(escape(f"{c['effect']} imitates the misfit and is not plausible: {c['implausible']}"))
+    if result.get("importance"):
+        out.print(importance(result["importance"]))
     unexplained(out, result.get("unexplained"))
     for remark in result.get("remarks", []):
         out.print(escape(remark))
@@ -179,6 +192,22 @@ def candidates(found: list[dict[str, Any]]) -> Table:
         held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
         table.add_row(c["effect"], "\n".join(values), number(c["p"], 2), number(c["delta_bic"], 3), held_out, rivals)
     return table
+
+
+def importance(rows: list[dict[str, Any]]) -> Table:
+    """One row per effect: the share of the misfit that it explains alone and in sequence, and where to stop."""
+    table = _table("effect", "explains alone", "adds in sequence", "held out after", "")
+    for row in rows:
+        shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
+        unit = "um" if "heldout_rms_after_um" in row else "N"
+        held = row[f"heldout_rms_after_{unit}"]
+        after = "" if held is None else f"{number(held)} {unit.replace('u', 'µ')}"
+        table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
+    return table
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
 
 
 def _with_unit(parameter: dict[str, Any]) -> str:

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.compare.linear import Linearised, place, traces
 from frictrack.compare.lines import Line, line_at, strongest_line, strongest_ripple
 from frictrack.compare.local import ALPHA, local_forces, uncertain
 from frictrack.fit.series import SeriesPiece
+from frictrack.fit.simulated.curves import hats, matern
+from frictrack.fit.simulated.linearised import Linearised, place, traces
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
@@ -41,23 +42,6 @@ class Deconvolved:
     a: Array
     F: Array
     sigma_F: Array
-
-
-def hats(axis: Array, knots: Array) -> Array:
-    """Linear interpolation from knots (K,) to places on an axis (n,), ends held: (n, K)."""
-    right = np.clip(np.searchsorted(knots, axis), 1, len(knots) - 1)
-    share = np.clip((axis - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
-    out = np.zeros((len(axis), len(knots)))
-    rows = np.arange(len(axis))
-    out[rows, right - 1] = 1 - share
-    out[rows, right] = share
-    return out
-
-
-def matern(knots: Array, reach: float) -> Array:
-    """Covariance of a Matern 3/2 process of unit size at knots (K,), (K, K)."""
-    d = np.sqrt(3.0) * np.abs(knots[:, None] - knots) / reach
-    return np.asarray((1 + d) * np.exp(-d))
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from frictrack.compare.linear import Linearised, traces
 from frictrack.compare.looks import Nodes, nodes
 from frictrack.effects.base import frequencies
 from frictrack.effects.texture import periods
+from frictrack.fit.simulated.linearised import Linearised, traces
 from frictrack.fit.simulated.problem import Response
 from frictrack.records import Array
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.compare.chance import Chance
-from frictrack.compare.linear import Linearised, linearised, traces
 from frictrack.compare.looks import Bump, Looks, Nodes, chances, families, limits, looks_of, nodes, norms, over
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.linearised import Linearised, linearised, traces
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.solve import Solution, refine

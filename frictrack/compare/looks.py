@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.compare.chance import Chance, arc
-from frictrack.compare.linear import Linearised, place, traces
 from frictrack.fit.series import SeriesPiece
+from frictrack.fit.simulated.linearised import Linearised, place, traces
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.motion.noise import SPREAD

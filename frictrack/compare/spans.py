@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from frictrack.compare.linear import Linearised, linearised, place, traces
 from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.looks import Bump, limits
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
 from frictrack.fit.series import SeriesPiece
+from frictrack.fit.simulated.linearised import Linearised, linearised, place, traces
 from frictrack.fit.simulated.pieces import Rows
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution

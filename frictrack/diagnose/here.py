@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare.linear import place
 from frictrack.effects import Effect
+from frictrack.fit.simulated.linearised import place
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.models import Model

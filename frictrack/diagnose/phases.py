@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.compare.linear import Linearised
 from frictrack.compare.lines import scanned, seen
+from frictrack.fit.simulated.linearised import Linearised
 from frictrack.records import Array
 
 FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there

@@ -23,8 +23,6 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare.deconvolve import hats, matern
-from frictrack.compare.linear import Linearised, linearised, traces
 from frictrack.compare.lines import waves
 from frictrack.compare.looks import Nodes, course, nodes
 from frictrack.diagnose.along import Repeat, ordered, told
@@ -32,6 +30,8 @@ from frictrack.diagnose.axes import each_alone, smooth_forces
 from frictrack.diagnose.phases import FORETOLD, in_phase, surplus
 from frictrack.diagnose.reduced import reduced
 from frictrack.effects.texture import periods
+from frictrack.fit.simulated.curves import hats, matern
+from frictrack.fit.simulated.linearised import Linearised, linearised, traces
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from frictrack.diagnose.admissible import implausible, objection
 from frictrack.diagnose.null import Ensemble, ensemble
 from frictrack.diagnose.rivals import NEAR, SAME, information, price, separation
 from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
@@ -18,6 +19,7 @@ from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.simulated.trial import Trial, bare, deepened, shortfall, tried
 from frictrack.fit.simulated.turns import known
+from frictrack.fit.sure.misfit import dispersion
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.records import Array
 
@@ -40,6 +42,7 @@ class Tried:
     delta_bic: float
     p: float
     indistinguishable_from: tuple[str, ...] = ()
+    objection: str = ""  # why it cannot be the cause, whatever it explains
     along: tuple[Beside, Trial] | None = None  # where it stands along the motion, beside what law
 
     @property
@@ -61,8 +64,8 @@ class Round:
 
     @property
     def passing(self) -> list[Tried]:
-        """Candidates that pass by themselves, simulated, best first."""
-        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution is not None]
+        """Plausible candidates that pass by themselves, simulated, best first."""
+        return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution and not t.objection]
 
 
 def one_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, tell: Tell) -> Round:
@@ -100,19 +103,21 @@ def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str
     for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
         name = t.effect.name
         told = Tried(t.effect, None, promised[name], p[name], along=(law, t))
-        if _is_worth(out, told):
+        told = replace(told, objection=implausible(t.layout, t.p, t.effect))
+        if not told.objection and _is_worth(out, told):
             try:
                 grown = simulated(law, t)
                 told = replace(told, solution=grown, delta_bic=own - information(grown))
+                told = replace(told, objection=objection(grown, t.effect))
             except FrictrackError:  # along the motion it is a law, but not one that can be followed
                 pass
         out.append(told)
-    return sorted(out, key=lambda t: (t.p >= ALPHA / 2, -t.delta_bic))
+    return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
 
 
 def _is_worth(done: list[Tried], new: Tried) -> bool:
     """Whether a trial is worth a simulation: the first that passes, and what may be as good as the best."""
-    known = [t.delta_bic for t in done if t.solution is not None]
+    known = [t.delta_bic for t in done if t.solution is not None and not t.objection]
     near = not known or new.delta_bic > AS_GOOD * max(known) - NEAR - 2 * SAME
     return near and new.p < ALPHA / 2 and len(known) < MOST_SIMULATED
 
@@ -129,18 +134,24 @@ def rivals(best: Tried, others: Sequence[Tried]) -> tuple[str, ...]:
     stands out by itself is not asked: the true cause may stand out less than its double.
     """
     true = next((t.along for t in others if t.effect.name == best.effect.name), None)
-    near = [t for t in others if t.effect.name != best.effect.name and best.delta_bic - t.delta_bic < 2 * SAME]
-    return tuple(t.effect.name for t in near if _stands_for(t, best, true))
+    unit = dispersion(best.law)
+    near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
+    near = [t for t in near if best.delta_bic - t.delta_bic < 2 * SAME * unit]
+    return tuple(t.effect.name for t in near if _stands_for(t, best, true, unit))
 
 
-def _stands_for(other: Tried, best: Tried, true: tuple[Beside, Trial] | None) -> bool:
-    """Whether another effect explains what the best one does, and would if that were true."""
+def _stands_for(other: Tried, best: Tried, true: tuple[Beside, Trial] | None, unit: float) -> bool:
+    """Whether another effect explains what the best one does, and would if that were true.
+
+    `unit` is what a difference of chi-squared is counted in: while misfit remains, more than one.
+    """
     if other.solution is not None:
-        return other.law.objective - best.law.objective < NEAR and separation(best.law, other.law) < SAME
+        near = other.law.objective - best.law.objective < NEAR * unit
+        return near and (unit > 1 or separation(best.law, other.law) < SAME)
     if true is None or other.along is None or not best.law.problem.simulates:
         return False
     (law, trial), rival = true, other.along[1]
-    return rival.misfit - trial.misfit < NEAR and shortfall(law, trial, rival) < SAME
+    return rival.misfit - trial.misfit < NEAR * unit and (unit > 1 or shortfall(law, trial, rival) < SAME)
 
 
 def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:

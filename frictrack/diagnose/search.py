@@ -14,12 +14,14 @@ from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
 from frictrack.diagnose.limits import detection_limit
 from frictrack.diagnose.plainer import plainer
+from frictrack.diagnose.power import Undetermined, undetermined
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
 from frictrack.diagnose.sampled import sampled
+from frictrack.diagnose.simple import explained_alone, first_of_pair, simplest
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
-from frictrack.diagnose.verdict import Candidate, Diagnosis
+from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.diagnose.where import where_it_fails
 from frictrack.diagnose.whole import uncut
 from frictrack.effects import Effect
@@ -36,6 +38,7 @@ from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
 MOST_ROUNDS = 6  # of adding and looking again
+DECISIVE = 0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
 LISTED = 3  # candidates whose held-out error and rivals are computed
 
 Progress = Callable[[int, int, str], None]
@@ -91,8 +94,8 @@ def _searched(
             tell(done, MOST_ROUNDS, what)
 
         if last.passing and len(found) < MOST_EFFECTS:
-            best = finished(_preferred(last.passing, felt))
-            found.append(replace(best, indistinguishable_from=_alike(best, _possible(last.tried, felt))))
+            best = finished(_preferred(last, felt))
+            found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
         elif fit.measured:
             break
         else:
@@ -105,7 +108,7 @@ def _searched(
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     concluded = _conclude(fit, first, last, found)
-    if concluded.verdict == "complete":
+    if concluded.verdict in ("complete", "undetermined"):
         return concluded
     known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
     seen = [] if fit.measured else evidence(start, fit.runs, again[0], beside, known)
@@ -135,27 +138,20 @@ def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
     return [t for t in tried if felt is None or t.effect.acts_on == felt.acts_on]
 
 
-def _alike(best: Tried, tried: Sequence[Tried]) -> tuple[str, ...]:
-    """What cannot be told from the best, where friction was measured beside the noise that the best one leaves."""
-    if best.law.problem.simulates:
-        return rivals(best, tried)
-    _, noise = series.weighed(best.law)
-    return rivals(_recounted([best], noise)[0], _recounted(tried, noise))
+def _preferred(last: Round, felt: Evidence | None) -> Tried:
+    """The simplest of the best of what passes; what an accelerometer feels goes first where it explains nearly as well.
 
-
-def _recounted(tried: Sequence[Tried], noise: series.Noise) -> list[Tried]:
-    return [t if t.solution is None else replace(t, solution=series.counted(t.solution, noise)) for t in tried]
-
-
-def _preferred(passing: Sequence[Tried], felt: Evidence | None) -> Tried:
-    """The best of what passes, or what explains nearly as well and is what an accelerometer feels."""
+    While much is missing, one of two plain effects goes before a flexible one that imitates their sum.
+    """
+    passing = last.passing
     near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < NEAR]
-    return near[0] if near else passing[0]
+    best = simplest(near or passing)
+    return first_of_pair(last, best) or best
 
 
 def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
     listed = _listed(first, found)
-    leftover = last.tests.p_lack_of_fit < ALPHA / 2 and not fit.measured  # there the noise is what is left
+    leftover = last.tests.p_lack_of_fit < ALPHA / 2
     clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
     if clean:
         verdict = "complete"
@@ -165,6 +161,9 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
     noise, misfit = _noise(fit)
+    gaps = undetermined(fit, first, curves)
+    if gaps and (clean or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], gaps))):
+        verdict, found = "undetermined", []
     return Diagnosis(
         model=fit.model.names,
         verdict=verdict,
@@ -177,9 +176,36 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         candidates=listed,
         unexplained=unexplained_force(first.solution, last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
+        undetermined=gaps if verdict in ("complete", "undetermined") else [],
+        importance=_importance(fit, first, found, listed),
         remarks=_remarks(fit, first.barred),
         figures=curves,
     )
+
+
+def _is_decisive(best: Candidate, gaps: Sequence[Undetermined]) -> bool:
+    """Whether an effect is worth naming although the law itself is not determined: the held-out error falls clearly."""
+    if all(gap.limit is not None for gap in gaps) or best.heldout_after is None or best.heldout_before is None:
+        return True
+    return best.heldout_after < DECISIVE * best.heldout_before
+
+
+def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence[Candidate]) -> list[Importance]:
+    """What every effect that was added, and the plausible others that passed, explain of the misfit."""
+    alone = explained_alone(first, first.tried)
+    hold = _Held(first.solution)
+    unit = "N" if fit.measured else "um"
+    excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
+    out, before = [], first.solution.chi2
+    for k, t in enumerate(found):
+        laws = [t.law] if t.solution is not None else []
+        after = laws[0].chi2 if laws else before
+        held = hold(laws[0])[1] if laws else None
+        share = float(np.clip((before - after) / excess, 0.0, 1.0))
+        out.append(Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=k == len(found) - 1))
+        before = after
+    others = [c for c in listed if c.p < ALPHA / 2 and c.effect not in {t.effect.name for t in found}]
+    return out + [Importance(c.effect, alone.get(c.effect), None, None, unit) for c in others if not c.implausible]
 
 
 def _noise(fit: Fit) -> tuple[float, float]:
@@ -263,6 +289,7 @@ def _candidate(tried: Tried, hold: _Held | None) -> Candidate:
         heldout_after=after,
         heldout=how,
         indistinguishable_from=tried.indistinguishable_from,
+        implausible=tried.objection,
         words=words(effect, None if measured else solution),
         unit="N" if measured else "um",
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from frictrack.diagnose.evidence import Evidence
+from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.repeats import Repeats
 from frictrack.records import Array
 
@@ -26,6 +27,7 @@ class Candidate:
     heldout: str | None = None
     indistinguishable_from: tuple[str, ...] = ()
     words: dict[str, str] = field(default_factory=dict)
+    implausible: str = ""  # why it imitates the misfit and is no cause
     unit: str = "um"  # of the held-out errors: um of displacement, or N where friction was measured
 
     @property
@@ -49,8 +51,32 @@ class Candidate:
             **{f"heldout_rms_{when}_{self.unit}": None if e is None else e * factor for when, e in held.items()},
             "heldout": self.heldout,
             "indistinguishable_from": list(self.indistinguishable_from),
+            "implausible": self.implausible or None,
             "words": self.words,
         }
+
+
+@dataclass(frozen=True)
+class Importance:
+    """What one effect explains of the misfit: by itself, and after those above it in the table.
+
+    Shares of chi-squared beyond the noise; the held-out error is that of the law with this effect and those above it,
+    m, or N where friction was measured. `stop` marks the last effect that is worth adding.
+    """
+
+    effect: str
+    alone: float | None
+    in_sequence: float | None
+    heldout_after: float | None
+    unit: str = "um"
+    stop: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """Entry of the JSON `importance`."""
+        factor = 1e6 if self.unit == "um" else 1.0
+        held = None if self.heldout_after is None else self.heldout_after * factor
+        shares = {"explained_alone": self.alone, "explained_in_sequence": self.in_sequence}
+        return {"effect": self.effect, **shares, f"heldout_rms_after_{self.unit}": held, "stop": self.stop}
 
 
 @dataclass(frozen=True)
@@ -72,6 +98,8 @@ class Diagnosis:
     noise_N: float | None = None  # where friction was measured
     next_experiment: list[dict[str, Any]] = field(default_factory=list)
     evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
+    undetermined: list[Undetermined] = field(default_factory=list)  # what the runs leave open
+    importance: list[Importance] = field(default_factory=list)  # most important first
     repeats: Repeats = field(default_factory=Repeats)  # whether the failure is common to the runs, and along which axis
 
     @property
@@ -84,6 +112,8 @@ class Diagnosis:
         return {
             "model": self.model,
             "verdict": self.verdict,
+            "undetermined": [u.summary() for u in self.undetermined],
+            "importance": [i.summary() for i in self.importance],
             "evidence": [e.summary() for e in self.evidence],
             "missing": self.missing,
             "noise_um": self.noise_um,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from frictrack.effects.plausibility import Check
 from frictrack.records import GRAVITY, Array
 
 Nonlinear = Mapping[str, float]
@@ -140,6 +141,7 @@ class Effect:
     rank: int = 0  # order among modifiers: one of higher rank reshapes what those of lower rank have left
     relaxed: tuple[Part, ...] = ()  # what it is where every one of its waves has an amplitude of its own
     formula: str | None = None  # of a user's effect that a study file writes as a formula
+    plausible: Check | None = field(default=None, compare=False)  # objection to fitted values in one run; default none
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
+from frictrack.effects.plausibility import oscillates
 from frictrack.records import Array
 
 HIGHEST = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
@@ -101,6 +102,7 @@ beam_vibration = Effect(
     looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
     mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",
     confirm="Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there.",
+    plausible=oscillates,
     source="Rayleigh's quotient with the static shape of an end-loaded cantilever",
     needs=("clamp_x",),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
+from frictrack.effects.plausibility import all_of, oscillates, within_picture
 from frictrack.records import Array
 
 
@@ -25,5 +26,6 @@ camera_shake = Effect(
     looks_like="a line in time of the same size in x whatever the mass; the background moves too",
     mistaken_for="vibration of the course (same shape in one run)",
     confirm="Track a fixed mark in the same film and give it as `reference`.",
+    plausible=all_of(oscillates, within_picture(lambda own, span: own["amplitude"])),
     source="textbook",
 )

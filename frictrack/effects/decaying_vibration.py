@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
+from frictrack.effects.plausibility import all_of, oscillates, rings
 from frictrack.records import Array
 
 
@@ -41,5 +42,6 @@ decaying_vibration = Effect(
     looks_like="a line that is strong just after release and gone at the end of the run",
     mistaken_for="vibration (when the damping is weak), Stribeck effect (when it is gone within a period or two)",
     confirm="Release more gently, or wait before release: the ringing follows the blow, a driven vibration does not.",
+    plausible=all_of(oscillates, rings),
     source="textbook: free vibration with damping",
 )

@@ -8,6 +8,7 @@ from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
 from frictrack.records import Array
 
 LONGEST = 0.02  # s by which an amplifier, a valve or a wrong clock may be late
+MAX_ERROR = 0.5  # of the drive: more is another drive
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -25,6 +26,12 @@ def delays(span: Span) -> Array:
     return np.linspace(-most, most, 17)
 
 
+def modest(own: Nonlinear, span: Span) -> str:
+    """Objection to a drive that would be wrong by half."""
+    error = abs(own["e"])
+    return "" if error <= MAX_ERROR else f"the drive would be {100 * error:.0f} % wrong"
+
+
 drive_error = Effect(
     name="drive_error",
     acts_on="force",
@@ -39,6 +46,7 @@ drive_error = Effect(
     looks_like="a residual force of the shape of the drive, in every run, whatever the speed",
     mistaken_for="a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)",
     confirm="Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not.",
+    plausible=modest,
     source="Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)",
     needs=("drive",),
 )

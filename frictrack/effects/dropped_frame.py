@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
+from frictrack.effects.plausibility import WHOLE_FRAME
 from frictrack.records import Array
 
 MOST = 2000  # moments tried in one run
@@ -24,6 +25,14 @@ def times(span: Span) -> Array:
     return between[:: max(1, len(between) // MOST)] / span.fps
 
 
+def whole(own: Nonlinear, span: Span) -> str:
+    """Objection to a part of a frame: a camera loses or doubles whole ones."""
+    frames = abs(own["frames"])
+    if round(frames) >= 1 and abs(frames - round(frames)) <= WHOLE_FRAME:
+        return ""
+    return f"{own['frames']:.2f} frames are lost, expected a whole number"
+
+
 dropped_frame = Effect(
     name="dropped_frame",
     acts_on="measurement",
@@ -37,5 +46,6 @@ dropped_frame = Effect(
     looks_like="a jump in displacement of as far as the mass goes in one frame, the velocity before and after the same",
     mistaken_for="a collision (a step in velocity, no jump)",
     confirm="Look at the time stamps and at the frames round that moment: one is missing, or two are alike.",
+    plausible=whole,
     source="textbook; y(t) = x(t + frames dt) after the loss",
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
 from frictrack.effects.memory import followed
+from frictrack.effects.plausibility import shorter_than_record
 from frictrack.records import Array
 
 
@@ -45,5 +46,6 @@ friction_lag = Effect(
     looks_like="a loop against v where the speed swings; a hook that comes late before a stop",
     mistaken_for="another Stribeck velocity, when the speed only falls",
     confirm="Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency.",
+    plausible=shorter_than_record("tau", 0.5),
     source="Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
+from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.records import Array
 
 
@@ -27,5 +28,6 @@ load_modulation = Effect(
     looks_like="a line in time whose size follows the dry friction",
     mistaken_for="vibration (same shape when the dry friction is constant)",
     confirm="Double the mass: the force doubles with the load, a vibration's stays.",
+    plausible=all_of(oscillates, modulates),
     source="Teidelt et al.; the physical form of the first paper's ATM2",
 )

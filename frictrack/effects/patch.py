@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
+from frictrack.effects.plausibility import within_course
 from frictrack.records import Array
 
 
@@ -40,5 +41,6 @@ patch = Effect(
     looks_like="a step in velocity at the same place in every run",
     mistaken_for="a collision, a spring when it is wide",
     confirm="Wipe or mark the place and film again; reverse the run.",
+    plausible=within_course("x_c", "w"),
     source="textbook; position-dependent friction",
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, wave
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
+from frictrack.effects.plausibility import MAX_LOCKING_PX
 from frictrack.records import Array
 
 
@@ -11,6 +12,16 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     pitch = path.pixel_pitch
     assert pitch is not None
     return pitch * wave(path.x / pitch, nonlinear["phase"])
+
+
+def small(own: Nonlinear, span: Span) -> str:
+    """Objection to an amplitude beyond what interpolation does."""
+    size = abs(own["amplitude"])
+    return (
+        ""
+        if size <= MAX_LOCKING_PX
+        else f"{size:.2g} px is more than interpolation does (at most {MAX_LOCKING_PX:g} px)"
+    )
 
 
 peak_locking = Effect(
@@ -26,6 +37,7 @@ peak_locking = Effect(
     looks_like="ripples of one pixel period; a slow false force where the mass moves a whole number of px per frame",
     mistaken_for="texture with a very short period",
     confirm="Change the zoom: the period follows the pixel, not the course.",
+    plausible=small,
     source="Raffel et al., Particle Image Velocimetry; anchors: Sensors 20:6596",
     needs=("pixel_pitch",),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
+from frictrack.effects.plausibility import repeats_along
 from frictrack.records import Array
 
 
@@ -36,5 +37,6 @@ texture = Effect(
     looks_like="ripples at the same places in every run; a chirp in time as the mass slows",
     mistaken_for="vibration, when the speed hardly changes",
     confirm="Film at another speed: the ripples stay at their places and change their frequency.",
+    plausible=repeats_along("period"),
     source="textbook; position-dependent friction",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
+from frictrack.effects.plausibility import oscillates
 from frictrack.records import Array
 
 
@@ -25,5 +26,6 @@ vibration = Effect(
     looks_like="a line at the same frequency in every run, whatever the speed",
     mistaken_for="camera shake (same shape in one run), load modulation, texture at one speed",
     confirm="Film a mark on the frame at rest: if it moves too, the camera shakes. Double the mass: the motion halves.",
+    plausible=oscillates,
     source="first paper, Eq. 3; second paper, Eq. 2",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, frequencies, wave
+from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.records import Array
 
 
@@ -26,5 +27,6 @@ viscous_modulation = Effect(
     looks_like="a line in time whose size falls with the speed, to nothing at the stop",
     mistaken_for="vibration and load modulation (same shape while the speed hardly changes), decaying vibration",
     confirm="Film a run twice as fast: the line doubles, a vibration's and a load modulation's stay.",
+    plausible=all_of(oscillates, modulates),
     source="the physical form of the first paper's ATM2 (Eq. 4, third sum)",
 )

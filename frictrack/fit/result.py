@@ -19,7 +19,8 @@ from frictrack.fit.simulated.pieces import Reference
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.sure.certainty import Certainty
-from frictrack.fit.sure.estimate import Estimate, Estimates, estimates
+from frictrack.fit.sure.estimate import Estimate, Estimates, estimates, with_misfit
+from frictrack.fit.sure.misfit import Misfit, misfit_of
 from frictrack.fit.unknowns.mass import friction_law, weighed
 from frictrack.fit.unknowns.scatter import MIN_RUNS
 from frictrack.models import Model
@@ -81,8 +82,16 @@ class Fit:
 
     @cached_property
     def estimates(self) -> Estimates:
-        """Parameters with deviations, and with intervals where `certainty` has them."""
-        return self._deviations.with_intervals(self.certainty.intervals)
+        """Parameters with deviations, those of a rejected law beside the ideal ones, and intervals where asked for."""
+        found = self._deviations.with_intervals(self.certainty.intervals)
+        return found if self.misfit is None else with_misfit(found, self.solution, self.misfit.covariance)
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """The force that the law misses, as far as it bears on the parameters; None where noise explains all."""
+        if not (self.route.plain or self.measured):
+            return None
+        return misfit_of(self.solution)
 
     @cached_property
     def _deviations(self) -> Estimates:
@@ -170,6 +179,7 @@ class Fit:
                 if scatter is None
                 else {"value": scatter, "std": scatter / np.sqrt(2 * (len(self.runs) - 1))},
                 "correlations": [list(c) for c in self.estimates.correlations],
+                "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": self.estimates.remarks,
                 "errors": self.errors,
                 "per_run": self._per_run(),
@@ -188,7 +198,8 @@ class Fit:
             return {}
         if not made.parameter(parameter).loaded:
             return {}
-        return {"mu": {"value": found.value / load, "std": None if found.std is None else found.std / load}}
+        std = found.honest_std
+        return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
         """The distinct optima within 1 % of the best that the search met, best first."""

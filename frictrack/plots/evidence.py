@@ -27,8 +27,8 @@ RESULTS = ("limit", "rise")  # curves of a candidate that are no settings
 
 
 def passes(candidate: Mapping[str, Any]) -> bool:
-    """Whether a candidate stands by itself: significant for the whole search, and worth its parameters."""
-    return bool(candidate["p"] < SIGNIFICANT and candidate["delta_bic"] > 0)
+    """Whether a candidate stands by itself: significant for the whole search, worth its parameters, and plausible."""
+    return bool(candidate["p"] < SIGNIFICANT and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
 
 
 @styled

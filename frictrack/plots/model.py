@@ -129,7 +129,8 @@ def fit_title(model: ModelResults) -> str:
     verdict = (model.diagnosis or {}).get("verdict")
     if verdict is None:
         return f"{name}: {figures}"
-    return f"{name} {'holds' if verdict == 'complete' else 'fails'}: {figures}"
+    word = {"complete": "holds", "undetermined": "is not decided"}.get(verdict, "fails")
+    return f"{name} {word}: {figures}"
 
 
 def _left_over(model: ModelResults, runs: Sequence[RunResults]) -> str:

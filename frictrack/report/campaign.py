@@ -18,7 +18,7 @@ from frictrack.report.templates import now, template
 
 MOST = 1000  # studies in the page's table; the others stand in the files
 PANELS = 12  # drawn; the clearest trends first
-ORDER = ("complete", "missing", "ambiguous", "unexplained")
+ORDER = ("complete", "undetermined", "missing", "ambiguous", "unexplained")
 
 
 def write(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str], path: Path) -> Path:

@@ -37,6 +37,7 @@ class Trial:
     scan: Markup
     unexplained: dict[str, Any] | None
     in_step: list[dict[str, Any]]
+    importance: tables.Table
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
@@ -167,6 +168,7 @@ def _trial(model: ModelResults, draw: Draw) -> Trial:
         scan=draw(plots.scan(best, curves)) if plots.scanned(curves) else Markup(""),
         unexplained=unexplained.unexplained(diagnosis, draw),
         in_step=unexplained.evidence(diagnosis, model.figures, draw),
+        importance=tables.importance(diagnosis),
     )
 
 

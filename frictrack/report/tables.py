@@ -46,19 +46,25 @@ def code(text: str) -> Markup:
 
 
 def parameters(model: ModelResults, scale_error: float = 0.0) -> Table:
-    """Shared parameters: value ± standard deviation, what the scale's relative error adds, and what is to be said."""
+    """Shared parameters: value ± standard deviation, what the scale's relative error adds, and what is to be said.
+
+    Where the model is rejected, the deviation with the misfit stands beside, marked with a dagger.
+    """
+    rejected = any("std_misfit" in p for p in model.summary["parameters"].values())
     blows = {f"{c['effect']}.width" for c in model.summary.get("collisions", []) if not c["resolved"]}
     rows = [
         (
             code(name),
             quantity(p["value"], p["std"], p["unit"]),
+            *([size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
             _of_scale(p, scale_error),
             _remark(p, unresolved=name in blows),
         )
         for name, p in model.summary["parameters"].items()
         if not PER_RUN.match(name)
     ]
-    return table(("parameter", "value", "± of the scale", ""), rows, (1, 2))
+    heads = ("parameter", "value", *(["† ± with the misfit"] if rejected else []), "± of the scale", "")
+    return table(heads, rows, (1, 2, 3) if rejected else (1, 2))
 
 
 def _of_scale(p: Mapping[str, Any], scale_error: float) -> str:
@@ -113,7 +119,7 @@ def routes(default: ModelResults, papers: ModelResults) -> Table:
     """Parameters and errors of the default beside the papers' route."""
     theirs = papers.summary["parameters"]
     rows: list[Sequence[Cell]] = [
-        (code(name), quantity(p["value"], p["std"], p["unit"]), _beside(theirs.get(name)))
+        (code(name), quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]), _beside(theirs.get(name)))
         for name, p in default.summary["parameters"].items()
         if not PER_RUN.match(name)
     ]
@@ -209,8 +215,26 @@ def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
     ]
 
 
+def importance(diagnosis: Mapping[str, Any]) -> Table:
+    """What every effect explains of the misfit: alone, and after those above it; the last one that is worth adding."""
+    rows = []
+    for row in diagnosis.get("importance") or []:
+        shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
+        unit = "um" if "heldout_rms_after_um" in row else "N"
+        held = row[f"heldout_rms_after_{unit}"]
+        after = "" if held is None else f"{number(held)} {unit.replace('u', 'µ')}"
+        rows.append((code(row["effect"]), *shares, after, "stop here" if row["stop"] else ""))
+    return table(("effect", "explains alone", "adds in sequence", "held out after it", ""), rows, (1, 2, 3))
+
+
+def _share_of_misfit(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
+
+
 def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
     """How a candidate stands beside the best one."""
+    if c.get("implausible"):
+        return f"imitates the misfit, not plausible: {c['implausible']}"
     if not passes(c):
         return "does not pass"
     if c is best:

@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from frictrack.plots import noise_um, passes, plain_name
 from frictrack.report.numbers import low_to_high, number, quantity, typed
 from frictrack.results import ModelResults, Results
-from frictrack.words import AXES, group
+from frictrack.words import AXES, group, open_question
 
 NAMES = {
     "coulomb": "Coulomb friction",
@@ -38,7 +38,7 @@ class Verdict:
 
     headline: str
     sentences: tuple[Markup, ...]
-    kind: str  # complete, missing, ambiguous, unexplained, or "" before a diagnosis
+    kind: str  # complete, undetermined, missing, ambiguous, unexplained, or "" before a diagnosis
 
 
 def verdict(results: Results) -> Verdict:
@@ -132,6 +132,8 @@ def lacks(diagnosis: Mapping[str, Any]) -> str:
     """What a diagnosis says of its model, after the model's name."""
     if diagnosis["verdict"] == "complete":
         return "is complete"
+    if diagnosis["verdict"] == "undetermined":
+        return "is neither confirmed nor refuted"
     if diagnosis["verdict"] == "ambiguous":
         return f"lacks {listed(group(diagnosis), 'or')}"
     if diagnosis["verdict"] == "missing":
@@ -174,6 +176,8 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
     if kind == "complete":
         added = [effect for *_, effect in steps(results.models) if effect in model.summary["model"]]
         return f"Complete with {listed(added)}" if added else f"{name} is complete for these runs"
+    if kind == "undetermined":
+        return f"Undetermined: {open_question(diagnosis)}"
     if kind == "ambiguous":
         return f"{name} {lacks(diagnosis)}: these runs cannot tell which"
     return f"{name} {lacks(diagnosis)}" if kind else f"{name}, not yet diagnosed"
@@ -211,7 +215,7 @@ def _falls(old: float | None, new: float | None) -> str:
 def _size(model: ModelResults, effect: str) -> Markup:
     """What the added effect came to: its shared parameters."""
     known = {
-        name.removeprefix(f"{effect}."): quantity(p["value"], p["std"], p["unit"])
+        name.removeprefix(f"{effect}."): quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
         for name, p in model.summary["parameters"].items()
         if name.startswith(f"{effect}.") and "[" not in name and p["std"]
     }
@@ -240,6 +244,15 @@ def _residual(model: ModelResults) -> str:
     if rms is None or noise is None:
         return ""
     return f"the residual is {number(rms)} µm where the noise is {number(noise)} µm, "
+
+
+def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+    yield Markup("These runs cannot show whether something is missing: {}lack of fit has p = {}.").format(
+        _residual(model), number(diagnosis["p_lack_of_fit"], 2)
+    )
+    for gap in diagnosis["undetermined"]:
+        advice = f"; to settle it: {_lower(gap['settled_by'])}" if gap["settled_by"] else ""
+        yield Markup("Open is <b>{}</b>: {}{}.").format(gap["what"], typed(gap["why"]), typed(advice))
 
 
 def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -282,7 +295,13 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
         yield Markup("What is left repeats best along {}.").format(AXES[left["axis"]].word)
 
 
-_STATES = {"complete": _complete, "missing": _missing, "ambiguous": _ambiguous, "unexplained": _unexplained}
+_STATES = {
+    "complete": _complete,
+    "undetermined": _undetermined,
+    "missing": _missing,
+    "ambiguous": _ambiguous,
+    "unexplained": _unexplained,
+}
 
 
 def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:

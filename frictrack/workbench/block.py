@@ -201,5 +201,7 @@ def _value(value: dict[str, Any]) -> str:
     reason = f" ({value['reason']})" if value.get("reason") else ""
     if value["value"] is None:
         return escape(f"not determined{reason}")
-    error = f" ± {number(value['std'], 2)}" if value.get("std") else ""
+    std, mark = value.get("std_misfit"), " (†, with the misfit)"
+    std, mark = (value.get("std"), "") if std is None else (std, mark)
+    error = f" ± {number(std, 2)}{mark}" if std else ""
     return escape(f"{number(value['value'])}{error} {plots.unit(value['unit'])}{reason}")

@@ -1,7 +1,7 @@
 """Runs whose friction was measured: fitted to that series, without differentiation and without a mass."""
 
 from frictrack.fit.series.law import covariance, heldout_rms, search_series, solve_series
-from frictrack.fit.series.noise import Noise, counted, weighed
+from frictrack.fit.series.noise import Noise, noise_of, weighed
 from frictrack.fit.series.problem import (
     SeriesPiece,
     SeriesProblem,
@@ -20,13 +20,13 @@ __all__ = [
     "SeriesProblem",
     "check_model",
     "common_load",
-    "counted",
     "covariance",
     "curves",
     "errors_of",
     "heldout_rms",
     "is_series",
     "measured",
+    "noise_of",
     "remarks",
     "row",
     "search_series",

@@ -13,6 +13,7 @@ from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array, Curve, Run
 
+DRIFTING = 1.5  # times the white noise from which slow misfit is worth a remark
 UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
 
 
@@ -79,14 +80,21 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
 
 
 def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
-    """What a diagnosis on a measured friction rests on, in words."""
-    interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
+    """Say what a diagnosis on a measured friction rests on: its noise, and what a drifting sensor would explain."""
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
-    if noise.alike > 1:
+    left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
+    if noise.strokes and noise.alike > 1:
+        interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
         out.append(
-            f"what the model leaves is {noise.rms:.2g} N rms and alike over {noise.alike * interval:.2g} s (the cell's "
-            f"white noise is {white(solution.responses):.2g} N): the law lacks something or the cell drifts. All of it "
-            f"is taken as noise, {noise.alike:.3g} frames as one, so that only what explains much of it passes"
+            f"noise {noise.rms:.2g} N rms, alike over {noise.alike * interval:.2g} s: what does not repeat between "
+            f"{noise.strokes} strokes over the same places (white noise {noise.white:.2g} N)"
+        )
+    elif not noise.strokes and left > DRIFTING * noise.white:
+        slow = float(np.sqrt(left**2 - noise.white**2))
+        out.append(
+            f"noise {noise.white:.2g} N rms from frame to frame; no stroke is repeated, so slow misfit counts as "
+            f"misfit: a drifting sensor would have to explain {slow:.2g} N rms, {100 * (slow / left) ** 2:.1f} % of "
+            'it; repeat the run, or state the instrument: noise = "0.004 N", drift = "0.01 N"'
         )
     return out
 

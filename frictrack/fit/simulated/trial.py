@@ -6,7 +6,7 @@ milliseconds. Several places of the scan are tried, since the best form of a gri
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from frictrack.effects import Effect, Parameter
 from frictrack.fit.along import Along, Projected, Search, State
 from frictrack.fit.simulated.beside import Beside
 from frictrack.fit.simulated.scan import Scan, has_own_scan, per_run_coefficients
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.layout import LEVEL, Layout, Slot
+from frictrack.models import Model
 from frictrack.records import Array
 
 PULSE_PRICE = 2.0  # times log(frames): what a run's own event must gain to be kept there
@@ -60,6 +61,16 @@ def tried(law: Beside, effect: Effect, scans: list[Scan], data: Array) -> Trial:
     return loose if tied.misfit - loose.misfit > chi2_distribution.isf(TIE_ALPHA, runs - 1) else tied
 
 
+def tried_together(law: Beside, effects: Sequence[Effect]) -> Trial:
+    """The best law with several effects more whose free parameters are all linear."""
+    old = law.solution.problem.layout
+    layout = replace(old, model=Model((*old.model.effects, *effects)))
+    there = dict(zip(old.names, law.solution.p, strict=True))
+    problem = _projected(law, layout)
+    p = np.array([there.get(name, _first({}, s)) for name, s in zip(layout.names, layout.slots, strict=True)])
+    return _trial(effects[0], *_finished(problem, problem.at(p)))
+
+
 def bare(law: Beside) -> float:
     """Misfit of the law itself along the measured motion."""
     layout = law.solution.problem.layout
@@ -99,11 +110,16 @@ def _best(law: Beside, effect: Effect, starts: Iterable[Start]) -> Trial:
         problem = _projected(law, layout)
         there = dict(zip(old.names, law.solution.p, strict=True))
         slots = zip(layout.names, layout.slots, strict=True)
-        p = np.array([there[name] if name in there else values[s.parameter, s.run] for name, s in slots])
+        p = np.array([there.get(name, _first(values, s)) for name, s in slots])
         found.append((problem, problem.refine(problem.at(p), steps=ROUGH, enough=CLOSE)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = min((_finished(problem, state) for problem, state in found[:2]), key=lambda pair: pair[1].misfit)
     return _trial(effect, *best)
+
+
+def _first(values: dict[tuple[str, int | None], float], slot: Slot) -> float:
+    """Where an unknown begins that the bare law does not have: as scanned, a friction level at one."""
+    return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
 
 
 def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:

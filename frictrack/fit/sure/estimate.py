@@ -30,11 +30,18 @@ class Estimate:
     at_bound: bool = False
     reason: str | None = None
     interval: tuple[float | None, float | None] | None = None  # 95 %, of a profile or a bootstrap; None: an open end
+    std_misfit: float | None = None  # with the force that a rejected law misses; None where it misses none
+
+    @property
+    def honest_std(self) -> float | None:
+        """The deviation to quote alone: with what the law misses, where it misses anything."""
+        return self.std if self.std_misfit is None else self.std_misfit
 
     def json(self) -> dict[str, Any]:
-        """JSON; `interval` where there is one."""
-        out = {k: v for k, v in vars(self).items() if k != "interval"}
-        return out if self.interval is None else out | {"interval": list(self.interval)}
+        """JSON; `interval` and `std_misfit` where there are any."""
+        out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
+        out |= {} if self.interval is None else {"interval": list(self.interval)}
+        return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,24 @@ class Estimates:
             name: replace(e, interval=found[name]) if name in found else e for name, e in self.parameters.items()
         }
         return replace(self, parameters=parameters)
+
+
+def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
+    """Return the same estimates with deviations that hold while the law misses a force.
+
+    `covariance` (P, P) is what that force adds to the unknowns. Fixed, tied and undetermined parameters stay as they
+    are.
+    """
+    layout = solution.problem.layout
+    _, jacobian = quoted(solution.problem, solution.p)
+    more = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
+    parameters = dict(found.parameters)
+    for i, added in zip(shown(layout), more, strict=True):
+        old = parameters[layout.names[i]]
+        if old.std is not None:
+            std = float(np.sqrt(old.std**2 + max(added, 0.0)))
+            parameters[layout.names[i]] = replace(old, std_misfit=std)
+    return replace(found, parameters=parameters)
 
 
 def estimates(solution: Solution, *, profile: bool = True) -> Estimates:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.series import SeriesPiece
+from frictrack.fit.series.problem import SeriesPiece
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.unknowns.scatter import restraint, restraint_rows

@@ -1,0 +1,55 @@
+"""Judge whether a fitted candidate is physically plausible: what imitates the misfit is no cause."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.effects import Effect
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.sure.covariance import plain_covariance
+from frictrack.fit.unknowns.layout import Layout
+from frictrack.records import Array
+
+MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an effect must exceed
+
+
+def objection(solution: Solution, effect: Effect) -> str:
+    """Return why a fitted effect cannot be the cause, or "" where nothing speaks against it.
+
+    The effect's own check (`Effect.plausible`) must pass in at least one run where it acts, and at least one of its
+    sizes must exceed three of its own standard deviations.
+    """
+    return implausible(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
+
+
+def implausible(layout: Layout, p: Array, effect: Effect) -> str:
+    """Return the effect's own objection to its fitted values, where it stands in every run in which it acts."""
+    if effect.plausible is None:
+        return ""
+    found = []
+    for run in range(len(layout.run_names)):
+        values, _ = layout.values(p, run)
+        if effect.name not in values or (effect.name, run) in layout.absent:
+            continue
+        span = layout.spans[run] if any(p.per_run for p in effect.parameters if p.linear) else layout.span
+        found.append(effect.plausible(values[effect.name], span))
+    return found[0] if found and all(found) else ""
+
+
+def _insignificant(solution: Solution, effect: Effect) -> str:
+    layout = solution.problem.layout
+    sizes = {p.name: p.unit for p in effect.parameters if p.linear or p.role == "depth"}
+    at = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and s.parameter in sizes]
+    if not at:
+        return ""
+    covariance, _ = plain_covariance(solution)
+    std = np.sqrt(np.maximum(np.diag(covariance)[at], 0.0))
+    value = solution.p[at]
+    if np.any(np.abs(value) > MIN_SIGNIFICANCE * std):
+        return ""
+    k = int(np.argmax(np.abs(value) / np.maximum(std, 1e-300)))
+    slot = layout.slots[at[k]]
+    return (
+        f"{slot.parameter} = {value[k]:.2g} +/- {std[k]:.2g} {sizes[slot.parameter]} is not larger than "
+        f"{MIN_SIGNIFICANCE:g} of its standard deviations"
+    )

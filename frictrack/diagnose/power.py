@@ -1,0 +1,131 @@
+"""Compute what the runs could have shown: the power that a verdict of completeness needs.
+
+A law is called complete only where each basic effect, at a tenth of the mean friction, would have been seen. What these
+runs cannot show, and parameters of the law that they do not determine, leave the verdict undetermined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from frictrack.diagnose.rounds import Round
+from frictrack.diagnose.tests import Scanned
+from frictrack.fit import Fit
+from frictrack.fit.simulated.beside import Strip
+from frictrack.fit.sure.estimate import Estimate
+from frictrack.records import Array
+
+BASIC = ("stribeck", "viscous", "drag", "texture", "vibration")  # effects that a complete law must be able to exclude
+SHARE = 0.10  # of the mean friction: rms size at which they must be seen
+GIVEN = ("fixed", "tied")  # reasons for which a parameter has no deviation though nothing is wrong with it
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """One thing that these runs leave open: an effect below its detection limit, or a parameter of the law.
+
+    `limit` is the smallest size that would have been seen, rms over the mean friction; None where no size would be, or
+    for a parameter. `settled_by` says which record would settle it.
+    """
+
+    what: str
+    why: str
+    settled_by: str
+    limit: float | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """Entry of the JSON `undetermined`."""
+        return {"what": self.what, "why": self.why, "settled_by": self.settled_by, "limit_over_friction": self.limit}
+
+
+def undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
+    """List what the runs of a fit leave open; `curves` hold the detection limits over all settings, by effect."""
+    friction = mean_friction(first)
+    found = [*_parameters(fit.parameters), *_vague(fit, first, friction)]
+    for scanned in first.tests.scanned:
+        name = scanned.effect.name
+        if scanned.effect.kind in BASIC and name == scanned.effect.kind and len(scanned.scans) == 1:
+            limit = size_of_limit(first, scanned, curves[name]["limit"]) / friction
+            if not limit <= SHARE:
+                found.append(_unseen(name, limit, scanned.effect.confirm))
+    return found
+
+
+def mean_friction(first: Round) -> float:
+    """Mean size of the friction force of a fitted law over its frames, N."""
+    forces = []
+    for strip in first.draws.law.strips:
+        forces.append(np.abs(strip.problem.model.force(strip.path, strip.values)))
+    return max(float(np.mean(np.concatenate(forces))), 1e-300)
+
+
+def size_of_limit(first: Round, scanned: Scanned, limits: Array) -> float:
+    """Smallest force that would have been seen, N rms, at the middle setting of an effect's scan.
+
+    The middle is that of the logarithm of every scanned parameter: a line at a tenth of the highest frequency.
+    """
+    family = scanned.scans[0].family
+    g = _middle(family.values)
+    raw = [_raw(s, family, g) for s in first.draws.law.strips]
+    unit = float(np.sqrt(np.mean(np.concatenate(raw) ** 2)))
+    return float(limits[g]) * unit
+
+
+def _raw(strip: Strip, family: Any, g: int) -> Array:
+    """Force of one unit of the first coefficient along one piece, N."""
+    return np.asarray(family.raw(strip, family.values[g : g + 1])[0, 0])
+
+
+def _middle(values: Array) -> int:
+    """Row of grid points (G, d) that is nearest to their middle, in logarithms where all are positive."""
+    if not values.shape[1]:
+        return 0
+    scale = np.log(values) if np.all(values > 0) else values
+    low, high = scale.min(axis=0), scale.max(axis=0)
+    away = (scale - (low + high) / 2) / np.maximum(high - low, 1e-300)
+    return int(np.argmin(np.sum(away**2, axis=1)))
+
+
+def _parameters(parameters: Mapping[str, Estimate]) -> Sequence[Undetermined]:
+    """Parameters of the law that the runs do not determine, those for the same reason together."""
+    groups: dict[str, list[str]] = {}
+    for address, found in parameters.items():
+        shared = "[" not in address
+        if shared and found.value is None and found.reason and not found.reason.startswith(GIVEN):
+            groups.setdefault(found.reason, []).append(address)
+    return [Undetermined(" and ".join(names), *_split(reason)) for reason, names in groups.items()]
+
+
+def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
+    """Coefficients of the friction law whose deviation is a tenth of the mean friction or more."""
+    for effect in first.solution.problem.model.effects:
+        for k, p in enumerate(effect.linear):
+            found = fit.parameters.get(f"{effect.name}.{p.name}")
+            if effect.kind not in (*BASIC, "coulomb") or p.per_run or found is None or not found.std:
+                continue
+            columns = [
+                s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.strips
+            ]
+            share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
+            if share > SHARE:
+                why = f"its standard deviation, {found.std:.2g} {p.unit}, is {100 * share:.0f} % of the mean friction"
+                yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm)
+
+
+def _split(reason: str) -> tuple[str, str]:
+    """A reason and the advice that it ends with."""
+    why, _, advice = reason.rpartition(": ")
+    return (why, advice) if why else (reason, "")
+
+
+def _unseen(name: str, limit: float, confirm: str) -> Undetermined:
+    if not np.isfinite(limit):
+        return Undetermined(name, "the fitted law takes it up whatever its size", confirm)
+    times = limit / SHARE
+    why = f"only from {100 * limit:.2g} % of the mean friction on would it have been seen"
+    how = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
+    return Undetermined(name, why, how, limit)

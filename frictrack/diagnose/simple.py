@@ -1,0 +1,86 @@
+"""Prefer simple laws: few non-linear parameters at equal evidence, pairs of smooth forces before flexible ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+from frictrack.diagnose.rivals import information, price
+from frictrack.diagnose.rounds import Round, Tried
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.growth import simulated
+from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.simulated.trial import STRONG, Trial, bare, tried_together
+from frictrack.fit.sure.misfit import dispersion
+
+EVEN = 2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
+
+
+def is_smooth(effect: Effect) -> bool:
+    """Whether an effect is a force whose free parameters are all linear and common to the runs: drag, spring, slope."""
+    free = [p for p in effect.parameters if p.free]
+    plain = bool(free) and all(p.linear and not p.per_run for p in free)
+    return plain and effect.acts_on == "force" and not effect.modifies and not effect.memory
+
+
+def simplest(near: Sequence[Tried]) -> Tried:
+    """The candidate with the fewest non-linear parameters among those whose evidence equals that of the first.
+
+    Differences of the criterion count in units of the dispersion of the best law: while much remains unexplained, a
+    flexible effect gains by imitating it.
+    """
+    best = near[0]
+    even = [t for t in near if best.delta_bic - t.delta_bic < EVEN * dispersion(best.law)]
+    return min(even, key=lambda t: sum(p.free for p in t.effect.nonlinear))
+
+
+def first_of_pair(last: Round, best: Tried) -> Tried | None:
+    """The stronger of two smooth effects that together explain as much as one flexible one; None where none do.
+
+    It is asked only while the law misses much: a flexible effect then imitates the sum of plain ones.
+    """
+    frames = last.solution.problem.n_frames
+    if is_smooth(best.effect) or last.solution.chi2 < STRONG * frames:
+        return None
+    law = last.draws.law
+    smooth = [s.effect for s in last.tests.scanned if is_smooth(s.effect)]
+    alone = {e.name: tried_together(law, [e]) for e in smooth}
+    pairs = {both: tried_together(law, both) for both in combinations(smooth, 2)}
+    if not pairs:
+        return None
+    both, trial = min(pairs.items(), key=lambda item: item[1].misfit + price(item[1].layout, last.solution.problem))
+    try:
+        found = simulated(law, trial)
+    except FrictrackError:
+        return None
+    if information(found) > information(best.law) + EVEN * dispersion(best.law):
+        return None
+    stronger = min(both, key=lambda e: alone[e.name].misfit)
+    return _member(last, stronger, alone[stronger.name], best.p)
+
+
+def _member(last: Round, effect: Effect, trial: Trial, p: float) -> Tried | None:
+    """One effect of a pair as a candidate; the pair as a whole has passed with `p`."""
+    there = next((t for t in last.tried if t.effect.name == effect.name and t.solution is not None), None)
+    if there is not None:
+        return replace(there, p=min(there.p, p))
+    law: Solution | None = None
+    try:
+        law = simulated(last.draws.law, trial)
+    except FrictrackError:
+        return None
+    gain = information(last.solution) - information(law)
+    return Tried(effect, law, gain, p, along=(last.draws.law, trial))
+
+
+def explained_alone(last: Round, tried: Sequence[Tried]) -> dict[str, float]:
+    """Share of the misfit beyond the noise that every candidate explains by itself, by name."""
+    misfit = bare(last.draws.law)
+    excess = max(misfit - last.solution.problem.n_frames, 1e-300)
+    out = {}
+    for t in tried:
+        if t.along is not None and t.along[0] is last.draws.law:
+            out[t.effect.name] = min(max((misfit - t.along[1].misfit) / excess, 0.0), 1.0)
+    return out
