@@ -7,6 +7,7 @@ F > 0 resists motion toward +x; the incline is positive when the course rises to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Friction, Mask, Run, stretches
 
 MOVING = 3.0  # |v| over sigma_v above which a frame moves
+MAX_PAUSE = 0.1  # of the shorter neighbouring stretch: what may lie between two at the reversal of a swing
+SWING = 3.0  # times the usual acceleration up to which a mass swings back: a blow turns it harder
 CERTAIN = 5.0  # |v| over sigma_v that a stretch of moving frames must reach to be a motion at all
 PUSHED = 0.8  # of the highest speed: a record that begins slower shows the push
 IMPACT_TIME = 4e-3  # s, within which an impact takes half of the speed
@@ -90,6 +93,24 @@ def moving_sections(run: Run) -> list[slice]:
     return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(free, cuts)]
 
 
+def reverses_freely(run: Run, before: slice, after: slice) -> float | None:
+    """Acceleration, m/s^2, with which a mass without a drive swings back between two stretches of its motion.
+
+    None where it rests in between, or where a blow turns it at once.
+    """
+    if _measured(run):
+        return None
+    v, a = run.motion.v, np.abs(run.motion.a)
+    shorter = min(before.stop - before.start, after.stop - after.start)
+    here = slice(before.stop - 1, after.start + 1)
+    if v[here.start] * v[after.start] >= 0 or after.start - before.stop > max(MAX_PAUSE * shorter, 2):
+        return None
+    near = slice(max(before.stop - shorter, before.start), after.start + shorter)
+    pull, usual = float(np.max(a[here])), float(np.median(a[near]))
+    certain = float(np.min(a[here])) > MOVING * float(np.max(run.motion.sigma_a[here]))
+    return pull if certain and np.all(run.displacement.valid[here]) and pull < SWING * usual else None
+
+
 def friction(run: Run) -> Friction:
     """Friction force F = D - m a of a run with its standard deviation, and its free section.
 
@@ -148,10 +169,22 @@ def _main_motion(run: Run) -> tuple[int, int]:
             f'run "{run.name}": expected a sliding target but its speed never exceeds {CERTAIN:g} standard '
             "deviations; check the target, or give the free section as free = [t0, t1]"
         )
+    motions = _swung(run, motions)
     fastest = max(motions, key=lambda s: float(np.max(np.where(valid[s], speed[s], 0.0))))
     chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])
+
+
+def _swung(run: Run, motions: Sequence[slice]) -> list[slice]:
+    """Motions joined where the mass swings back from one into the next."""
+    out = list(motions[:1])
+    for after in motions[1:]:
+        if reverses_freely(run, out[-1], after) is None:
+            out.append(after)
+        else:
+            out[-1] = slice(out[-1].start, after.stop)
+    return out
 
 
 def is_motion(run: Run, s: slice) -> bool:

@@ -1,4 +1,4 @@
-"""A long record, cut into very many segments, is diagnosed on some of them, spread evenly."""
+"""Search long records in bounded time: on some of very many segments, and on every few of very many frames."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack.fit.simulated.pieces import Piece
-from frictrack.fit.simulated.solve import Solution, settle_scatter
+from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.unknowns.layout import Layout
 
 MOST = 32  # pieces that are looked at, unless there are more runs
+FASTEST = 0.2  # of the frame rate: lines that are sought, see `effects.base.frequencies`
+MAX_FRAMES = 6000  # over all pieces; the search takes time in proportion
 
 
 def sampled(solution: Solution) -> tuple[Solution, str]:
@@ -27,6 +29,33 @@ def sampled(solution: Solution) -> tuple[Solution, str]:
         f"a long record: {len(kept)} of its {len(pieces)} segments were looked at, spread evenly; "
         "what happens once in between is not seen"
     )
+
+
+def thinned(solution: Solution) -> tuple[Solution, str]:
+    """Return the law compared at every few frames of very many, and in words what that means; "" where all are kept.
+
+    The law itself was fitted to all frames; the motion between those kept is simulated as before.
+    """
+    every = -(-solution.problem.n_frames // MAX_FRAMES)
+    if every <= 1:
+        return solution, ""
+    pieces = [_every(p, every) for p in solution.problem.pieces]
+    layout = solution.problem.layout
+    coarse = replace(layout, spans=tuple(replace(s, fps=s.fps / every) for s in layout.spans))
+    problem = solution.problem.over(coarse, pieces)
+    held = np.zeros(len(solution.p), dtype=bool)
+    some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
+    return some, (
+        f"a long record: the search looked at every {every}th of its frames, so a line above "
+        f"{FASTEST * layout.span.fps / every:.3g} Hz is not sought; the fit uses all of them"
+    )
+
+
+def _every(piece: Piece, every: int) -> Piece:
+    rows = slice(None, None, every)
+    angle = None if piece.angle is None else piece.angle[rows]
+    kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
+    return replace(piece, angle=angle, **kept)
 
 
 def _coarser(layout: Layout, pieces: Sequence[Piece], kept: Sequence[int]) -> Layout:

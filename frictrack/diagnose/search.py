@@ -17,7 +17,7 @@ from frictrack.diagnose.plainer import plainer
 from frictrack.diagnose.power import Undetermined, undetermined
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
-from frictrack.diagnose.sampled import sampled
+from frictrack.diagnose.sampled import sampled, thinned
 from frictrack.diagnose.simple import explained_alone, first_of_pair, simplest
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
@@ -65,14 +65,16 @@ def diagnose(
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     whole = uncut(fit)
     if whole is not None:
+        whole, coarse = thinned(whole)
         said = _searched(fit, whole, own, beside, (np.random.default_rng(seed), tell))
         if said.verdict != "unexplained":
-            return said
+            return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
     start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
+    start, coarse = (start, "") if fit.measured else thinned(start)
     said = _searched(fit, start, own, beside, (np.random.default_rng(seed), tell))
-    return replace(said, remarks=[*said.remarks, *filter(None, [left_out])])
+    return replace(said, remarks=[*said.remarks, *filter(None, [left_out, coarse])])
 
 
 def _searched(

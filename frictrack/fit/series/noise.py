@@ -25,7 +25,7 @@ KEPT = 4  # frames kept of those that are alike
 MAX_FRAMES = 2000  # over all runs, beyond which a white series is averaged over short blocks
 MIN_STROKES = 3  # over the same places that tell what does not repeat
 MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
-TURN = 0.5  # of the range of a coordinate by which it must go back to turn
+TURN = 0.25  # of the range of a coordinate by which it must go back to turn
 ALIKE_SPEED = 0.1  # relative difference of the median speeds of strokes that are compared
 GRID = 128  # places at which strokes are compared
 SLOW = 1.1  # times the white noise beyond which what does not repeat is more than that
@@ -88,12 +88,12 @@ def _unrepeated(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
 
 
 def strokes(coordinate: Array) -> list[Rows]:
-    """Rows of the stretches over which a coordinate (n,) goes one way, turns smaller than half its range left out.
+    """Rows of the stretches over which a coordinate (n,) goes one way, turns smaller than a quarter of its range left out.
 
     Examples
     --------
     >>> [len(s) for s in strokes(np.array([0.0, 1.0, 2.0, 1.9, 2.0, 1.0, 0.0]))]
-    [3, 5]
+    [2, 5]
 
     """
     least = TURN * float(np.ptp(coordinate))

@@ -14,6 +14,7 @@ from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.swings import joined
 from frictrack.friction import CERTAIN, MOVING, free_section, is_moving, moving_sections, release_time
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
@@ -52,6 +53,7 @@ class Piece:
     angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a segment of a longer stretch
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
+    slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
     systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
     shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
@@ -70,6 +72,8 @@ class Piece:
 
     def _direction(self, v: Array) -> Array:
         """Sign of the velocity (n,), held at rest; 0 at first where the piece begins at rest."""
+        if self.slack:
+            return np.clip(v / self.slack, -1.0, 1.0)
         s = headings(v)
         if self.path.s[0] == 0:
             s[0] = 0.0
@@ -162,11 +166,12 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     if turning and run.drive is not None and _stops(sections):
         return [_turning(run, index, noise, begin)]
     made = []
-    for section in sections:
+    for section, slack in joined(run, sections):
         rows = np.arange(len(disp))[section]
         rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
         if len(rows) >= MIN_FRAMES:
-            made.append(_piece(run, index, rows, noise, begin))
+            piece = _piece(run, index, rows, noise, begin)
+            made.append(replace(piece, turns=True, slack=slack) if slack else piece)
     if not made:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '

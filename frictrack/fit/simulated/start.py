@@ -19,7 +19,7 @@ from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.simulated.trial import PULSE_PRICE, TIE_ALPHA, is_loose
-from frictrack.fit.simulated.turning import bent, first_law
+from frictrack.fit.simulated.turning import bent, first_law, lengthened
 from frictrack.fit.simulated.turns import in_turn, led_the_other_way
 from frictrack.fit.unknowns.layout import LEVEL, Layout
 from frictrack.models import Model
@@ -164,7 +164,8 @@ def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], sp
     """The law of runs that are followed through stops and reversals."""
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
-    return _grown(model, Problem(layout.model, layout, pieces), first_law, later)
+    problem = Problem(layout.model, layout, pieces)
+    return _grown(model, problem, first_law if not any(p.slack for p in pieces) else lengthened, later)
 
 
 def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:

@@ -1,0 +1,217 @@
+"""What a real record asks of a diagnosis: noise that no law can swallow, power, plausibility, honest deviations.
+
+Truth comes from closed forms, from SciPy's integrator, and from records made by others; see each test.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from runs import BASE, HIDDEN, SIX, Spec, study
+from scipy.integrate import solve_ivp
+from test_series import FPS as CELL_FPS
+from test_series import given, tustin_force
+
+from frictrack import effects, models, words
+from frictrack.diagnose import diagnose
+from frictrack.diagnose.admissible import implausible
+from frictrack.effects import LIBRARY, Span
+from frictrack.fit import fit
+from frictrack.fit.series.noise import noise_of, strokes
+from frictrack.fit.simulated.swings import joined
+from frictrack.motion import differentiate, low_pass
+from frictrack.records import Displacement, Run
+
+TUSTIN = ["coulomb", "stribeck", "viscous"]
+SPAN = Span(duration=0.1, x_min=0.0, x_max=0.4, v_min=1.0, v_max=4.0, fps=4000.0)
+
+
+# --- noise of a measured friction
+
+
+def ramp(force, *, noise=0.02, seconds=4.0, seed=0):
+    """A speed ramp from 0 to 0.4 m/s: time, place and speed all go one way."""
+    t = np.arange(round(seconds * CELL_FPS)) / CELL_FPS
+    v = 0.4 * t / seconds
+    e = noise * np.random.default_rng(seed).standard_normal(len(t))
+    return given(t, 0.2 * t**2 / seconds, v, force(t, v) + e, name="ramp")
+
+
+def test_a_slow_misfit_of_one_record_is_no_noise():
+    fitted = fit(["coulomb"], [ramp(lambda t, v: tustin_force(v))])
+    noise = noise_of(fitted.solution)
+    assert noise.rms == pytest.approx(0.02, rel=0.05)
+    assert (noise.alike, noise.strokes) == (1.0, 0)
+    found = diagnose(fitted)
+    assert found.verdict != "complete"
+    assert found.noise_N == pytest.approx(0.02, rel=0.05)
+    assert found.reduced_chi2 > 100
+    assert found.fails_at
+    assert any("drifting sensor would have to explain" in line for line in found.remarks)
+
+
+def test_what_differs_from_stroke_to_stroke_is_noise():
+    t = np.arange(12_000) / CELL_FPS
+    w = 2 * np.pi * 1.0
+    v = 0.1 * w * np.cos(w * t)
+    rng = np.random.default_rng(4)
+    drift = np.cumsum(rng.standard_normal(len(t))) * 0.004  # a cell that wanders
+    shape = 0.5 * np.sin(40 * 0.1 * np.sin(w * t)) * np.sign(v)  # and a force that every stroke repeats
+    force = 8.0 * np.sign(v) + shape + drift - drift.mean() + 0.02 * rng.standard_normal(len(t))
+    noise = noise_of(fit(["coulomb"], [given(t, 0.1 * np.sin(w * t), v, force)]).solution)
+    assert noise.strokes >= 20
+    assert noise.rms == pytest.approx(np.std(drift), rel=0.5)  # not 0.35, which the shape alone leaves
+    assert noise.alike > 100
+
+
+def test_strokes_are_told_from_the_noise_of_a_coordinate():
+    x = np.sin(np.linspace(0, 6 * np.pi, 600)) + 0.01 * np.random.default_rng(0).standard_normal(600)
+    found = strokes(x)
+    assert len(found) == 7
+    assert sum(map(len, found)) == 600
+
+
+# --- verdicts that need power
+
+
+def test_a_law_is_complete_only_where_a_tenth_of_the_friction_would_have_been_seen():
+    quiet = study("tustin", BASE, SIX, sigma=1e-5, rng=np.random.default_rng(1))[0]
+    assert diagnose(fit(TUSTIN, quiet)).verdict == "complete"
+    loud = study("tustin", BASE, SIX, sigma=2e-3, rng=np.random.default_rng(1))[0]
+    found = diagnose(fit(TUSTIN, loud))
+    assert (found.verdict, found.missing, found.fails_at) == ("undetermined", [], [])
+    entry = found.summary()["undetermined"][0]
+    assert entry.keys() == {"what", "why", "settled_by", "limit_over_friction"}
+    line = words.verdict(found.summary())
+    assert line.startswith("undetermined: these runs cannot show whether something is missing: ")
+    assert entry["what"] in line
+
+
+def test_a_law_whose_runs_never_slow_is_undetermined():
+    fast = [Spec(v, 1, 0.06) for v in (4.0, 5.0, 6.0, -5.0)]
+    found = diagnose(fit(TUSTIN, study("tustin", BASE, fast, sigma=1e-5, rng=np.random.default_rng(2))[0]))
+    assert found.verdict == "undetermined"
+    gap = next(g for g in found.undetermined if "stribeck" in g.what)
+    assert "film a run that slows to a stop" in gap.settled_by
+
+
+# --- plausible causes
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "objection"),
+    [
+        ("vibration", {"amplitude": 1.0, "frequency": 5.0, "phase": 0.0}, "the record holds 0.5 periods of it"),
+        ("vibration", {"amplitude": 1.0, "frequency": 50.0, "phase": 0.0}, ""),
+        ("decaying_vibration", {"amplitude": 1.0, "frequency": 40.0, "tau": 0.005, "phase": 0.0}, "is a pulse"),
+        ("camera_shake", {"amplitude": 0.05, "frequency": 50.0, "phase": 0.0}, "a picture error of 12 % of the span"),
+        ("lens", {"k": 10.0, "x_c": 0.0}, "a picture error of 40 % of the span"),
+        ("lens", {"k": 0.1, "x_c": 0.2}, ""),
+        ("dropped_frame", {"frames": -0.56, "time": 0.05}, "-0.56 frames are lost, expected a whole number"),
+        ("dropped_frame", {"frames": 0.97, "time": 0.05}, ""),
+        ("texture", {"amplitude": 1.0, "period": 0.5, "phase": 0.0}, "the record holds 0.8 periods of it"),
+        ("patch", {"F": 1.0, "x_c": 0.7, "w": 0.01}, "its centre 0.7 m lies off the course"),
+        ("patch", {"F": 1.0, "x_c": 0.2, "w": 0.3}, "it is wider"),
+        ("timebase", {"k": 1.0}, "the clock would be off by 5 % at the end"),
+        ("peak_locking", {"amplitude": 0.6, "phase": 0.0}, "0.6 px is more than interpolation does"),
+        ("load_modulation", {"depth": 1.0, "frequency": 50.0, "phase": 0.0}, "would make the friction push"),
+        ("friction_lag", {"tau": 0.2}, "is longer than"),
+        ("drive_error", {"e": -0.8, "tau": 0.0}, "the drive would be 80 % wrong"),
+    ],
+)
+def test_every_effect_says_what_of_it_is_not_plausible(name, values, objection):
+    said = LIBRARY[name].plausible(values, SPAN)
+    assert objection in said
+    assert bool(said) == bool(objection)
+
+
+def test_a_hidden_effect_is_plausible_as_it_is_found():
+    for name in ("texture", "vibration", "patch"):
+        runs = study(models.tustin() + name, BASE | {name: HIDDEN[name]}, SIX, sigma=1e-5)[0]
+        found = fit(models.tustin() + name, runs).solution
+        effect = next(e for e in found.problem.model.effects if e.name == name)
+        assert implausible(found.problem.layout, found.p, effect) == ""
+
+
+# --- deviations that hold when the law does not
+
+
+@pytest.mark.parametrize("hidden", ["texture", "drag", "spring", "vibration", "patch"])
+def test_deviations_hold_while_the_law_misses_an_effect(hidden):
+    law = models.tustin() + hidden
+    runs = study(law, BASE | {hidden: HIDDEN[hidden]}, SIX, sigma=1e-5, rng=np.random.default_rng(1))[0]
+    fitted = fit(TUSTIN, runs)
+    truth = {"coulomb.F_c": 8.0, "stribeck.F_s": 14.0, "stribeck.v_s": 0.4, "viscous.F_v": 1.2}
+    assert fitted.misfit is not None
+    away = {k: fitted.parameters[k].value - v for k, v in truth.items()}
+    assert max(abs(d / fitted.parameters[k].std) for k, d in away.items()) > 2.5  # those of noise do not hold
+    assert all(abs(d) < 4.0 * fitted.parameters[k].std_misfit for k, d in away.items())
+    summary = fitted.summary()
+    assert "the model is rejected" in summary["misfit"]["words"]
+    assert summary["parameters"]["viscous.F_v"]["std_misfit"] > 10 * summary["parameters"]["viscous.F_v"]["std"]
+    shown = fitted.parameters["coulomb.F_c"]
+    assert f"({shown.std_misfit:.0e}"[1] in fitted.equation  # the equation quotes the wider one
+
+
+def test_a_law_that_holds_has_one_kind_of_deviation():
+    fitted = fit(TUSTIN, study("tustin", BASE, SIX, sigma=1e-5, rng=np.random.default_rng(1))[0])
+    assert fitted.misfit is None
+    assert fitted.summary()["misfit"] is None
+    assert all("std_misfit" not in p for p in fitted.summary()["parameters"].values())
+
+
+# --- masses that swing
+
+
+def swinging(seed, begin, *, F_c=0.25, F_v=0.03, c=0.01, k=64.0, seconds=4.0, sigma=3e-5):
+    """A pendulum with dry, viscous and quadratic friction, by SciPy with events at every reversal."""
+    t = np.arange(round(seconds * 1000)) / 1000
+    x, state, start = np.empty(len(t)), np.array(begin), 0.0
+    while start < t[-1]:
+        s = np.sign(state[1]) or -np.sign(np.sin(state[0]))
+
+        def law(tau, z, s=s):
+            return [z[1], -k * np.sin(z[0]) - F_c * s - F_v * z[1] - c * z[1] * abs(z[1])]
+
+        def turns(tau, z, s=s):
+            return z[1] if tau > start + 1e-6 else s
+
+        turns.terminal = True
+        part = solve_ivp(law, (start, t[-1]), state, events=turns, rtol=1e-10, atol=1e-12, dense_output=True)
+        rows = (t >= start) & (t <= part.t[-1])
+        x[rows] = part.sol(t[rows])[0]
+        start, state = float(part.t[-1]), np.array([part.y[0, -1], 0.0])
+    nan = np.full(len(t), np.nan)
+    noisy = x + sigma * np.random.default_rng(seed).standard_normal(len(t))
+    seen = Displacement(t, noisy, nan, nan, np.full(len(t), sigma), nan, np.ones(len(t), bool))
+    return Run(seen, differentiate(low_pass(seen)), mass=1.0, name=f"swing {seed}")
+
+
+def test_a_swinging_mass_is_followed_through_its_reversals():
+    gravity = effects.formula("gravity", "k*sin(x)", units={"k": "N"})
+    runs = [swinging(0, (-1.2, 0.0)), swinging(1, (0.8, 0.0))]
+    fitted = fit(models.of(["coulomb", "viscous", "drag"]) + gravity, runs)
+    pieces = fitted.solution.problem.pieces
+    assert [p.turns for p in pieces] == [True, True]
+    assert min(len(p.t) for p in pieces) > 3500
+    assert fitted.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    for name, true in {"coulomb.F_c": 0.25, "viscous.F_v": 0.03, "drag.c": 0.01, "gravity.k": 64.0}.items():
+        found = fitted.parameters[name]
+        assert abs(found.value - true) < 4 * found.std
+
+
+def test_what_a_pendulum_lacks_is_found_without_dry_friction_in_the_law():
+    gravity = effects.formula("gravity", "k*sin(x)", units={"k": "N"})
+    runs = [swinging(s, (-1.2, 0.0), c=0.0, seconds=2.5) for s in range(2)]
+    found = diagnose(fit(models.of(["viscous"]) + gravity, runs))
+    assert found.missing == ["coulomb"]
+
+
+def test_a_blow_that_turns_a_mass_is_no_swing():
+    run = swinging(0, (-1.2, 0.0))
+    a = run.motion.a.copy()
+    rows = [slice(0, 1000), slice(1000, 2000)]
+    v = np.where(np.arange(len(a)) < 1000, 1.0, -1.0) * (0.1 + np.abs(run.motion.v))
+    a[995:1005] = 100 * np.max(np.abs(a))
+    struck = replace(run, motion=replace(run.motion, v=v, a=a))
+    assert len(joined(struck, rows)) == 2
