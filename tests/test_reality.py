@@ -173,7 +173,7 @@ def swinging(seed, begin, *, F_c=0.25, F_v=0.03, c=0.01, k=64.0, seconds=4.0, si
         def law(tau, z, s=s):
             return [z[1], -k * np.sin(z[0]) - F_c * s - F_v * z[1] - c * z[1] * abs(z[1])]
 
-        def turns(tau, z, s=s):
+        def turns(tau, z, s=s, start=start):
             return z[1] if tau > start + 1e-6 else s
 
         turns.terminal = True

@@ -88,7 +88,7 @@ def _unrepeated(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
 
 
 def strokes(coordinate: Array) -> list[Rows]:
-    """Rows of the stretches over which a coordinate (n,) goes one way, turns smaller than a quarter of its range left out.
+    """Rows of the stretches over which a coordinate (n,) goes one way, but for turns below a quarter of its range.
 
     Examples
     --------
