@@ -74,7 +74,7 @@ class Findings:
         for finding in new:
             if finding.grade != ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
-                LOG.warning("%s: %s", self.study.path.name, finding)
+                LOG.warning("%s: warning: %s", self.study.path.name, finding)
         gather([str(f) for f in new if f.grade == ERROR], self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:

@@ -29,6 +29,7 @@ BARE_PITCH = Range(
 )
 FPS = Range(5.0, 1e7, "1/s", "from a slow time lapse to in-situ storage sensors (10 million frames a second)")
 SPEED = Range(0.0, 100.0, "m/s", "gas guns aside; the fastest rocket sled ran 2885 m/s (Holloman, 2003)", limit=2885.0)
+TRAVEL = Range(0.0, 100.0, "m", "a free slide; a curling stone goes 30 to 45 m (World Curling)")
 FRICTION = Range(1e-4, 10.0, "1", "from an air bearing to ten times the weight; dry solids in air reach about 1.5")
 USUAL_FRICTION = Range(0.01, 1.0, "1", "most pairs of solids, dry or with boundary lubrication")
 USUAL_SPEED = Range(1e-3, 30.0, "m/s", "sliders in a laboratory")

@@ -9,7 +9,7 @@ from math import sin
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import ALONE, BOTH
 from frictrack.plausibility.legs import Leg, legs_of, mean, total
-from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
+from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, TRAVEL, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
 from frictrack.records import GRAVITY, Run
 
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
@@ -108,6 +108,8 @@ def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
         yield Finding("speed", f"{why}; {hint}", correction, grade=grade)
     elif slide.friction is not None and slide.friction not in FRICTION:
         yield Finding("friction", f"{_friction_words(run, slide)}; {hint}", correction)
+    elif slide.friction is not None and slide.travel not in TRAVEL:
+        yield Finding("scale", f"the mass would slide {slide.travel:.3g} m without a stop; {hint}", correction)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
         yield from _blow(run.mass, slide)
 
