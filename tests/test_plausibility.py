@@ -31,6 +31,7 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Run, Track
+from frictrack.workbench.desk import Desk
 
 NOISE = 1e-5  # m
 FPS = 2000.0
@@ -338,6 +339,18 @@ def test_a_measured_drive_tells_the_mass():
     assert "or the drive is 1000 times too large" in finding.words
 
 
+def test_the_drive_of_a_real_carriage_tells_its_published_mass():
+    """EMPS, 95.1 kg (Janot, Gautier, Brunot 2019)."""
+    q, drive = np.loadtxt(Path(__file__).parent / "data" / "emps_200Hz.csv", delimiter=",").T
+    t = np.arange(len(q)) / 200.0
+    right = run_of(t, q, noise=1e-6, drive=drive, mass=95.1)
+    assert implausible_masses([right]) == ()
+    assert implausible_slide(right, film=False) == ()
+    assert missing_incline(right) is None
+    (finding,) = implausible_masses([replace(right, mass=951.0)])
+    assert finding.correction == 'mass = "95.1 kg"'
+
+
 # --- the flow
 
 
@@ -396,6 +409,13 @@ def test_a_warning_reaches_stderr_and_the_json_of_a_command(
     assert [(w["run"], w["grade"]) for w in told["warnings"]] == [("slow", "warning")]
 
 
+def test_a_warning_heads_the_report(study_file: Path) -> None:
+    edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
+    session = Session(open_study(study_file))
+    assert session.report().read_text(encoding="utf-8").count("To be checked first:</b> mass = 350 has no unit") == 1
+    assert session.results().warnings == session.findings.words
+
+
 def test_a_run_that_was_checked_is_not_doubted(study_file: Path) -> None:
     edit(study_file, 'mass = "0.350 +/- 0.002 kg"', 'mass = 350\nplausible = "checked"')
     session = Session(open_study(study_file))
@@ -439,3 +459,12 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
     assert 'incline = "11 deg"' in str(caught.value)
     with pytest.raises(FrictrackError, match="the mass speeds up by itself"):
         Session(open_study(path)).runs[0].get("friction")
+
+
+def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
+    study_file.unlink()
+    desk = Desk(study_file)
+    assert desk.begin(["slow.csv"], {"mass": "350"})
+    assert "study.toml is written" in desk.said
+    assert "to be checked: mass = 350 has no unit" in desk.said
+    assert desk.wrong

@@ -283,11 +283,12 @@ class Session:
         """
         path = self.study.output / "report.html"
         notes = self._up_to_date(seed)
-        key = digest([__version__, notes, *(hashed(p) for p in self._files())])
+        warnings = self.findings.words
+        key = digest([__version__, notes, warnings, *(hashed(p) for p in self._files())])
         if anew or not _holds(path, key):
             from frictrack import report  # noqa: PLC0415 - draws for seconds
 
-            report.write(replace(stored(self.study), notes=notes), path, key)
+            report.write(replace(stored(self.study), notes=notes, warnings=warnings), path, key)
         return path
 
     def _files(self) -> list[Path]:
@@ -305,7 +306,7 @@ class Session:
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
         notes = self._up_to_date(seed)
-        return replace(stored(self.study), notes=notes)
+        return replace(stored(self.study), notes=notes, warnings=self.findings.words)
 
     def _up_to_date(self, seed: int | None) -> tuple[str, ...]:
         """Do all that is missing or stale; what could not be done, in words."""
@@ -314,7 +315,7 @@ class Session:
                 work.get(stage)
         self.compare()
         self.diagnose(self._seed() if seed is None else seed)
-        return (*self.findings.words, *self.notes, *self._papers())
+        return (*self.notes, *self._papers())
 
     def _seed(self) -> int:
         """The seed of the last diagnosis."""

@@ -187,18 +187,18 @@ def _twice(t: Array, v: Array) -> Array:
 
 
 def _of_drive(run: Run) -> Finding | None:
-    """A mass that the measured drive contradicts: D = m a + F s + c v + b, by least squares."""
+    """A mass that the measured drive contradicts: D = m a + F s + c v + k x + b, by least squares."""
     assert run.drive is not None
     assert run.mass is not None
     moving = run.displacement.valid & is_moving(run)
     if np.count_nonzero(moving) < MIN_FRAMES:
         return None
     a = run.motion.a[moving] + GRAVITY * np.sin(run.incline)
-    v, drive = run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
-    design = np.stack([a, np.sign(v), v, np.ones_like(v)], axis=1)
+    x, v, drive = run.motion.x[moving], run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
+    design = np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1)
     scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
     solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
-    left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 4, 1))
+    left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
     covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
     seen, std = float(solution[0] / scale[0]), TOGETHER * float(np.sqrt(covariance[0, 0])) / float(scale[0])
     power = _power(run.mass, seen) if seen > 0 and std < KNOWN * seen else 0
