@@ -309,11 +309,9 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
     extra = list(extra)
     if not isinstance(text, str):
         return of(text, extra)
-    kind, _, order = text.partition(":")
-    if kind in ("atm1", "atm2"):
-        if not order.isdigit() or int(order) < 1:
-            raise FrictrackError(f'expected an order after the colon, as in "{kind}:2", but got "{text}"', usage=True)
-        model: Model = NAMED[kind](int(order))
+    kind, _, _ = text.partition(":")
+    if kind in ("atm1", "atm2") and "," not in text:
+        model: Model = NAMED[kind](effects.order(text))
         return model
     if text in NAMED:
         named: Model = NAMED[text]()

@@ -120,6 +120,7 @@ class Results:
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be done, in words
+    warnings: tuple[str, ...] = ()  # numbers of the study that are implausible, in words
     outdated: tuple[str, ...] = ()  # what was changed in the study file since all this was made, in words
 
     @property

@@ -30,6 +30,7 @@ INK = """(plots, [r, g, b, k]) => plots.map((plot) => {
     return n;
 })"""
 HERE = re.compile(r"(https?|wss?)://(127\.0\.0\.1|localhost)[:/]|data:|blob:")
+TOKEN = "open-sesame"
 SLOW = 120_000  # ms that work may take on a busy machine
 
 
@@ -111,6 +112,7 @@ class Server:
     process: subprocess.Popen[bytes] | None = None
     paths: str = ""  # where it looks for programs before all others
     port: int = 0
+    token: str = TOKEN  # a new one where it is empty
 
     def start(self) -> Server:
         if not self.port:
@@ -118,6 +120,7 @@ class Server:
                 free.bind(("127.0.0.1", 0))
                 self.port = free.getsockname()[1]
         words = [sys.executable, "-m", "frictrack", "app", str(self.study), "--no-browser", "--port", str(self.port)]
+        words += ["--token", self.token] if self.token else []
         self.process = subprocess.Popen(
             [*words, *self.more], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=self.environment
         )
@@ -139,8 +142,12 @@ class Server:
         return {**os.environ, "PATH": os.pathsep.join(filter(None, (self.paths, os.environ["PATH"])))}
 
     @property
-    def address(self) -> str:
+    def bare_address(self) -> str:
         return f"http://127.0.0.1:{self.port}/"
+
+    @property
+    def address(self) -> str:
+        return f"{self.bare_address}?token={self.token}"
 
 
 Open = Callable[[], Tab]

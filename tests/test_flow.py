@@ -81,7 +81,8 @@ def edit(path: Path, old: str, new: str) -> None:
 
 def test_a_run_goes_through_its_stages_once(study_file: Path, made: list[str]) -> None:
     session(study_file).bring_up_to("friction")
-    assert [m.split()[1] for m in made[:5]] == ["displacement", "sensors", "filtered", "motion", "friction"]
+    of_one = [m.split()[1] for m in made if m.startswith("slow ")]
+    assert of_one == ["displacement", "sensors", "filtered", "motion", "friction"]
     assert len(made) == 15
     made.clear()
     session(study_file).bring_up_to("friction")

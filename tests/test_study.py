@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -296,6 +297,47 @@ def test_columns_name_units_and_signs(folder: Path) -> None:
     np.testing.assert_allclose(data.t, [0, 0.1])
     np.testing.assert_allclose(data.x, [1e-3, 2e-3])
     np.testing.assert_allclose(data.friction, [-5e-6, -6e-6])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t_s;x_m\n0;0\n0,5;2,25\n",
+        "t_s\tx_m\n0\t0\n0,5\t2,25\n",
+        "t_s;x_m;note, any\n0;0;a, b\n0,5;2,25;1.5 V, perhaps\n",
+        't_s;x_m\n0;0\n"0,5";"2,25"\n',
+        "t_s;x_m\n0;0\n0.5;2.25\n",
+        "t_s;x_m\n0;0\n5e-1;,225e1\n",
+        "t_s,x_m,\n0,0,\n0.5,2.25,\n",
+        "t_s,x_m\n0,0,\n0.5,2.25,\n",
+        "t_s,x_m\n0,0,,\n0.5,2.25,,\n",
+    ],
+)
+def test_separator_and_decimal_sign_of_a_table(folder: Path, text: str) -> None:
+    data = read_table(table(folder, text))
+    np.testing.assert_array_equal(data.t, [0.0, 0.5])
+    assert data.x is not None
+    np.testing.assert_array_equal(data.x, [0.0, 2.25])
+
+
+def test_a_decimal_comma_that_comes_late_is_seen(folder: Path) -> None:
+    rows = "".join(f"{i};0\n" for i in range(5000))
+    data = read_table(table(folder, f"t_s;x_m\n{rows}5000,5;0,25\n"))
+    assert (data.t[-1], None if data.x is None else data.x[-1]) == (5000.5, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t_s,x_m\n0,0,7\n0.1,1,7\n", "2 names in the header but 3 fields in row 1; name every column"),
+        ("t_s,x_m\n0,0,\n0.1,1,7\n", "2 names in the header but 3 fields in row 2; name every column"),
+        ("t_s,x_m\n0,0,1,5\n0,1,2,5\n", "2 names in the header but 4 fields in row 1"),
+        ("t_s,x_m\n0,0\n0.1,1,7\n", "Expected 2 fields in line 3, saw 3"),
+    ],
+)
+def test_a_table_with_more_fields_than_names_is_refused(folder: Path, text: str, said: str) -> None:
+    with pytest.raises(FrictrackError, match=re.escape(said)):
+        read_table(table(folder, text))
 
 
 def test_a_table_with_decimal_commas_is_read(folder: Path) -> None:

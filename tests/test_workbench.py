@@ -260,18 +260,18 @@ def test_a_broken_film_gets_one_clear_sentence(tmp_path: Path, tab: Open) -> Non
         server.stop()
 
 
-def test_a_page_for_others_asks_for_its_token(study_file: Path, tab: Open) -> None:
-    server = Server(study_file, ("--token", "sesame")).start()
+def test_the_page_asks_for_its_token(study_file: Path, tab: Open) -> None:
+    server = Server(study_file, token="sesame").start()
     try:
         page = tab()
-        page.page.goto(server.address)
+        page.page.goto(server.bare_address)
         assert "token" in page.page.content()
-        page.page.goto(server.address + "?token=wrong")
+        page.page.goto(server.bare_address + "?token=wrong")
         assert "token" in page.page.content()
         page.faults.clear()  # those were refused, as they should be
-        page.page.goto(server.address + "?token=sesame")
+        page.page.goto(server.address)
         page.sees("1 Film")
-        page.page.goto(server.address)  # the cookie is enough now
+        page.page.goto(server.bare_address)  # the cookie is enough now
         page.sees("1 Film")
     finally:
         server.stop()

@@ -237,9 +237,10 @@ def render(
 @app.command("app")
 def workbench(
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
-    host: Annotated[str, typer.Option(help="whom to serve; others than this machine need the token")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="address on which it is served; 0.0.0.0 for other machines")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="of the page")] = 5006,
-    token: Annotated[str | None, typer.Option(help="word that the page asks for (a new one on other hosts)")] = None,
+    token: Annotated[str | None, typer.Option(help="word that the page asks for (a new one each time)")] = None,
+    name: Annotated[list[str] | None, typer.Option(help="further host name of the page, as behind a proxy")] = None,
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
 ) -> None:
     """The workbench: the whole loop on a local page. Without a study it makes one from recordings."""
@@ -247,4 +248,4 @@ def workbench(
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
     except ModuleNotFoundError as e:
         raise FrictrackError(f'the workbench needs {e.name}; pip install "frictrack[app]"') from e
-    server.serve(study, host=host, port=port, token=token, show=browser)
+    server.serve(study, host=host, port=port, token=token, names=name or (), show=browser)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -42,6 +43,9 @@ from frictrack.errors import FrictrackError
 
 __all__ = ["LIBRARY", "Effect", "Parameter", "Path", "Span", "atm2", "catalogue", "effect", "formula", "get", "known"]
 
+MAX_INSTANCES = 99  # of one effect in a model
+MAX_ORDER = 20  # sines of ATM1 and ATM2: 60 parameters and more; the papers stop at 4
+
 LIBRARY: dict[str, Effect] = {
     e.name: e
     for e in (
@@ -69,11 +73,12 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     `extra` may hold further effects, such as the formulas of a study. Raises FrictrackError (usage) for an unknown
     name, naming the nearest right one.
     """
-    kind, _, suffix = name.partition(":")
-    if suffix and not (suffix.isdigit() and int(suffix) >= 1):
-        raise FrictrackError(f'expected a number after the colon but got "{name}"', usage=True)
+    kind, colon, suffix = name.partition(":")
     if kind == "atm2":
-        return atm2(int(suffix or 2))
+        return atm2(order(name) if colon else 2)
+    number = _counted(suffix, MAX_INSTANCES)
+    if suffix and number is None:
+        raise FrictrackError(f'expected a number up to {MAX_INSTANCES} after the colon but got "{name}"', usage=True)
     table = known(extra)
     if name in table:
         return table[name]
@@ -81,7 +86,26 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
         near = difflib.get_close_matches(kind, [*table, "atm2"], 1)
         hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(table)}, atm2"
         raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
-    return table[kind].called(name) if suffix and int(suffix) > 1 else table[kind]
+    return table[kind].called(name) if number is not None and number > 1 else table[kind]
+
+
+def order(name: str) -> int:
+    """How many sines a model or an effect has by its name, as "atm1:2".
+
+    Raises FrictrackError (usage) for one without an order, or with one beyond `MAX_ORDER`.
+    """
+    kind, _, suffix = name.partition(":")
+    found = _counted(suffix, MAX_ORDER)
+    if found is None:
+        wanted = f'an order from 1 to {MAX_ORDER} after the colon, as in "{kind}:2"'
+        raise FrictrackError(f'expected {wanted}, but got "{name[:40]}"', usage=True)
+    return found
+
+
+def _counted(text: str, most: int) -> int | None:
+    """A number from 1 to `most`; None for another text. `int` reads further scripts, and thousands of digits slowly."""
+    found = int(text) if re.fullmatch(r"[0-9]{1,4}", text) else 0
+    return found if 1 <= found <= most else None
 
 
 def catalogue(extra: Iterable[Effect] = ()) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from frictrack.flow import changes
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import open_study
+from frictrack.flow.plausible import Findings
 from frictrack.flow.stages import Progress, RunWork, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
@@ -29,6 +30,7 @@ from frictrack.store import Entry
 from frictrack.study import Study, nearest
 from frictrack.version import __version__
 
+AFTER_MOTION = ("motion", "events", "cutoff", "friction")  # stages that rest on the motion, and itself
 EDITS = ("fit", "add", "remove")  # of the model
 CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
     "edit": changes.edit,
@@ -75,6 +77,7 @@ class Session:
         self.study = study
         self.runs = [RunWork(study, run, self.progress) for run in study.runs]
         self.tried = Tried(study, self.runs, self.progress, self.ledger)
+        self.findings = Findings(study)
         self.path = study.output / "study.h5"
 
     def apply(self, do: str, **told: Any) -> dict[str, Any]:
@@ -96,13 +99,26 @@ class Session:
         return found
 
     def bring_up_to(self, stage: str) -> list[RunWork]:
-        """Do every run up to a stage of its table; a table has no recording and no track to do."""
+        """Do every run up to a stage of its table; a table has no recording and no track to do.
+
+        What was typed is checked first, and the motion before anything is made of it. Raises `FrictrackError` for what
+        cannot be right.
+        """
+        self.findings.of_study()
+        if stage in AFTER_MOTION:
+            self._each("motion")
+            self.findings.of_runs(self.runs)
+        self._each(stage)
+        if stage == "friction":
+            self.findings.of_all(self.runs)
+        return self.runs
+
+    def _each(self, stage: str) -> None:
         for i, work in enumerate(self.runs):
             self.progress(i, len(self.runs), "runs")
             if stage in work.stages:
                 work.get(stage)
         self.progress(len(self.runs), len(self.runs), "runs")
-        return self.runs
 
     def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
         """Every run up to `track`, `motion` or `friction`: JSON of those commands. A motion has its cut-off priced.
@@ -115,7 +131,7 @@ class Session:
         works = self.bring_up_to("tracks" if stage == "track" else stage)
         if stage != "track":
             self.bring_up_to("cutoff")
-        return {"runs": summary(works, stage), "output": str(self.study.output)}
+        return {"runs": summary(works, stage), "warnings": self.findings.summary, "output": str(self.study.output)}
 
     @one_at_a_time
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
@@ -137,7 +153,7 @@ class Session:
             group, spec = self.tried.append(replace(spec, **asked), model=model, **how)
         if profiles or draws:
             self._make_sure(group, profiles, draws, spec.seed)
-        return {**self._summary(group), "scale_error": self._scale_error()}
+        return {**self._summary(group), "scale_error": self._scale_error(), "warnings": self.findings.summary}
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
@@ -206,7 +222,7 @@ class Session:
         found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec), self._told()]), seed)
         if store.stamp(self.path, "diagnosis") != store.stamp(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
-        return found
+        return {**found, "warnings": self.findings.summary}
 
     def _told(self) -> list[Any]:
         """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen of the runs."""
@@ -256,7 +272,8 @@ class Session:
         self.compare()
         diagnosis = self.diagnose(seed)
         self.report(seed, anew=False)
-        return {"fit": fit, "diagnose": diagnosis, "output": str(self.study.output)}
+        warnings = self.findings.summary
+        return {"fit": fit, "diagnose": diagnosis, "warnings": warnings, "output": str(self.study.output)}
 
     @one_at_a_time
     def report(self, seed: int | None = None, *, anew: bool = True) -> Path:
@@ -266,11 +283,12 @@ class Session:
         """
         path = self.study.output / "report.html"
         notes = self._up_to_date(seed)
-        key = digest([__version__, notes, *(hashed(p) for p in self._files())])
+        warnings = self.findings.words
+        key = digest([__version__, notes, warnings, *(hashed(p) for p in self._files())])
         if anew or not _holds(path, key):
             from frictrack import report  # noqa: PLC0415 - draws for seconds
 
-            report.write(replace(stored(self.study), notes=notes), path, key)
+            report.write(replace(stored(self.study), notes=notes, warnings=warnings), path, key)
         return path
 
     def _files(self) -> list[Path]:
@@ -288,7 +306,7 @@ class Session:
     def results(self, seed: int | None = None) -> Results:
         """All that the study has come to, for the report and the export."""
         notes = self._up_to_date(seed)
-        return replace(stored(self.study), notes=notes)
+        return replace(stored(self.study), notes=notes, warnings=self.findings.words)
 
     def _up_to_date(self, seed: int | None) -> tuple[str, ...]:
         """Do all that is missing or stale; what could not be done, in words."""

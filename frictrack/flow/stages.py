@@ -25,6 +25,7 @@ from frictrack.flow.beside import known, own_table, sensed
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level, trade
+from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import (
     Array,
     Displacement,
@@ -300,10 +301,21 @@ def _filtered(work: RunWork, displacement: Displacement, sensors: Sensors) -> Fi
 def _friction(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
     run = _run(work, displacement, motion, sensors)
     if run.mass is not None or run.friction_N is not None:
-        return friction(run)
+        return _judged(work, run)
     weighed, says = _weighed(run)
     found = friction(weighed)
     return replace(found, reason=f"{found.reason}; {says}")
+
+
+def _judged(work: RunWork, run: Run) -> Friction:
+    """The friction of a run; where it has no free section, what is missing for one."""
+    try:
+        return friction(run)
+    except FrictrackError as e:
+        lacks = missing_incline(run, path_angle(work.get("track")) if "track" in work.stages else None)
+        if lacks is None:
+            raise
+        raise FrictrackError(lacks.words) from e
 
 
 def _weighed(run: Run) -> tuple[Run, str]:

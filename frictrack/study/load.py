@@ -196,7 +196,13 @@ class _Reader:
             came = "neither" if run.video is None else "both"
             self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
             return run
-        inherited = {"mass": head.mass, "fps": camera.fps, "scale": camera.scale, "lens": camera.lens}
+        inherited = {
+            "mass": head.mass,
+            "plausible": head.plausible,
+            "fps": camera.fps,
+            "scale": camera.scale,
+            "lens": camera.lens,
+        }
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
         if run.table and needs_film(run.scale):  # the camera's board says nothing of a table

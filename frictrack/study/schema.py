@@ -291,6 +291,7 @@ class StudyTable(Keys):
     mass: Mass | None = None
     model: Annotated[Any, BeforeValidator(_model)] = "tustin"
     output: str = ""
+    plausible: Literal["checked"] | None = None  # all numbers are right, whatever they look like
 
 
 class CameraTable(Keys):
@@ -331,6 +332,7 @@ class RunTable(Keys):
     group: str = ""
     role: Literal["fit", "validation"] = "fit"
     note: str = ""
+    plausible: Literal["checked"] | None = None  # its numbers are right, whatever they look like
 
     @property
     def source(self) -> Path | Remote:

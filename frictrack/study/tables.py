@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
+FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number that shows its decimal sign
 MOST_UNPACKED = 256 << 20  # bytes of a workbook
 MOST = 1e12  # SI units: beyond anything that slides
 SHORTEST = 1e-9  # s between rows
@@ -149,7 +151,7 @@ def _frame(path: Path) -> pd.DataFrame:
     try:
         if path.suffix.lower() in (".xlsx", ".xls"):
             return _sheet(path)
-        return pd.read_csv(path, comment="#", encoding="utf-8-sig", **_dialect(path))
+        return _named(pd.read_csv(path, comment="#", encoding="utf-8-sig", **_dialect(path)))
     except ImportError as e:
         raise FrictrackError(f"{path.name}: reading Excel needs openpyxl; pip install frictrack[xlsx]") from e
     except (OSError, ValueError, KeyError) as e:  # ValueError covers pandas' parser and Unicode errors
@@ -188,11 +190,37 @@ def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
             yield row
 
 
+def _named(frame: pd.DataFrame) -> pd.DataFrame:
+    """The columns under their own names: of rows with more fields than names pandas takes the first for labels.
+
+    A separator at the end of every row is left out. Raises `ValueError` where the further fields hold something.
+    """
+    import pandas as pd  # noqa: PLC0415
+
+    if isinstance(frame.index, pd.RangeIndex):
+        return frame
+    names = frame.columns
+    whole = frame.reset_index()
+    filled = np.flatnonzero(whole.iloc[:, len(names) :].notna().any(axis=1))
+    if len(filled):
+        got = int(whole.iloc[int(filled[0])].notna().to_numpy().nonzero()[0][-1]) + 1
+        hint = "name every column; decimal commas need a semicolon between the columns"
+        raise ValueError(f"{len(names)} names in the header but {got} fields in row {filled[0] + 1}; {hint}")
+    return whole.iloc[:, : len(names)].set_axis(names, axis=1)
+
+
 def _dialect(path: Path) -> dict[str, Any]:
-    """Separator and decimal sign as the first two lines show them."""
+    """Separator and decimal sign: as the first lines show them, where none of the two could be the other."""
     with path.open(encoding="utf-8-sig") as file:
-        lines = [line for line in file.readlines(20_000) if line.strip() and not line.startswith("#")][:2]
-    header = lines[0] if lines else ""
-    separator = max("\t;,", key=header.count)
-    german = separator != "," and len(lines) == 2 and "," in lines[1]
-    return {"sep": separator, "decimal": "," if german else "."}
+        lines = (line for line in file if line.strip() and not line.startswith("#"))
+        head = list(itertools.islice(lines, 3))
+        separator = _separator(head)
+        cells = (cell.strip() for line in itertools.chain(head[1:], lines) for cell in line.split(separator))
+        decimal = "." if separator == "," else next((sign[1] for cell in cells if (sign := FRACTION.match(cell))), ".")
+    return {"sep": separator, "decimal": decimal}
+
+
+def _separator(head: Sequence[str]) -> str:
+    """What stands as often in the header as in the rows below it, and most often."""
+    counts = {sign: [line.count(sign) for line in head] for sign in "\t;,"}
+    return max(counts, key=lambda sign: (len(set(counts[sign])) == 1 and counts[sign][0] > 0, sum(counts[sign][:1])))

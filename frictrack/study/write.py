@@ -50,7 +50,8 @@ drive = "drive.csv"         what pushes it, with its own clock (t_s, drive_N); o
                             {table = "p.csv", area = "3.14 cm^2", until = "release"}; then also mass = "fit"
 sensor = "acc.csv"          an accelerometer or load cell beside the camera (t_s, a_m_s2 or friction_N), its own clock
 impact_energy = "2 J"       of the hammer: more kinetic energy than that cannot be
-role = "validation"         not fitted, only predicted"""
+role = "validation"         not fitted, only predicted
+plausible = "checked"       its mass, scale, speed and incline are right, however unusual they look"""
 
 EFFECT = """What is known of an effect beside the runs, in every model that has it; `frictrack effects` lists them:
 [[effect]]

@@ -16,6 +16,7 @@ import param
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, start_study, stored
 from frictrack.flow.ledger import Ledger
+from frictrack.flow.plausible import Findings
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.study import RunTable, Study, find_recordings, written
 from frictrack.workbench import jobs
@@ -138,8 +139,14 @@ class Desk(param.Parameterized):
         except FrictrackError as e:
             self.tell(str(e), wrong=True)
             return False
-        self.tell(f"{self.path.name} is written; now run everything")
+        found = Findings(open_study(self.path))
+        found.of_study()
+        self._tell_done(f"{self.path.name} is written; now run everything", found.words)
         return True
+
+    def _tell_done(self, words: str, warnings: Sequence[str]) -> None:
+        """Say that something is done, and what is implausible in the study."""
+        self.tell("; ".join([words, *(f"to be checked: {warning}" for warning in warnings)]), wrong=bool(warnings))
 
     def do(self, do: str, **told: Any) -> bool:
         """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
@@ -189,7 +196,9 @@ class Desk(param.Parameterized):
         ended, self.job, self.busy = self.job, None, {}
         words = " ".join((spec["do"], *(str(v) for v in spec["told"].values() if v is not None)))
         if state == jobs.DONE:
-            self.tell(f"{words}: done")
+            made = ended.result["done"]
+            warnings = made.get("warnings", []) if isinstance(made, dict) else []
+            self._tell_done(f"{words}: done", [warning["words"] for warning in warnings])
             if spec["do"] == "attempt":
                 self._attempted(ended)
             elif spec["do"] in ("add", "remove", "fit"):

@@ -1,0 +1,27 @@
+"""Check that what was typed is plausible: mass, scale, frame rate, units, incline; before minutes are spent on it.
+
+`implausible` looks at the study file alone, `implausible_slide`, `missing_incline` and `wrong_incline` at one measured
+run, `implausible_masses` at all runs together. Every finding says what was read, why it is implausible, and what to
+type instead. The ranges stand in `ranges`, each with its source.
+"""
+
+from frictrack.plausibility.finding import ERROR, WARNING, Finding
+from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
+from frictrack.plausibility.masses import implausible_masses
+from frictrack.plausibility.slide import Slide, implausible_slide, slide_of
+from frictrack.plausibility.typed import Typed, implausible
+
+__all__ = [
+    "ERROR",
+    "WARNING",
+    "Finding",
+    "Slide",
+    "Typed",
+    "implausible",
+    "implausible_masses",
+    "implausible_slide",
+    "missing_incline",
+    "path_angle",
+    "slide_of",
+    "wrong_incline",
+]

@@ -1,0 +1,41 @@
+"""A finding about what was typed: what was read, why it is implausible, and what to type instead."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+WARNING, ERROR = "warning", "error"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence on one number of a study.
+
+    Parameters
+    ----------
+    kind
+        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline".
+    words
+        The sentence, the likely correction in it.
+    correction
+        What to type instead, as the study file has it; empty where nothing is likely.
+    run
+        Name of the run; empty where the whole study is meant.
+    grade
+        "error" where the number cannot be right, else "warning".
+
+    """
+
+    kind: str
+    words: str
+    correction: str = ""
+    run: str = ""
+    grade: str = WARNING
+
+    def __str__(self) -> str:
+        return f'run "{self.run}": {self.words}' if self.run else self.words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry of the JSON."""
+        return {**asdict(self), "words": str(self)}

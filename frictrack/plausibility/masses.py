@@ -1,0 +1,212 @@
+"""Find the run whose mass (or load, scale, frame rate) was mistyped by a power of ten, by what the other runs show.
+
+Friction that goes with the weight slows all masses alike: a = -mu g, so a wrong mass is absorbed. What tells it:
+
+- a stated normal load: friction over load is the same for all runs, F = m a, so it is off by the mass' own factor,
+- friction that goes with the speed and not with the load: its part of the deceleration goes with 1/m,
+- a measured drive: D = m a + F.
+
+Without any of these, a mass that is an exact power of ten of all others, which agree, is remarked only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.friction import is_moving
+from frictrack.plausibility.finding import Finding
+from frictrack.plausibility.legs import CERTAIN, TOGETHER
+from frictrack.plausibility.slide import Slide, slide_of
+from frictrack.records import GRAVITY, Array, Run
+
+AGREE = 0.2  # decades within which the other runs agree, or two numbers are the same up to a power of ten
+EXACT = 0.02  # decades: the same weighing up to a power of ten
+MIN_FRAMES = 20
+KNOWN = 0.1  # relative deviation of a mass that the drive tells
+FEWEST = 3  # runs, of which two agree against the third
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What one run says of its mass: typed (kg), and seen in several ways; None where it cannot be seen.
+
+    Parameters
+    ----------
+    run
+        The run.
+    slide
+        Its speed and friction.
+    rate
+        By how much the deceleration rises with the speed, 1/s: friction over mass that goes with the speed.
+
+    """
+
+    run: Run
+    slide: Slide
+    rate: float | None
+
+
+def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
+    """Warnings on runs that disagree with all others by a power of ten, each with the number that would agree.
+
+    Parameters
+    ----------
+    runs
+        All runs of a study; fewer than three struck or pushed ones cannot disagree with each other.
+
+    Returns
+    -------
+    tuple of Finding
+        At most one per run.
+
+    """
+    driven = (_of_drive(run) for run in runs if run.drive is not None and run.mass is not None)
+    slides = [weighed for run in runs if (weighed := _weighed(run)) is not None]
+    return (*(found for found in driven if found), *_among(slides))
+
+
+def _weighed(run: Run) -> Weighed | None:
+    if run.drive is not None or run.friction_N is not None or run.mass is None:
+        return None
+    slide = slide_of(run)
+    return None if slide is None or slide.friction is None else Weighed(run, slide, _rate(run))
+
+
+def _among(slides: Sequence[Weighed]) -> Iterator[Finding]:
+    """What each run has against all others."""
+    for i, one in enumerate(slides):
+        others = [*slides[:i], *slides[i + 1 :]]
+        found = (_by_load(one, others) or _by_mass(one, others)) if len(slides) >= FEWEST else None
+        if found is not None:
+            yield found
+
+
+def _by_load(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
+    """A friction coefficient that is a power of ten off that of the others, which agree."""
+    own, common = one.slide.friction, _common([w.slide.friction for w in others])
+    power = _power(own, common)
+    if not power or common is None or own is None or one.run.mass is None:
+        return None
+    why = f"the friction coefficient comes out {own:.2g} where the other runs have {common:.2g}"
+    if one.run.normal_load is not None:
+        line = f'mass = "{one.run.mass / 10.0**power:g} kg"'
+        words = f"{why}; the mass of {one.run.mass:g} kg, or its normal load, is {_times(power)}: probably {line}"
+        return Finding("mass", words, line, one.run.name)
+    filmed = one.run.pixel_pitch is not None
+    unit = "its scale" if filmed else "its unit of length"
+    clock = f", or its {'fps' if filmed else 'unit of time'} {_times(power // 2)}" if power % 2 == 0 else ""
+    return Finding("scale", f"{why}; probably {unit} is {_times(power)}{clock}", "", one.run.name)
+
+
+def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
+    """A mass that is a power of ten off that of the others, which agree."""
+    own, common = one.run.mass, _common([w.run.mass for w in others])
+    power = _power(own, common)
+    if not power or common is None or own is None:
+        return None
+    line = f'mass = "{own / 10.0**power:g} kg"'
+    rate = _common([w.rate for w in others])
+    if one.rate is not None and rate is not None:
+        if abs(np.log10(one.rate / rate)) > AGREE:  # it goes with 1/m, as it should, or with something else
+            return None
+        words = (
+            f"a mass of {own:g} kg is {_times(power)} that of the other runs ({common:g} kg), but the friction that "
+            f"goes with the speed slows it as it slows them; probably {line}"
+        )
+        return Finding("mass", words, line, one.run.name)
+    if abs(np.log10(own / common) - power) > EXACT:
+        return None
+    words = (
+        f"a mass of {own:g} kg is exactly {_times(power)} that of the other runs ({common:g} kg), and friction that "
+        f'goes with the weight cannot show which is right; was {line} meant? If not, plausible = "checked" ends this'
+    )
+    return Finding("mass", words, line, one.run.name)
+
+
+def _times(power: int) -> str:
+    return f"{10**power:g} times too large" if power > 0 else f"{10**-power:g} times too small"
+
+
+def _common(values: Sequence[float | None]) -> float | None:
+    """The median of values that are all known and agree; None where they do not, or are fewer than two."""
+    known = np.array([v for v in values if v is not None and v > 0])
+    if len(known) < max(len(values), FEWEST - 1) or np.ptp(np.log10(known)) > AGREE:
+        return None
+    return float(np.median(known))
+
+
+def _power(own: float | None, common: float | None) -> int:
+    """The power of ten, other than 0, by which two numbers differ; 0 where they do not differ by one."""
+    if own is None or common is None or own <= 0:
+        return 0
+    decades = float(np.log10(own / common))
+    power = round(decades)
+    return power if abs(decades - power) < AGREE else 0
+
+
+def _rate(run: Run) -> float | None:
+    """How fast the deceleration rises with the speed, 1/s, over the slowing part; None where it is not certain.
+
+    x = x0 + v0 t - f int int s - c int int v, by least squares: with v the smoothed velocity, the integral of an
+    integral of it is known far better than its derivative.
+    """
+    rows = _slowing(run)
+    if len(rows) < MIN_FRAMES:
+        return None
+    t, x, v = run.motion.t[rows], run.displacement.x[rows], run.motion.v[rows]
+    u = t - t[0]
+    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -_twice(u, v)], axis=1)
+    scale = np.abs(design).max(axis=0)
+    solution = np.linalg.lstsq(design / scale, x, rcond=None)[0]
+    left = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
+    covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
+    rate, std = float(solution[3] / scale[3]), TOGETHER * float(np.sqrt(covariance[3, 3])) / float(scale[3])
+    return rate if rate > CERTAIN * std else None
+
+
+def _slowing(run: Run) -> Array:
+    """Rows of the longest stretch after the highest speed."""
+    moving = run.displacement.valid & is_moving(run)
+    speed = np.where(moving, np.abs(run.motion.v), 0.0)
+    first = int(np.argmax(speed))
+    ends = [e[0] for e in run.motion.events if e[0] > first]
+    stops = np.flatnonzero(~moving[first:]) + first
+    last = min([*ends, *stops[:1].tolist(), len(speed)])
+    begin = next((e[1] + 1 for e in run.motion.events if e[0] <= first <= e[1]), first)
+    return np.arange(begin, last)
+
+
+def _twice(t: Array, v: Array) -> Array:
+    """The integral of the integral of a velocity (n,), from the first frame."""
+    step = np.diff(t)
+    once = np.concatenate([[0.0], np.cumsum(step * (v[1:] + v[:-1]) / 2)])
+    return np.concatenate([[0.0], np.cumsum(step * (once[1:] + once[:-1]) / 2)])
+
+
+def _of_drive(run: Run) -> Finding | None:
+    """A mass that the measured drive contradicts: D = m a + F s + c v + k x + b, by least squares."""
+    assert run.drive is not None
+    assert run.mass is not None
+    moving = run.displacement.valid & is_moving(run)
+    if np.count_nonzero(moving) < MIN_FRAMES:
+        return None
+    a = run.motion.a[moving] + GRAVITY * np.sin(run.incline)
+    x, v, drive = run.motion.x[moving], run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
+    design = np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1)
+    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
+    left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
+    covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
+    seen, std = float(solution[0] / scale[0]), TOGETHER * float(np.sqrt(covariance[0, 0])) / float(scale[0])
+    power = _power(run.mass, seen) if seen > 0 and std < KNOWN * seen else 0
+    if not power:
+        return None
+    line = f'mass = "{run.mass / 10.0**power:g} kg"'
+    words = (
+        f"the drive moves it as a mass of {seen:.3g} kg, but mass = {run.mass:g} kg; probably {line}, or the drive is "
+        f"{_times(-power)}"
+    )
+    return Finding("mass", words, line, run.name)

@@ -1,0 +1,157 @@
+"""Only its own user reaches the page: host, origin and token of every request are checked."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from browser import CHROMIUM, TOKEN, Open, Server
+from tornado.httputil import HTTPHeaders, HTTPServerRequest, RequestStartLine
+
+from frictrack.workbench.guard import Guard, address_of
+
+PATHS = ("/", "/ws", "/autoload.js?bokeh-autoload-element=a", "/metadata", "/static/js/bokeh.min.js", "/favicon.ico")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    server = Server(tmp_path_factory.mktemp("guarded")).start()
+    yield server
+    server.stop()
+
+
+def ask(server: Server, path: str = "/", *, method: str = "GET", **headers: str) -> tuple[int, str, str]:
+    """Status, body and Set-Cookie of the answer to one request with these headers."""
+    link = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
+    try:
+        link.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+        answer = link.getresponse()
+        body = answer.read() if answer.status != 101 else b""
+        return answer.status, body.decode(errors="replace"), answer.getheader("Set-Cookie") or ""
+    finally:
+        link.close()
+
+
+def knock(server: Server, path: str = "/ws", **headers: str) -> int:
+    """Status of the answer to the handshake of a WebSocket."""
+    session = base64.urlsafe_b64encode(b'{"session_id": "s", "session_expiry": 9999999999}').decode().rstrip("=")
+    key = base64.b64encode(os.urandom(16)).decode()
+    wanted = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec_WebSocket_Version": "13", "Sec_WebSocket_Key": key}
+    return ask(server, path, **{"Sec_WebSocket_Protocol": f"bokeh, {session}"}, **wanted, **headers)[0]
+
+
+@pytest.fixture(scope="module")
+def cookie(bench: Server) -> str:
+    status, body, held = ask(bench, f"/?token={TOKEN}")
+    assert status == 200
+    assert "refresh" in body
+    assert TOKEN not in body + held
+    assert "HttpOnly" in held
+    assert "SameSite=Strict" in held
+    return held.split(";")[0]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_nothing_is_served_without_the_token(path: str, bench: Server) -> None:
+    status, body, held = ask(bench, path)
+    assert (status, held) == (403, "")
+    assert body == "Expected the address with its token: copy it from where frictrack app was started."
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("name", ["evil.com", "evil.com:5006", "127.0.0.1.evil.com", "localhost.evil.com", "[", ""])
+def test_a_foreign_host_is_refused_with_the_token_and_the_cookie(
+    path: str, name: str, bench: Server, cookie: str
+) -> None:
+    joined = path + ("&" if "?" in path else "?") + f"token={TOKEN}"
+    status, body, held = ask(bench, joined, Host=name, Origin=f"http://{name}", Cookie=cookie)
+    assert status in (400, 403)  # what is no host at all is no request either
+    assert held == ""
+    if name == "evil.com":
+        assert body.startswith('Expected the name of this machine as the host but got "evil.com"')
+
+
+@pytest.mark.parametrize("origin", ["http://evil.com", "null", "http://127.0.0.1:1", "file://"])
+@pytest.mark.parametrize("method", ["GET", "POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
+def test_a_request_of_another_page_is_refused(method: str, origin: str, bench: Server, cookie: str) -> None:
+    status, body, _ = ask(bench, "/", method=method, Origin=origin, Cookie=cookie)
+    assert status == 403
+    assert method == "HEAD" or body == f'Expected a request of the page itself but got one of "{origin}".'
+
+
+def test_a_websocket_needs_host_origin_and_cookie(bench: Server, cookie: str) -> None:
+    own = f"127.0.0.1:{bench.port}"
+    assert knock(bench, Host="evil.com", Origin="http://evil.com", Cookie=cookie) == 403
+    assert knock(bench, f"/ws?token={TOKEN}", Host="evil.com", Origin="http://evil.com") == 403
+    assert knock(bench, Host=own, Origin="http://evil.com", Cookie=cookie) == 403
+    assert knock(bench, Host=own, Origin=f"http://{own}") == 403
+    assert knock(bench, "/ws?token=wrong", Host=own, Origin=f"http://{own}") == 403
+    assert knock(bench, Host=own, Origin=f"http://{own}", Cookie="frictrack=1") == 403
+    assert knock(bench, Host=own, Origin=f"http://{own}", Cookie=cookie) == 101
+    assert knock(bench, f"/ws?token={TOKEN}", Host=own, Origin=f"http://{own}") == 101
+
+
+@pytest.mark.parametrize("path", PATHS[2:])
+def test_everything_is_served_with_the_cookie(path: str, bench: Server, cookie: str) -> None:
+    status, body, _ = ask(bench, path, Cookie=cookie)
+    assert status in (200, 404)
+    assert "token:" not in body
+
+
+def test_the_page_is_served_with_the_cookie_under_every_name_of_the_loopback(bench: Server, cookie: str) -> None:
+    for name in ("127.0.0.1", "localhost", "[::1]"):
+        status, body, _ = ask(bench, Host=f"{name}:{bench.port}", Cookie=cookie)
+        assert (status, "<title>frictrack</title>" in body) == (200, True)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+def test_the_token_does_not_stay_in_the_address(bench: Server, tab: Open) -> None:
+    page = tab().open(bench)
+    assert page.page.url == bench.bare_address
+    page.page.goto(bench.bare_address)
+    page.sees("1 Film")
+
+
+def request(host: str, path: str = "/") -> HTTPServerRequest:
+    start = RequestStartLine("GET", path, "HTTP/1.1")
+    return HTTPServerRequest(start_line=start, headers=HTTPHeaders({"Host": host}))
+
+
+@pytest.mark.parametrize(
+    ("host", "name", "accepted"),
+    [
+        ("0.0.0.0", "192.168.1.5:5006", True),
+        ("0.0.0.0", "[fe80::1]:5006", True),
+        ("0.0.0.0", "evil.com:5006", False),
+        ("0.0.0.0", "lab.example.org", True),
+        ("127.0.0.1", "192.168.1.5:5006", False),
+        ("127.0.0.1", "lab.example.org", True),
+        ("127.0.0.1", "LOCALHOST.:5006", True),
+    ],
+)
+def test_names_of_this_machine(host: str, name: str, accepted: bool) -> None:
+    guard = Guard("sesame", host, ("lab.example.org",))
+    assert (guard.fault(request(name, "/?token=sesame")) == "") is accepted
+
+
+def test_every_port_has_its_own_cookie() -> None:
+    names = {Guard("a").cookie(request(f"127.0.0.1:{port}")) for port in (5006, 5007)}
+    assert len(names) == 2
+
+
+def test_addresses_to_open() -> None:
+    assert address_of("127.0.0.1", 5006, "a-b") == "http://127.0.0.1:5006/?token=a-b"
+    assert address_of("::1", 80) == "http://[::1]:80/"
+
+
+def test_a_token_is_made_where_none_is_given(tmp_path: Path) -> None:
+    server = Server(tmp_path, token="").start()
+    try:
+        assert ask(server)[0] == 403
+        assert ask(server, "/?token=")[0] == 403
+    finally:
+        server.stop()

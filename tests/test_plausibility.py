@@ -1,0 +1,470 @@
+"""What was typed is checked: every mistyped number is named with its correction, and no right one is doubted."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, radians, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from frictrack.blind.draw import draw
+from frictrack.blind.write import write_study
+from frictrack.cli import main
+from frictrack.errors import FrictrackError
+from frictrack.flow import Session, open_study
+from frictrack.motion import differentiate, low_pass
+from frictrack.plausibility import (
+    ERROR,
+    Typed,
+    implausible,
+    implausible_masses,
+    implausible_slide,
+    missing_incline,
+    path_angle,
+    slide_of,
+    wrong_incline,
+)
+from frictrack.records import GRAVITY, Array, Displacement, Run, Track
+from frictrack.workbench.desk import Desk
+
+NOISE = 1e-5  # m
+FPS = 2000.0
+
+
+def run_of(t: Array, x: Array, *, noise: float = NOISE, seed: int = 0, **known) -> Run:
+    """A measured run of a motion x(t) with white noise."""
+    nan = np.full(len(t), np.nan)
+    noisy = x + noise * np.random.default_rng(seed).standard_normal(len(t))
+    sigma = np.full(len(t), noise)
+    valid = np.ones(len(t), dtype=bool)
+    displacement = Displacement(t=t, x=noisy, y=nan, angle=nan, sigma_x=sigma, sigma_y=nan, valid=valid)
+    return Run(displacement, differentiate(low_pass(displacement)), **({"mass": 0.35} | known))
+
+
+def moved(
+    force: Callable[[float, float, float], float], x0: float, v0: float, seconds: float, fps: float = FPS
+) -> tuple[Array, Array]:
+    """Motion under an acceleration that is a function of t, x, v."""
+    t = np.arange(round(seconds * fps)) / fps
+    found = solve_ivp(lambda s, y: [y[1], force(s, y[0], y[1])], (0, t[-1]), [x0, v0], t_eval=t, rtol=1e-9, atol=1e-12)
+    return t, found.y[0]
+
+
+def struck(
+    mu: float = 0.3, v0: float = 2.0, viscous: float = 0.0, mass: float = 0.35, fps: float = FPS
+) -> tuple[Array, Array]:
+    """A slider that was struck, up to half of its speed."""
+    seconds = 0.5 * v0 / (mu * GRAVITY + viscous / mass * v0)
+    return moved(lambda t, x, v: -mu * GRAVITY - viscous / mass * v, 0.0, v0, seconds, fps)
+
+
+def slid(degrees: float, mu: float, seconds: float = 0.4, rest: float = 0.1) -> tuple[Array, Array]:
+    """A mass that is let go on a course that falls toward +x, from rest."""
+    t = np.arange(round(seconds * FPS)) / FPS
+    a = GRAVITY * (sin(radians(degrees)) - mu * cos(radians(degrees)))
+    return t, a * np.maximum(t - rest, 0.0) ** 2 / 2
+
+
+# --- the study file alone
+
+
+@pytest.mark.parametrize(
+    ("typed", "said", "correction"),
+    [
+        ({"mass": 350.0, "bare": {"mass"}}, "mass = 350 has no unit and was read as 350 kg", 'mass = "350 g"'),
+        ({"mass": 5000.0}, "a mass of 5000 kg lies outside 0.0001 to 1000 kg", 'mass = "5 kg"'),
+        ({"mass": 3.5e-7}, "a mass of 3.5e-07 kg lies outside 0.0001 to 1000 kg", 'mass = "0.00035 kg"'),
+        ({"pitch": 0.5, "bare": {"scale"}}, "scale = 0.5 has no unit and was read as 0.5 m/px", 'scale = "0.5 mm/px"'),
+        ({"pitch": 0.5}, "1000 px would be 500 m wide", 'scale = "0.5 mm/px"'),
+        ({"fps": 4.0}, "fps = 4 lies outside 5 to 1e+07 frames a second", "fps = 4000"),
+        ({"fps": 4e9}, "fps = 4e+09 lies outside", ""),
+        ({"incline": 1.2, "bare": {"incline"}}, "was read as rad, which are 68.8 deg", 'incline = "1.2 deg"'),
+    ],
+)
+def test_a_mistyped_number_is_named_with_its_correction(typed, said, correction):
+    (finding,) = implausible(Typed("a", **{**typed, "bare": frozenset(typed.get("bare", ()))}))
+    assert said in finding.words
+    assert finding.correction == correction
+    assert correction in finding.words
+    assert str(finding).startswith('run "a": ')
+    assert finding.words.count(". ") == 0  # one sentence
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        {},
+        {"mass": 0.35, "pitch": 5e-4, "fps": 4000.0, "bare": {"mass", "scale"}},
+        {"mass": 95.1},  # EMPS
+        {"mass": 350.0},  # its unit was typed
+        {"mass": 0.002, "pitch": 1e-6, "fps": 5e6},
+        {"incline": radians(60.0)},
+        {"incline": -0.4, "bare": {"incline"}},
+    ],
+)
+def test_right_numbers_are_not_doubted(typed):
+    assert implausible(Typed("a", **{**typed, "bare": frozenset(typed.get("bare", ()))})) == ()
+
+
+# --- one run: units
+
+
+@pytest.mark.parametrize(
+    ("length", "time", "said"),
+    [
+        (1e3, 1.0, "x_m holds mm"),
+        (1.0, 1e3, "t_s holds ms"),
+        (1e6, 1.0, "x_m holds um"),
+        (1.0, 1e6, "t_s holds us"),
+        (1e3, 1e3, "t_s holds ms and x_m mm"),
+    ],
+)
+def test_units_of_a_table_are_recognised(length, time, said):
+    t, x = struck()
+    (finding,) = implausible_slide(run_of(time * t, length * x, noise=length * NOISE), film=False)
+    assert said in finding.words
+    assert said in finding.correction
+
+
+@pytest.mark.parametrize(
+    ("scale", "fps", "said", "grade"),
+    [
+        (1e3, 1.0, "the scale is a thousand times too large", "warning"),
+        (1e4, 1.0, "faster than anything on rails (2885 m/s)", ERROR),
+        (1.0, 1e-3, "fps is a thousand times too small", "warning"),
+    ],
+)
+def test_scale_and_frame_rate_of_a_film_are_recognised(scale, fps, said, grade):
+    t, x = struck()
+    run = run_of(t / fps, scale * x, noise=scale * NOISE)
+    (finding,) = implausible_slide(run, film=True)
+    assert said in finding.words
+    assert finding.grade == grade
+
+
+@pytest.mark.parametrize("mu", [0.02, 0.05, 0.3, 2.33, 4.0])
+def test_friction_of_a_struck_slide_is_found_and_not_doubted(mu):
+    run = run_of(*struck(mu))
+    slide = slide_of(run)
+    assert slide is not None
+    assert slide.friction == pytest.approx(mu, rel=0.02)
+    assert slide.speed == pytest.approx(2.0, rel=0.1)
+    assert implausible_slide(run, film=True) == ()
+
+
+def test_a_load_that_does_not_fit_is_named():
+    run = run_of(*struck(mu=0.3), normal_load=0.05)
+    (finding,) = implausible_slide(run, film=False)
+    assert "more than 10 times the normal load" in finding.words
+
+
+def test_a_blow_of_too_much_energy_names_the_mass():
+    (finding,) = implausible_slide(run_of(*struck(), mass=350.0), film=True)
+    assert finding.kind == "mass"
+    assert finding.correction == 'mass = "350 g"'
+
+
+def test_a_driven_run_has_no_friction_to_be_judged():
+    t, x = struck(mu=0.3)
+    slide = slide_of(run_of(1e3 * t, x, drive=np.ones(len(t))))
+    assert slide is not None
+    assert slide.friction is None
+
+
+# --- one run: incline
+
+
+@pytest.mark.parametrize("angle", [3.0, 22.0, 40.0])
+@pytest.mark.parametrize("toward", [1.0, -1.0])
+def test_a_missing_incline_is_proposed(angle, toward):
+    t, x = slid(angle, mu=0.03)
+    run = run_of(t, toward * x)
+    least = missing_incline(run)
+    assert least is not None
+    assert least.grade == "warning"
+    proposed = float(least.correction.split('"')[1].removesuffix(" deg"))
+    assert np.sign(proposed) == -toward
+    assert 0.3 * angle < abs(proposed) <= 1.03 * angle  # a lower bound: friction is unknown
+    filmed = missing_incline(run, radians(angle))
+    assert filmed is not None
+    assert filmed.correction == f'incline = "{-toward * angle:.3g} deg"'
+    assert "its path in the picture falls by" in filmed.words
+
+
+def test_a_path_in_the_picture_that_is_too_level_is_not_believed():
+    run = run_of(*slid(22.0, mu=0.03))
+    finding = missing_incline(run, radians(5.0))
+    assert finding is not None
+    assert "measure the angle" in finding.words
+
+
+def test_motion_up_and_down_gives_the_angle_itself():
+    def pull(t: float, x: float, v: float) -> float:
+        return -GRAVITY * sin(radians(8.0)) - 0.05 * GRAVITY * cos(radians(8.0)) * np.sign(v)
+
+    t, x = moved(pull, 0.0, 1.2, 1.6)
+    finding = missing_incline(run_of(t, x))
+    assert finding is not None
+    assert finding.correction == 'incline = "8 deg"'
+    assert wrong_incline(run_of(t, x, incline=radians(8.0), has_incline=True)) is None
+    wrong = wrong_incline(run_of(t, x, incline=radians(-8.0), has_incline=True))
+    assert wrong is not None
+    assert wrong.grade == ERROR
+    assert 'the sign is wrong: give incline = "8 deg"' in wrong.words
+    far = wrong_incline(run_of(t, x, incline=radians(40.0), has_incline=True))
+    assert far is not None
+    assert far.correction == 'incline = "8 deg"'
+
+
+@pytest.mark.parametrize("toward", [1.0, -1.0])
+def test_the_sign_of_an_incline_is_held_against_the_motion(toward):
+    t, x = slid(22.0, mu=0.3)
+    right = -toward * radians(22.0)
+    assert wrong_incline(run_of(t, toward * x, incline=right, has_incline=True)) is None
+    finding = wrong_incline(run_of(t, toward * x, incline=-right, has_incline=True))
+    assert finding is not None
+    assert finding.grade == ERROR
+    assert f'give incline = "{-toward * 22:g} deg"' in finding.words
+
+
+def test_an_incline_that_is_too_small_for_the_motion_is_remarked():
+    finding = wrong_incline(run_of(*slid(22.0, mu=0.1), incline=radians(-2.2), has_incline=True))
+    assert finding is not None
+    assert finding.grade == "warning"
+    assert "but incline = -2.2 deg gives only 0.376 m/s^2" in finding.words
+
+
+def test_what_speeds_up_more_than_gravity_is_no_incline():
+    t = np.arange(800) / FPS
+    finding = missing_incline(run_of(t, 15.0 * t**2 / 2))
+    assert finding is not None
+    assert "more than gravity on any course" in finding.words
+
+
+def pendulum(t: Array) -> Array:
+    return 0.8 * np.exp(-0.05 * t) * np.cos(2 * np.pi * 1.1 * t)
+
+
+def pushed(t: Array) -> Array:
+    """Pushed by hand over a third of the way, then sliding."""
+    push, slide = 12.0, 3.0
+    v, way = push * 0.1, push * 0.1**2 / 2
+    late = np.maximum(t - 0.1, 0.0)
+    return np.where(t < 0.1, push * t**2 / 2, way + v * late - slide * late**2 / 2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "motion"),
+    [(4.0, pendulum), (0.35, pushed), (0.4, lambda t: 2 * t - 2 * t**2), (0.5, lambda t: 0.5 * t)],
+)
+def test_what_is_driven_by_no_slope_gets_no_incline(seconds, motion):
+    t = np.arange(round(seconds * FPS)) / FPS
+    assert missing_incline(run_of(t, motion(t))) is None
+    assert implausible_slide(run_of(t, motion(t)), film=True) == ()
+
+
+def test_angle_of_the_path_in_the_picture():
+    t = np.arange(50) / FPS
+    ones = np.ones(50)
+    track = Track(t, 300 - 4 * np.arange(50.0), 20 + 3 * np.arange(50.0), ones, ones, ones, ones, np.full(50, ""))
+    assert path_angle(track) == pytest.approx(np.arctan(3 / 4))
+    lost = replace(track, x_px=np.nan * ones, y_px=np.nan * ones)
+    assert path_angle(lost) is None
+
+
+# --- all runs together
+
+
+def family(viscous: float, typed: dict[str, float] | None = None, **known) -> list[Run]:
+    """Struck runs of one slider of 0.35 kg, some of them with another mass in the study file."""
+    speeds = {"slow": 1.5, "middle": 2.0, "quick": 2.5, "other": 3.0}
+    masses = dict.fromkeys(speeds, 0.35) | (typed or {})
+    return [
+        run_of(*struck(0.2, v0, viscous), name=name, mass=masses[name], seed=i, **known)
+        for i, (name, v0) in enumerate(speeds.items())
+    ]
+
+
+@pytest.mark.parametrize(("wrong", "right"), [(3.5, "0.35"), (0.035, "0.35"), (350.0, "0.35")])
+def test_one_mass_that_is_a_power_of_ten_off_is_named(wrong, right):
+    (finding,) = implausible_masses(family(0.4, {"quick": wrong}))
+    assert finding.run == "quick"
+    assert finding.correction == f'mass = "{right} kg"'
+    assert "the friction that goes with the speed slows it as it slows them" in finding.words
+
+
+def test_a_mass_that_is_ten_times_as_large_is_right_where_the_motion_says_so():
+    runs = family(0.4)
+    heavy = run_of(*struck(0.2, 2.5, 0.4, mass=3.5), name="heavy", mass=3.5)
+    assert implausible_masses([*runs, heavy]) == ()
+
+
+def test_friction_that_goes_with_the_weight_cannot_tell_a_mass():
+    (finding,) = implausible_masses(family(0.0, {"quick": 3.5}))
+    assert "friction that goes with the weight cannot show which is right" in finding.words
+    assert implausible_masses(family(0.0, {"quick": 0.7, "slow": 0.5})) == ()
+    assert implausible_masses(family(0.0)) == ()
+
+
+def test_a_stated_load_tells_the_mass_by_dry_friction_alone():
+    runs = family(0.0, {"middle": 0.035}, normal_load=3.43)
+    (finding,) = implausible_masses(runs)
+    assert (finding.run, finding.correction) == ("middle", 'mass = "0.35 kg"')
+
+
+@pytest.mark.parametrize(("length", "time", "said"), [(10.0, 1.0, "length is 10 times"), (1.0, 0.1, "time 10 times")])
+def test_one_run_in_another_unit_is_named(length, time, said):
+    t, x = struck(0.2, 1.8)
+    other = run_of(time * t, length * x, noise=length * NOISE, name="odd")
+    (finding,) = implausible_masses([*family(0.0), other])
+    assert finding.run == "odd"
+    assert said in finding.words
+
+
+def test_a_measured_drive_tells_the_mass():
+    def drive(t):
+        return 4.0 * np.sin(2 * np.pi * 4.0 * t)
+
+    t, x = moved(lambda t, x, v: (drive(t) - 0.3 * np.tanh(v / 0.01) - 0.2 * v) / 0.35, 0.0, 0.0, 1.0)
+    assert implausible_masses([run_of(t, x, drive=drive(t))]) == ()
+    (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=350.0)])
+    assert finding.correction == 'mass = "0.35 kg"'
+    (finding,) = implausible_masses([run_of(t, x, drive=1e3 * drive(t))])
+    assert "or the drive is 1000 times too large" in finding.words
+
+
+def test_the_drive_of_a_real_carriage_tells_its_published_mass():
+    """EMPS, 95.1 kg (Janot, Gautier, Brunot 2019)."""
+    q, drive = np.loadtxt(Path(__file__).parent / "data" / "emps_200Hz.csv", delimiter=",").T
+    t = np.arange(len(q)) / 200.0
+    right = run_of(t, q, noise=1e-6, drive=drive, mass=95.1)
+    assert implausible_masses([right]) == ()
+    assert implausible_slide(right, film=False) == ()
+    assert missing_incline(right) is None
+    (finding,) = implausible_masses([replace(right, mass=951.0)])
+    assert finding.correction == 'mass = "95.1 kg"'
+
+
+# --- the flow
+
+
+def doubts(seed: int, kind: str, folder: Path) -> list[str]:
+    """Findings on a rendered study whose numbers are right."""
+    write_study(draw(seed, kind), folder)
+    session = Session(open_study(folder / "study.toml"))
+    session.bring_up_to("motion")
+    session.findings.of_all(session.runs)
+    return list(session.findings.words)
+
+
+def test_no_rendered_study_is_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert doubts(1, "one", tmp_path) == []
+    assert caplog.messages == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["none", "one", "two", "foreign", "fault"])
+def test_no_rendered_study_of_many_is_doubted(kind: str, tmp_path: Path) -> None:
+    assert {seed: found for seed in range(20, 30) if (found := doubts(seed, kind, tmp_path / str(seed)))} == {}
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_warning_is_said_once_first_and_stands_in_the_json(
+    study_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
+    seen: list[list[str]] = []
+    session = Session(open_study(study_file), lambda done, total, what: seen.append(list(caplog.messages)))
+    with caplog.at_level(logging.WARNING, "frictrack"):
+        result = session.fit()
+        again = session.diagnose()
+    said = "mass = 350 has no unit and was read as 350 kg"
+    assert [said in message for message in caplog.messages] == [True]  # of all three runs together, before their energy
+    assert seen[0] == caplog.messages  # before anything is done
+    assert [w["kind"] for w in result["warnings"]] == ["mass"]
+    assert result["warnings"] == again["warnings"]
+    assert result["warnings"][0]["correction"] == 'mass = "350 g"'
+    assert any(said in note for note in session.findings.words)
+
+
+def test_a_warning_reaches_stderr_and_the_json_of_a_command(
+    study_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\nmass = 350')
+    with pytest.raises(SystemExit) as ended:
+        main(["friction", str(study_file), "--json"])
+    assert ended.value.code == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [(w["run"], w["grade"]) for w in told["warnings"]] == [("slow", "warning")]
+
+
+def test_a_warning_heads_the_report(study_file: Path) -> None:
+    edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
+    session = Session(open_study(study_file))
+    assert session.report().read_text(encoding="utf-8").count("To be checked first:</b> mass = 350 has no unit") == 1
+    assert session.results().warnings == session.findings.words
+
+
+def test_a_run_that_was_checked_is_not_doubted(study_file: Path) -> None:
+    edit(study_file, 'mass = "0.350 +/- 0.002 kg"', 'mass = 350\nplausible = "checked"')
+    session = Session(open_study(study_file))
+    session.bring_up_to("friction")
+    assert session.findings.summary == []
+    edit(study_file, '"checked"', '"yes"')
+    with pytest.raises(FrictrackError, match="plausible: expected 'checked' but got 'yes'"):
+        open_study(study_file)
+
+
+def incline_study(folder: Path, toward: float, keys: str) -> Path:
+    t, x = slid(22.0, mu=0.2)
+    rng = np.random.default_rng(3)
+    for name in ("a", "b"):
+        noisy = toward * x + NOISE * rng.standard_normal(len(t))
+        np.savetxt(folder / f"{name}.csv", np.c_[t, noisy], delimiter=",", header="t_s,x_m", comments="")
+    runs = "".join(f'\n[[run]]\ntable = "{name}.csv"\n{keys}\n' for name in ("a", "b"))
+    (folder / "study.toml").write_text(f'[study]\nmass = 0.35\nmodel = ["coulomb", "viscous"]\n{runs}')
+    return folder / "study.toml"
+
+
+def test_an_incline_of_the_wrong_sign_ends_the_work_before_the_fit(tmp_path: Path) -> None:
+    path = incline_study(tmp_path, 1.0, 'incline = "22 deg"')
+    with pytest.raises(FrictrackError) as caught:
+        Session(open_study(path)).fit()
+    assert str(caught.value).count('the sign is wrong: give incline = "-22 deg"') == 2  # both runs at once
+    edit(path, 'incline = "22 deg"', 'incline = "22 deg"\nplausible = "checked"')
+    Session(open_study(path)).bring_up_to("friction")
+    edit(path, 'incline = "22 deg"\nplausible = "checked"', 'incline = "-22 deg"')
+    session = Session(open_study(path))
+    fit = session.fit()
+    assert fit["warnings"] == []
+    assert fit["parameters"]["coulomb.F_c"]["mu"]["value"] == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tmp_path: Path) -> None:
+    path = incline_study(tmp_path, -1.0, "")
+    with pytest.raises(FrictrackError) as caught:
+        Session(open_study(path)).fit()
+    assert str(caught.value).count("the mass speeds up by itself with 1.8") == 2
+    assert 'incline = "11 deg"' in str(caught.value)
+    with pytest.raises(FrictrackError, match="the mass speeds up by itself"):
+        Session(open_study(path)).runs[0].get("friction")
+
+
+def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
+    study_file.unlink()
+    desk = Desk(study_file)
+    assert desk.begin(["slow.csv"], {"mass": "350"})
+    assert "study.toml is written" in desk.said
+    assert "to be checked: mass = 350 has no unit" in desk.said
+    assert desk.wrong
