@@ -8,9 +8,11 @@ parabolas through neighbours, and the exponential is integrated exactly, so a st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
 from frictrack.effects.base import Path
@@ -41,13 +43,67 @@ def travel(path: Path) -> tuple[Array, Array]:
 
 def past(path: Path) -> Path | None:
     """The run's motion just before a path, once for every individual; None where it begins at rest or with the run."""
-    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
+    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0 or path.begin is not None:
         return None
     t, x, v = path.before[:, -LATELY:]
     count = len(path.starts)
     starts = tuple(len(t) * i for i in range(count))
     t, x, v, s = (np.tile(q, count) for q in (t, x, v, headings(v)))
     return Path(t, x, v, s, starts=starts)
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """A path of n samples cut into q stretches of one direction.
+
+    `way` (n,) is the direction of motion, at rest that of the next motion; `first` (q,) the row at which each stretch
+    begins, `which` (n,) the stretch of each sample, `slid` (n,) the distance since its stretch began, `whole` (q,) the
+    distance of each stretch up to the reversal, m; `fresh` (q,) tells where an individual of a population begins.
+    """
+
+    way: Array
+    first: NDArray[np.int_]
+    which: NDArray[np.int_]
+    slid: Array
+    whole: Array
+    fresh: Mask
+
+    def entered(self, begin: Array, leave: Callable[[int, float], float]) -> Array:
+        """State (q,) in the direction of motion at the beginning of every stretch.
+
+        `begin` (P,) are the states of the individuals, `leave(k, y)` is the state at the end of stretch k that was
+        entered with y, both in its direction of motion.
+        """
+        out, state, begins = np.empty(len(self.first)), 0.0, iter(begin)
+        way, fresh = self.way[self.first].tolist(), self.fresh.tolist()
+        for k, (s, new) in enumerate(zip(way, fresh, strict=True)):
+            out[k] = s * (float(next(begins)) if new else state)
+            state = s * leave(k, float(out[k]))
+        return out
+
+
+def stretches(path: Path) -> Stretches:
+    """Cut a path at its reversals, and where individuals of a population begin."""
+    before, after = travel(path)
+    way, fresh = _ways(path)
+    first = np.flatnonzero(fresh | (np.diff(way, prepend=way[:1]) != 0))
+    which = np.repeat(np.arange(len(first)), np.diff([*first, len(way)]))
+    covered = np.cumsum(after)
+    slid = covered - (covered[first] - after[first])[which]
+    whole = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
+    return Stretches(way, first, which, slid, whole, fresh[first])
+
+
+def _ways(path: Path) -> tuple[Array, Mask]:
+    """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
+    fresh = np.zeros(len(path.t), dtype=bool)
+    fresh[list(path.starts)] = True
+    moves = path.s != 0
+    if moves.all():
+        return path.s, fresh
+    rows = np.arange(len(moves))
+    following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
+    return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
 
 
 def last(path: Path) -> Array:
