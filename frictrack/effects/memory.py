@@ -27,14 +27,19 @@ UNEVEN = 8.0  # ratio of neighbouring steps beyond which no parabola is laid thr
 def travel(path: Path) -> tuple[Array, Array]:
     """Distance (n,) slid from the sample before: up to a reversal in between, and after it.
 
-    The velocity is taken as linear in time around a reversal. Zero at the beginning of every individual.
+    The velocity is taken as linear in time around a reversal; by what the displacement differs from that, the two parts
+    share in proportion to their times, so that neither leaps where a sample passes through rest. Zero at the beginning
+    of every individual.
     """
     dx, s = np.diff(path.x), path.s[1:]
     v0, v1 = path.v[:-1], path.v[1:]
     back = np.where(path.s[:-1] * s < 0, np.maximum(-s * v0, 0.0), 0.0)
-    turn = back / np.maximum(back + np.abs(v1), 1e-300)
-    before = back * turn * np.diff(path.t) / 2.0
-    after = np.where(back > 0, np.maximum(before + s * dx, 0.0), np.abs(dx))
+    onward = np.abs(v1)
+    turn = back / np.maximum(back + onward, 1e-300)
+    half = np.diff(path.t) / 2.0
+    gained = -s * dx - half * (back - onward)  # beyond the linear velocity, in the old direction
+    before = np.maximum(turn * (back * half + gained), 0.0)
+    after = np.where(back > 0, np.maximum((1 - turn) * (onward * half - gained), 0.0), np.abs(dx))
     out = np.zeros((2, len(path.t)))
     out[:, 1:] = before, after
     out[:, list(path.starts)] = 0.0
