@@ -197,6 +197,20 @@ def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
     return replace(piece, turns=True, path=replace(piece.path, s=np.full_like(piece.path.t, first)))
 
 
+def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
+    """The whole record of a driven run, or of one that was pushed its free section, in one piece.
+
+    Its direction is 0 where the record begins at rest.
+    """
+    if run.drive is not None:
+        noise = relative_noise(run.displacement.sigma_x, run.displacement.valid)
+        return _turning(run, index, noise, begin_of(run, reference))
+    free, _ = free_section(run)
+    rows = np.flatnonzero(free & np.isfinite(run.displacement.x))
+    noise = relative_noise(run.displacement.sigma_x, free)
+    return _piece(run, index, rows, noise, begin_of(run, reference))
+
+
 def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:
     """Edges of panels through the frame times t (n,), none longer than a frame, and which edge each frame is."""
     interval = np.diff(t)
