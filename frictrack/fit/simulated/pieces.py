@@ -99,12 +99,18 @@ class Piece:
         path = replace(
             self.path,
             before=_until(self.way, self.t[start]),
-            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v", "s")},
+            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
+            s=self._onward(low, high),
             **self._series(lambda q: q[nodes]),
         )
         angle = None if self.angle is None else self.angle[start:stop]
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
+
+    def _onward(self, low: int, high: int) -> Array:
+        """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
+        s = self.path.s[3 * low : 3 * high]
+        return np.full_like(s, headings(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
 
     def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
         """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
