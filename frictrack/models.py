@@ -9,7 +9,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -183,15 +183,33 @@ class Model:
 
     def force_columns(self, path: Path, values: Values) -> dict[str, Array]:
         """Columns of every force effect along the path, each (n, k), modifiers applied to what they modify."""
-        made = {
-            e.name: e.columns(path, values[e.name]) for e in self.effects if e.acts_on == "force" and not e.modifies
-        }
+        return self._formed(path, values, None)
+
+    def states(self, path: Path, values: Values) -> dict[str, Array]:
+        """What every effect with memory remembers at the last sample of a path, (1, k) each: `Path.states` from there.
+
+        The path is that of one individual.
+        """
+        out: dict[str, Array] = {}
+        self._formed(path, values, out)
+        return out
+
+    def _formed(self, path: Path, values: Values, states: dict[str, Array] | None) -> dict[str, Array]:
+        """Columns of every force effect; the memories at the end of the path are put into `states` where it is given."""
+
+        def columns(e: Effect, *inner: Array) -> Array:
+            entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
+            if states is not None and e.state is not None:
+                states[e.name] = e.state(entered, values[e.name], *inner)[-1:]
+            return e.columns(entered, values[e.name], *inner)
+
+        made = {e.name: columns(e) for e in self.effects if e.acts_on == "force" and not e.modifies}
         for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
             reshaped = [e.name for e in self.effects if e.kind in modifier.modifies and e.name in made]
             if reshaped:
                 whole = np.concatenate([made[name] for name in reshaped], axis=1)
                 ends = np.cumsum([made[name].shape[1] for name in reshaped])[:-1]
-                bent = np.split(modifier.columns(path, values[modifier.name], whole), ends, axis=1)
+                bent = np.split(columns(modifier, whole), ends, axis=1)
                 made |= dict(zip(reshaped, bent, strict=True))
         return made
 

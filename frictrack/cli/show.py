@@ -25,6 +25,7 @@ ERRORS = {
     "noise_N": ("noise of the measured force", "noise / N", 1.0),
     "heldout_rms_um": ("held out, rms", "held out / µm", 1.0),
     "heldout_rms_N": ("held out, rms, N", "held out / N", 1.0),
+    "free_run_rms_um": ("free run, rms", "free run / µm", 1.0),
     "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
     "relative_force_error": ("relative force error", "force / %", 100.0),
     "reduced_chi2": ("reduced chi²", "chi²", 1.0),

@@ -12,12 +12,13 @@ WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the
 
 
 def uncut(fit: Fit) -> Solution | None:
-    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far.
+    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far,
+    nor where a long record is followed through its reversals: its segments hold many of them.
 
     A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not.
     """
     old = fit.solution.problem
-    if not any(fit.lengths) or MASS in old.model:
+    if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):
         return None
     fine = max(e.fine for e in old.model.effects)
     sections = sections_of(fit.runs, fit.reference, turning=old.model.turns)

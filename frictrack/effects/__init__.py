@@ -11,6 +11,7 @@ from frictrack.effects.asymmetry import asymmetry
 from frictrack.effects.atm2 import atm2
 from frictrack.effects.base import NEEDS, Effect, Parameter, Path, Span
 from frictrack.effects.beam_vibration import beam_vibration
+from frictrack.effects.bouc_wen import bouc_wen
 from frictrack.effects.camera_shake import camera_shake
 from frictrack.effects.collision import collision
 from frictrack.effects.coulomb import coulomb
@@ -52,7 +53,7 @@ LIBRARY: dict[str, Effect] = {
         *(coulomb, stribeck, viscous, drag, vibration, decaying_vibration, beam_vibration, texture, patch, spring),
         *(collision, thermal, drift, asymmetry, slope, load_modulation, measured_load, viscous_modulation),
         *(drive_error, lens, peak_locking, camera_shake, dropped_frame, timebase, target_rotation),
-        *(presliding, friction_lag, lugre),
+        *(presliding, friction_lag, lugre, bouc_wen),
     )
 }
 

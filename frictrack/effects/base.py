@@ -45,6 +45,8 @@ class Path:
     begins: float | Array | None = None  # m, a place of this path; default its first
     before: Array | None = None
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
+    states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
+    begin: Array | None = None  # that of the effect at hand, (P, k)
 
     @property
     def speed(self) -> Array:
@@ -137,6 +139,7 @@ class Effect:
     needs: tuple[str, ...] = ()  # what a run must know, keys of `NEEDS`
     fine: int = 1  # integration panels per frame that its columns need
     memory: bool = False  # its columns depend on the whole motion so far, not on the moment alone
+    state: Columns | None = None  # what it remembers at every sample, (n, k), of the same arguments as its columns
     turns: bool = False  # its force passes a stop or a reversal without a jump
     rank: int = 0  # order among modifiers: one of higher rank reshapes what those of lower rank have left
     relaxed: tuple[Part, ...] = ()  # what it is where every one of its waves has an amplitude of its own

@@ -15,8 +15,12 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 
     A steady change of c arrives tau late. The sign stays the one of the motion: friction never pushes.
     """
-    s = path.s[:, None]
-    size = inner * s
+    return state(path, nonlinear, inner) * path.s[:, None]
+
+
+def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """The size u of dry friction that follows the one of the moment, (n, k)."""
+    size = inner * path.s[:, None]
     starts = list(path.starts)
     rested = [i for i in starts if path.s[i] == 0]
     size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
@@ -24,7 +28,8 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     late[starts] = 0.0
     fresh = np.zeros(len(late), dtype=bool)
     fresh[starts] = True
-    return followed(size, (np.zeros_like(late), late), fresh, size[starts], starts) * s
+    begin = size[starts] if path.begin is None else path.begin
+    return followed(size, (np.zeros_like(late), late), fresh, begin, starts)
 
 
 def lags(span: Span) -> Array:
@@ -38,6 +43,7 @@ friction_lag = Effect(
     equation="coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau",
     parameters=(Parameter("tau", "s", (1e-7, np.inf), scan=lags),),
     columns=columns,
+    state=state,
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
     memory=True,

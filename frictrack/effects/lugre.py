@@ -25,6 +25,11 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
 
 
+def state(path: Path, nonlinear: Nonlinear) -> Array:
+    """Bending of the bristles over F_c, (n, 1)."""
+    return _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])[0][:, None]
+
+
 def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array]) -> tuple[Array, Array]:
     """Bending w and level gamma, both over F_c, (n,)."""
     highest, v_s, delta = curve
@@ -33,7 +38,7 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     broken, starts = turned(path), list(path.starts)
     between = averaged(1 / gamma, np.where(broken, 0.0, after), broken) / length
     target = (path.s * gamma)[:, None]
-    earlier, begin = past(path), target[starts]
+    earlier, begin = past(path), target[starts] if path.begin is None else path.begin
     if earlier is not None:
         n = len(earlier.t)
         lasting, _ = _bristles(earlier, own(length, path, n), [own(q, path, n) for q in curve])
@@ -69,6 +74,7 @@ lugre = Effect(
         Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
     ),
     columns=columns,
+    state=state,
     replaces=frozenset({"coulomb", "stribeck", "presliding"}),
     scales_with="load",
     memory=True,

@@ -8,9 +8,11 @@ parabolas through neighbours, and the exponential is integrated exactly, so a st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
 from frictrack.effects.base import Path
@@ -25,14 +27,19 @@ UNEVEN = 8.0  # ratio of neighbouring steps beyond which no parabola is laid thr
 def travel(path: Path) -> tuple[Array, Array]:
     """Distance (n,) slid from the sample before: up to a reversal in between, and after it.
 
-    The velocity is taken as linear in time around a reversal. Zero at the beginning of every individual.
+    The velocity is taken as linear in time around a reversal; by what the displacement differs from that, the two parts
+    share in proportion to their times, so that neither leaps where a sample passes through rest. Zero at the beginning
+    of every individual.
     """
     dx, s = np.diff(path.x), path.s[1:]
     v0, v1 = path.v[:-1], path.v[1:]
     back = np.where(path.s[:-1] * s < 0, np.maximum(-s * v0, 0.0), 0.0)
-    turn = back / np.maximum(back + np.abs(v1), 1e-300)
-    before = back * turn * np.diff(path.t) / 2.0
-    after = np.where(back > 0, np.maximum(before + s * dx, 0.0), np.abs(dx))
+    onward = np.abs(v1)
+    turn = back / np.maximum(back + onward, 1e-300)
+    half = np.diff(path.t) / 2.0
+    gained = -s * dx - half * (back - onward)  # beyond the linear velocity, in the old direction
+    before = np.maximum(turn * (back * half + gained), 0.0)
+    after = np.where(back > 0, np.maximum((1 - turn) * (onward * half - gained), 0.0), np.abs(dx))
     out = np.zeros((2, len(path.t)))
     out[:, 1:] = before, after
     out[:, list(path.starts)] = 0.0
@@ -41,13 +48,67 @@ def travel(path: Path) -> tuple[Array, Array]:
 
 def past(path: Path) -> Path | None:
     """The run's motion just before a path, once for every individual; None where it begins at rest or with the run."""
-    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
+    if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0 or path.begin is not None:
         return None
     t, x, v = path.before[:, -LATELY:]
     count = len(path.starts)
     starts = tuple(len(t) * i for i in range(count))
     t, x, v, s = (np.tile(q, count) for q in (t, x, v, headings(v)))
     return Path(t, x, v, s, starts=starts)
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """A path of n samples cut into q stretches of one direction.
+
+    `way` (n,) is the direction of motion, at rest that of the next motion; `first` (q,) the row at which each stretch
+    begins, `which` (n,) the stretch of each sample, `slid` (n,) the distance since its stretch began, `whole` (q,) the
+    distance of each stretch up to the reversal, m; `fresh` (q,) tells where an individual of a population begins.
+    """
+
+    way: Array
+    first: NDArray[np.int_]
+    which: NDArray[np.int_]
+    slid: Array
+    whole: Array
+    fresh: Mask
+
+    def entered(self, begin: Array, leave: Callable[[int, float], float]) -> Array:
+        """State (q,) in the direction of motion at the beginning of every stretch.
+
+        `begin` (P,) are the states of the individuals, `leave(k, y)` is the state at the end of stretch k that was
+        entered with y, both in its direction of motion.
+        """
+        out, state, begins = np.empty(len(self.first)), 0.0, iter(begin)
+        way, fresh = self.way[self.first].tolist(), self.fresh.tolist()
+        for k, (s, new) in enumerate(zip(way, fresh, strict=True)):
+            out[k] = s * (float(next(begins)) if new else state)
+            state = s * leave(k, float(out[k]))
+        return out
+
+
+def stretches(path: Path) -> Stretches:
+    """Cut a path at its reversals, and where individuals of a population begin."""
+    before, after = travel(path)
+    way, fresh = _ways(path)
+    first = np.flatnonzero(fresh | (np.diff(way, prepend=way[:1]) != 0))
+    which = np.repeat(np.arange(len(first)), np.diff([*first, len(way)]))
+    covered = np.cumsum(after)
+    slid = covered - (covered[first] - after[first])[which]
+    whole = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
+    return Stretches(way, first, which, slid, whole, fresh[first])
+
+
+def _ways(path: Path) -> tuple[Array, Mask]:
+    """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
+    fresh = np.zeros(len(path.t), dtype=bool)
+    fresh[list(path.starts)] = True
+    moves = path.s != 0
+    if moves.all():
+        return path.s, fresh
+    rows = np.arange(len(moves))
+    following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
+    return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
 
 
 def last(path: Path) -> Array:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, log_grid
-from frictrack.effects.memory import last, own, past, travel
+from frictrack.effects.memory import last, own, past, stretches
 from frictrack.records import Array
 
 DAHL = 1e-9  # distance of the exponent from one within which the contact straightens exponentially
@@ -27,39 +27,32 @@ def bending(path: Path, length: float | Array, exponent: float | Array) -> Array
     Between reversals this has a closed form in the distance slid, so no step is too long. A path begins as the motion
     before it has left the contact, fully bent where nothing is known of it, and unbent where it begins at rest (s = 0).
     """
+    cut = stretches(path)
+    power = np.broadcast_to(np.asarray(exponent, dtype=float), path.t.shape)
+    unit = np.broadcast_to(np.asarray(length, dtype=float), path.t.shape)
+    whole, powers = cut.whole / unit[cut.first], power[cut.first]
+
+    def leave(k: int, w: float) -> float:
+        return 1.0 - _left(1.0 - w, whole[k], powers[k])
+
+    entered = cut.entered(_begin(path, length, exponent), leave)
+    return np.asarray(cut.way * (1.0 - _left_along(1.0 - entered[cut.which], cut.slid / unit, power)))
+
+
+def _begin(path: Path, length: float | Array, exponent: float | Array) -> Array:
+    """State w (P,) in which a path begins."""
+    if path.begin is not None:
+        return path.begin[:, 0]
     earlier = past(path)
-    begin = path.s[list(path.starts)]
-    if earlier is not None:
-        n = len(earlier.t)
-        lasting = bending(earlier, own(length, path, n), own(exponent, path, n))
-        begin = lasting[last(earlier)]
-    before, after = (distance / length for distance in travel(path))
-    power = np.broadcast_to(np.asarray(exponent, dtype=float), after.shape)
-    way, fresh = _ways(path)
-    first = np.flatnonzero(fresh | (np.diff(way, prepend=way[:1]) != 0))  # of every stretch of one direction
-    which = np.repeat(np.arange(len(first)), np.diff([*first, len(way)]))
-    covered = np.cumsum(after)
-    slid = covered - (covered[first] - after[first])[which]
-    turns = slid[np.append(first[1:], len(way)) - 1] + np.append(before[first[1:]], 0.0)
-    free, w, begins = np.empty(len(first)), 0.0, iter(begin)
-    stretches = zip(way[first], fresh[first], turns, power[first], strict=True)
-    for k, (s, new, distance, p) in enumerate(stretches):
-        free[k] = 1.0 - s * (next(begins) if new else w)
-        w = s * (1.0 - _left(free[k], distance, p))
-    out: Array = way * (1.0 - _left_along(free[which], slid, power))
-    return out
+    if earlier is None:
+        return path.s[list(path.starts)]
+    n = len(earlier.t)
+    return bending(earlier, own(length, path, n), own(exponent, path, n))[last(earlier)]
 
 
-def _ways(path: Path) -> tuple[Array, Array]:
-    """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[list(path.starts)] = True
-    moves = path.s != 0
-    if moves.all():
-        return path.s, fresh
-    rows = np.arange(len(moves))
-    following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
-    return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
+def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
+    """How far the contact is bent, (n, 1)."""
+    return bending(path, nonlinear["stiffness"], nonlinear["exponent"])[:, None]
 
 
 def _left(free: float, slid: float, exponent: float) -> float:
@@ -108,6 +101,7 @@ presliding = Effect(
         Parameter("exponent", "1", (0.0, 2.0), fixed=1.0),
     ),
     columns=columns,
+    state=state,
     modifies=frozenset({"coulomb", "stribeck"}),
     scales_with="load",
     memory=True,

@@ -11,6 +11,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import series
+from frictrack.fit.freerun import free_errors
 from frictrack.fit.result import Fit, errors_of
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
@@ -61,6 +62,7 @@ class GroupFits:
             "heldout_rms_N": heldout if by_cell else None,
             "heldout": "run" if ways == {"run"} else "frames",
             "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in each])),
+            **free_errors([r for f in each for r in f.free_runs.values()], each[0].errors["free_run"]),
         }
 
     def _errors(self) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def _happens(effect: Effect) -> bool:
 
 def _pieces(solution: Solution, run: Run, reference: Reference) -> list[Piece]:
     model = solution.problem.model
-    (sections,) = sections_of([run], reference, turning=False)
+    (sections,) = sections_of([run], reference, turning=model.turns)
     fine = max(e.fine for e in model.effects)
     return [piece.refined(fine) for piece in divided(sections, segment_frames(model, sections, run))]
 

@@ -12,6 +12,7 @@ import numpy as np
 from frictrack.fit import routes, series
 from frictrack.fit.blows import collisions
 from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
+from frictrack.fit.freerun import FreeRun, free_errors, free_run
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.modelled import bands, modelled
 from frictrack.fit.routes import Found, Route
@@ -151,6 +152,19 @@ class Fit:
         return collisions(self)
 
     @cached_property
+    def free_runs(self) -> dict[str, FreeRun | None]:
+        """The law followed freely over whole records, by run: those of the role "validation", else the fitted ones.
+
+        None for a record to whose end it cannot be followed; empty where friction itself was measured.
+        """
+        if self.measured:
+            return {}
+        if self.validation:
+            pairs = zip(self.predictions, self.validation, strict=True)
+            return {run.name: free_run(s, run, self.reference) for s, run in pairs}
+        return {run.name: free_run(self.solution, run, self.reference, i) for i, run in enumerate(self.runs)}
+
+    @cached_property
     def errors(self) -> dict[str, Any]:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
@@ -163,6 +177,7 @@ class Fit:
             "heldout_rms_N": rms if self.measured else None,
             "heldout": how,
             "reduced_chi2": self.reduced_chi2,
+            **free_errors(list(self.free_runs.values()), "validation" if self.validation else "fit"),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -220,7 +235,13 @@ class Fit:
             for s, run in zip(self.predictions, self.validation, strict=True)
         ]
         told = zip(rows, self.motion, self.runs + self.validation, strict=True)
-        return [row | {"motion": bands(motion, run)} for row, motion, run in told]
+        return [self._freely(row) | {"motion": bands(motion, run)} for row, motion, run in told]
+
+    def _freely(self, row: dict[str, Any]) -> dict[str, Any]:
+        """A row of `per_run` with the error of its free run, where there is one."""
+        if row["role"] != ("validation" if self.validation else "fit"):
+            return row
+        return row | {"errors": row["errors"] | free_errors([self.free_runs[row["run"]]])}
 
 
 def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:

@@ -141,6 +141,8 @@ ERRORS = (
     ("noise_N", "noise of the measured force", "N", 1.0),
     ("heldout_rms_um", "held out, rms", "µm", 1.0),
     ("heldout_rms_N", "held out, rms", "N", 1.0),
+    ("free_run_rms_um", "free run over the whole record, rms", "µm", 1.0),
+    ("free_run_relative", "free run, relative", "%", 100.0),
     ("rms_acceleration", "acceleration, rms", "m/s²", 1.0),
     ("sse_acceleration", "acceleration, sum of squares", "m²/s⁴", 1.0),
     ("relative_force_error", "relative force error", "%", 100.0),
@@ -272,13 +274,24 @@ def runs(model: ModelResults) -> Table:
             number(row["level"]),
             number(row.get("noise_um")),
             number(row["errors"].get("rms_displacement_um")),
+            number(row["errors"].get("free_run_rms_um")),
             number(_percent(row["errors"].get("relative_force_error"))),
             str(row["segments"]),
             *(of.get(row["run"], "\N{EN DASH}") for of in own.values()),
         )
         for row in model.summary["per_run"]
     ]
-    heads = ("run", "", "friction level", "noise / µm", "residual / µm", "force error / %", "segments", *own)
+    heads = (
+        "run",
+        "",
+        "friction level",
+        "noise / µm",
+        "residual / µm",
+        "free run / µm",
+        "force error / %",
+        "segments",
+        *own,
+    )
     return table(heads, rows, range(2, len(heads)))
 
 

@@ -7,11 +7,11 @@ of starting forward, both of which the model itself gives.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from frictrack.effects import Path
@@ -19,16 +19,17 @@ from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
-from frictrack.simulate.dynamics import NODES, Panels, solve
+from frictrack.simulate.dynamics import NODES, RUNAWAY, Linear, Motion6, Panels, solve
 
 WINDOW = 64  # panels solved at once
-LONGEST = 4000  # states before a window along which a law with memory is followed
 SHORT_WINDOW = 16  # where a reversal soon ends them
 AGREE = 1e-10  # m, within which two cuts of time must agree on the displacement
 HALVINGS = 6  # of the panels, at most
-
-
-States = dict[float, tuple[float, float, float]]  # t -> x, v, s
+FOLLOWED = 3  # likewise, for a long motion
+SETTLED = 1e3  # times better than two cuts of time must agree, a long motion is solved in each
+LONG_WINDOW = 64  # panels of a smooth one solved at once
+MOST_TURNS = 25  # of an iteration that shall settle
+JUMP = 1e-9  # share of a force by which it may change with the direction of motion at rest and still be smooth
 
 
 @dataclass(frozen=True)
@@ -82,47 +83,102 @@ class Slide:
     shift: Array
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where a motion begins: x m, v m/s, and by effect what it remembers, where that is known (1, k)."""
+
+    x: float
+    v: float
+    states: Mapping[str, Array] = field(default_factory=dict)
+
+
+class _Way:
+    """The states collected on the way, in order of time: t, x, v, distance slid, direction and force, (6, k)."""
+
+    def __init__(self) -> None:
+        self._rows, self._count = np.empty((6, 256)), 0
+
+    @property
+    def rows(self) -> Array:
+        """The states so far, (6, k)."""
+        return self._rows[:, : self._count]
+
+    def add(self, t: Array, x: Array, v: Array, s: float, force: Array | float = np.nan) -> None:
+        """Append states (k,); one that is there already at the same time is replaced."""
+        if self._count and t[0] <= self._rows[0, self._count - 1]:
+            self._count -= 1
+        first, self._count = self._count, self._count + len(t)
+        if self._count > self._rows.shape[1]:
+            self._rows = np.concatenate([self._rows, np.empty((6, self._count + len(t)))], axis=1)
+        mine = self._rows[:, first : self._count]
+        mine[0], mine[1], mine[2], mine[4], mine[5] = t, x, v, s, force
+        before = self._rows[:, first - 1] if first else mine[:, 0]
+        start = before[3] if first else 0.0
+        mine[3] = start + np.cumsum(np.abs(np.diff(mine[1], prepend=before[1])))
+
+    def until(self, t: float) -> Array:
+        """The states up to a time, the first one in any case."""
+        return self._rows[:, : max(1, int(np.searchsorted(self.rows[0], t, side="right")))]
+
+
 @dataclass
 class _Walk:
-    """The law bound to its conditions, and the states collected on the way."""
+    """The law bound to its conditions, the states collected on the way, and what the law remembers at the last one.
+
+    A `smooth` law passes a reversal without a jump: it is followed through, in the direction that the motion has.
+    """
 
     model: Model
     values: Values
     conditions: Conditions
-    states: States = field(default_factory=dict)
-    _way: Array = field(default_factory=lambda: np.empty((4, 0)))  # t, x, v, distance slid at the states so far
+    smooth: bool = False
+    first: Mapping[str, Array] = field(default_factory=dict)  # what it remembers at the start, where that is known
+    within: float | None = None  # m, to which a long motion is solved; None as exactly as numbers go
+    way: _Way = field(default_factory=_Way)
+    states: Mapping[str, Array] = field(default_factory=dict)
+    heading: float = 0.0
 
-    def begin(self) -> None:
+    def begin(self, start: tuple[float, float]) -> None:
         """Forget what was walked before."""
-        self.states.clear()
-        self._way = np.empty((4, 0))
+        self.way, self.states, self.heading = _Way(), self.first, float(np.sign(start[1]))
 
     def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
-        way = self.way(float(t[0]))
+        """The path of a motion in direction s, its past included."""
         path = self.conditions.along(x, v, t, s)
-        return replace(path, before=way[:3], travelled=float(way[3, -1]), begins=float(way[1, -1]))
+        if not len(self.way.rows[0]):
+            return path
+        way = self.way.until(float(t[0]))
+        known = {"travelled": float(way[3, -1]), "begins": float(way[1, -1])}
+        if not self.model.memory:
+            return replace(path, before=way[:3], **known)
+        if self.smooth:
+            path.s[:] = self.directions(v)
+        elif self.model.turns and not self.heading and v[0] == 0:  # so far it has only rested
+            path.s[:1] = 0.0
+        return replace(path, states=self.states, **known)
 
     def force(self, x: Array, v: Array, t: Array, s: float) -> Array:
-        """Friction at the last of the given places (n,), all of them slid through in direction s."""
-        if not self.model.memory:
-            return self.model.force(self.path(x, v, t, s), self.values)
-        way = self.way(float(t[0]))
-        lately = way[:3, way[0] < t[0]][:, -LONGEST:]
-        whole_t, whole_x, whole_v = (np.append(q, new) for q, new in zip(lately, (t, x, v), strict=True))
-        path = self.path(whole_x, whole_v, whole_t, s)
-        path.s[: -len(t)] = headings(lately[2])
-        if self.model.turns and not np.any(lately[2]) and v[0] == 0:
-            path.s[: 1 - len(t) or None] = 0.0  # so far it has only rested
-        return self.model.force(path, self.values)[-len(t) :]
+        """Friction at places (n,), all of them slid through in direction s from the last state on."""
+        return self.model.force(self.path(x, v, t, s), self.values)
 
-    def way(self, until: float) -> Array:
-        """t, x, v and distance slid (4, k) from release up to a time."""
-        new = [(t, x, v, 0.0) for t, (x, v, _) in islice(self.states.items(), self._way.shape[1], None)]
-        if new:
-            way = np.concatenate([self._way, np.array(new).T], axis=1)
-            way[3] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])))])
-            self._way = way
-        return self._way[:, : max(1, int(np.searchsorted(self._way[0], until, side="right")))]
+    def advance(self, motion: Motion6, edges: int, s: float) -> None:
+        """Collect the first so many edges of a motion that begins at the last state, and what is remembered there."""
+        t, x, v = (_merged(*pair)[: 4 * edges - 3] for pair in _nodes_and_edges(motion))
+        force = np.full(edges, np.nan)
+        if self.model.memory:
+            path = self.path(x, v, t, s)
+            force = self.model.force(path, self.values)[::4]
+            self.states = self.model.states(path, self.values)
+        self.way.add(t[::4], x[::4], v[::4], s, force)
+        self.heading = float(np.sign(v[-1])) or self.heading or s
+
+    def rest(self, t: Array, x: Array, until: float) -> None:
+        """Collect a rest at times (k,), and what is remembered at its end; before the first motion that is nothing."""
+        if self.model.memory and self.heading:
+            times, still = np.append(t, until), np.append(x, x[-1])
+            path = self.path(still, np.zeros_like(still), times, self.heading)
+            self.states = self.model.states(path, self.values)
+        self.way.add(t, x, np.zeros_like(t), 0.0)
 
     def push(self, t: Array) -> Array:
         """Drive and gravity along the course, N."""
@@ -136,10 +192,38 @@ class _Walk:
 
         return law
 
+    def bound(self, panels: Panels, s: float) -> Callable[[Array, Array], Array]:
+        """The law at the nodes of panels that begin at the last state: what it is told of the run is read off once."""
+        t = np.append(panels.edges[0], panels.t) if self.model.memory else panels.t
+        held, push = self.path(t, np.zeros_like(t), t, s), self.push(panels.t)
+        first = self.way.rows[1:3, -1]
+
+        def law(x: Array, v: Array) -> Array:
+            if self.model.memory:
+                x, v = np.append(first[0], x), np.append(first[1], v)
+            path = replace(held, x=x, v=v, s=self.directions(v) if self.smooth else held.s)
+            return (push - self.model.force(path, self.values)[-len(push) :]) / self.conditions.mass
+
+        return law
+
+    def directions(self, v: Array) -> Array:
+        """Direction of motion (n,) from the last state on, held at rest."""
+        return headings(np.append(self.heading, v))[1:]
+
     def excess(self, x: float, t: Array, s: float) -> Array:
         """Push beyond the friction of starting in direction s from rest at x, N, positive when it starts."""
         zero = np.zeros_like(t)
         return s * (self.push(t) - self.force(zero + x, zero, t, s))
+
+
+def _nodes_and_edges(motion: Motion6) -> list[tuple[Array, Array]]:
+    panels = motion.panels
+    return [(panels.t, panels.edges), (motion.x, motion.x_edge), (motion.v, motion.v_edge)]
+
+
+def _merged(nodes: Array, edges: Array) -> Array:
+    """Values at the nodes (3 p,) and the edges (p + 1,) of panels in order, (4 p + 1,)."""
+    return np.append(np.column_stack([edges[:-1], nodes.reshape(-1, 3)]).ravel(), edges[-1])
 
 
 def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
@@ -150,10 +234,10 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
     """
     walk = _Walk(model, values, conditions)
     per_frame = max(2, *(e.fine for e in model.effects))
-    slide, change = _collect(walk, t, _walked(walk, t, start, per_frame)), np.inf
+    slide, change = _collected(walk, t, start, per_frame), np.inf
     for _ in range(HALVINGS):
         per_frame *= 2
-        coarse, slide = slide, _collect(walk, t, _walked(walk, t, start, per_frame))
+        coarse, slide = slide, _collected(walk, t, start, per_frame)
         change = float(np.max(np.abs(slide.x - coarse.x)))
         if change <= AGREE:
             return slide
@@ -165,17 +249,60 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
     return slide
 
 
-def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> States:
-    """States at the frames and in between, through every stop and release."""
-    walk.begin()
+def followed(
+    model: Model,
+    values: Values,
+    conditions: Conditions,
+    t: Array,
+    start: Start,
+    within: float,
+) -> Array:
+    """Displacement (n,), m, of a long motion from a start at t[0], as a camera would show it at the times t (n,).
+
+    Panels are halved until the displacement changes by at most `within` (m), `FOLLOWED` times at most. A law without
+    a jump at rest is followed through its reversals.
+    Raises FrictrackError when the motion under this law cannot be integrated.
+    """
+    walk = _Walk(model, values, conditions, is_smooth(model, values, conditions), start.states, within / SETTLED)
+    per_frame = max(e.fine for e in model.effects)
+    seen = _shown(walk, t, start, per_frame)
+    for _ in range(FOLLOWED):
+        per_frame *= 2
+        coarse, seen = seen, _shown(walk, t, start, per_frame)
+        if float(np.max(np.abs(seen - coarse))) <= within:
+            break
+    return seen
+
+
+def is_smooth(model: Model, values: Values, conditions: Conditions) -> bool:
+    """Whether a law's force at rest is the same whichever way the mass is about to move."""
+    rest = np.zeros(2)
+    for place in (-0.371, 0.0, 0.083, 0.229, 0.517):  # m, and s: one of them might lie on a zero of a texture
+        ways = []
+        for s in (1.0, -1.0):
+            path = conditions.along(rest + place, rest, rest + abs(place), s)
+            path.s[0] = 0.0
+            ways.append(float(model.force(path, values)[-1]))
+        if abs(ways[0] - ways[1]) > JUMP * max(abs(ways[0]), abs(ways[1])):
+            return False
+    return True
+
+
+def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> Array:
+    """States (6, k) at the frames and in between, through every stop and release."""
+    walk.begin(start)
     edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
     now, x, v = float(edges[0]), float(start[0]), float(start[1])
     while now < edges[-1] - 1e-12:
-        ahead = np.concatenate([[now], edges[edges > now + 1e-12]])
-        walk.states[now] = (x, v, 0.0)
+        next_one = int(np.searchsorted(edges, now + 1e-12, side="right"))
+        ahead = np.concatenate([[now], edges[next_one : next_one + (LONG_WINDOW if walk.smooth else WINDOW)]])
+        walk.way.add(np.array([now]), np.array([x]), np.array([v]), 0.0)
+        if walk.smooth:
+            now, x, v = _through(walk, ahead, (x, v))
+            continue
         s = np.sign(v) if v else _starts(walk, x, now)
         now, x, v = _slide(walk, ahead, (x, v), float(s)) if s else _rest(walk, ahead, x)
-    return dict(walk.states)
+    return walk.way.rows
 
 
 def _starts(walk: _Walk, x: float, now: float) -> float:
@@ -187,63 +314,159 @@ def _starts(walk: _Walk, x: float, now: float) -> float:
 
 
 def _rest(walk: _Walk, ahead: Array, x: float) -> tuple[float, float, float]:
-    """Stick until the push overcomes friction in either direction, or to the end."""
-    for i, t in enumerate(ahead):
-        free = [s for s in (1.0, -1.0) if walk.excess(x, np.array([t]), s)[0] > 1e-9]
-        if free and i > 0:
-            gap = lambda tau, s=free[0]: float(walk.excess(x, np.array([tau]), s)[0]) - 1e-9  # noqa: E731
-            return float(brentq(gap, ahead[i - 1], t)) + 1e-9, x, 0.0
-        walk.states[float(t)] = (x, 0.0, 0.0)
-    return float(ahead[-1]), x, 0.0
+    """Stick until the push overcomes friction in either direction, or through the times ahead."""
+    gaps = {s: walk.excess(x, ahead, s) - 1e-9 for s in (1.0, -1.0)}
+    free = (gaps[1.0] > 0) | (gaps[-1.0] > 0)
+    free[0] = False
+    last = int(np.argmax(free)) if free.any() else len(ahead)
+    until, still = float(ahead[last - 1]), np.full(last, x)
+    if last < len(ahead):
+        s = 1.0 if gaps[1.0][last] > 0 else -1.0
+        until = _release(walk, ahead[: last + 1], x, s)
+    walk.rest(ahead[:last], still, until)
+    return until, x, 0.0
+
+
+def _release(walk: _Walk, ahead: Array, x: float, s: float) -> float:
+    """Time within the last of some intervals at which the mass sets off in direction s."""
+
+    def gap(t: float) -> float:
+        times = np.append(ahead[:-1], t) if walk.model.memory else np.array([t])
+        return float(walk.excess(x, times, s)[-1]) - 1e-9
+
+    if gap(float(ahead[-2])) >= 0:
+        return float(ahead[-2]) + 1e-9
+    return float(brentq(gap, ahead[-2], ahead[-1])) + 1e-9
 
 
 def _slide(walk: _Walk, ahead: Array, start: tuple[float, float], s: float) -> tuple[float, float, float]:
     """Slide in direction s through at most `WINDOW` panels, or to the stop."""
     panels = Panels(ahead[: (SHORT_WINDOW if walk.model.turns else WINDOW) + 1])
-    law = walk.acceleration(s)
-    first = float(law(np.array([start[0]]), np.array([start[1]]), panels.edges[:1])[0])
-    motion, _ = solve(law, panels, start, np.full(len(panels.t), first), memory=walk.model.memory)
+    motion = _solved(walk, panels, start, s)
+    panels = motion.panels
     stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
-    last = int(stopped[0]) + 1 if len(stopped) else len(panels.edges)  # edges before the stop
-    for k in range(last):
-        walk.states[float(panels.edges[k])] = (float(motion.x_edge[k]), float(motion.v_edge[k]), s)
+    last = int(stopped[0]) if len(stopped) else len(panels.h)  # edge before the stop
+    walk.advance(motion, last + 1, s)
     if not len(stopped):
         return float(panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
-    return _stop(walk, s, panels, (motion.x_edge[last - 1], motion.v_edge[last - 1]), motion.a[3 * last - 3 : 3 * last])
+    piece = panels.edges[last : last + 2]
+    return _stop(walk, s, piece, (motion.x_edge[last], motion.v_edge[last]), motion.a[3 * last : 3 * last + 3])
 
 
-def _stop(walk: _Walk, s: float, panels: Panels, state: tuple[float, float], a: Array) -> tuple[float, float, float]:
-    """Time and place of the stop inside the panel that begins in a state and has node accelerations a (3,)."""
-    k = int(np.searchsorted(panels.edges, max(walk.states), side="left"))
-    h, begin, law = panels.h[k], panels.edges[k], walk.acceleration(s)
+def _through(walk: _Walk, ahead: Array, start: tuple[float, float]) -> tuple[float, float, float]:
+    """Follow a smooth law through the times ahead, reversals included."""
+    motion = _solved(walk, Panels(ahead), start, 1.0)
+    walk.advance(motion, len(motion.x_edge), 1.0)
+    return float(motion.panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
+
+
+def _solved(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -> Motion6:
+    """The motion through some panels from a start; the first of them where a long motion does not settle in all."""
+    foreseen = _foreseen(walk, panels, start, s)
+    if walk.within is None:
+        return solve(walk.acceleration(s), panels, start, foreseen, memory=walk.model.memory)[0]
+    count = len(panels.h)
+    while count:
+        some = Panels(panels.edges[: count + 1])
+        motion = _settled(walk.bound(some, s), some, start, foreseen[: 3 * count], walk.within)
+        if motion is not None:
+            return motion
+        count //= 2
+    one = Panels(panels.edges[:2])
+    return solve(walk.acceleration(s), one, start, foreseen[:3], memory=walk.model.memory)[0]
+
+
+def _settled(
+    law: Callable[[Array, Array], Array], panels: Panels, start: tuple[float, float], a: Array, within: float
+) -> Motion6 | None:
+    """The motion from a guess of its accelerations (3 p,) by the slopes of the moment; None where that does not settle.
+
+    What a law remembers changes little within a few swings: its slopes at the nodes, taken anew once, are enough for
+    an iteration that settles.
+    """
+    moved, linear = np.inf, None
+    for k in range(MOST_TURNS):
+        x, v, x_edge, v_edge = panels.integrate(a, *start)
+        f = law(x, v)
+        if linear is None or k == 1:
+            ex, ev = 1e-7 * max(float(np.ptp(x)), 1e-3), 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
+            to_and_fro = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2))
+            linear = Linear(panels, (law(x + to_and_fro, v) - f) / to_and_fro, (law(x, v + ev) - f) / ev)
+        step, edges = linear.step(f - a)
+        last, moved = moved, float(np.max(np.abs(edges)))
+        if not moved < min(2 * last, RUNAWAY):
+            return None
+        a = a + step
+        if moved <= within:
+            x, v, x_edge, v_edge = panels.integrate(a, *start)
+            return Motion6(panels, x, v, a, x_edge, v_edge)
+    return None
+
+
+def _foreseen(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -> Array:
+    """Accelerations (3 p,) of the law linearised about the start, under the push that is to come."""
+    law, (x, v), t = walk.acceleration(s), start, np.full(2, panels.edges[0])
+    onward = float(np.sign(v)) or s  # back along the way, a memory would be undone
+    step = 1e-7 * np.array([onward, max(abs(v), 1.0)])
+    first = float(law(np.full(2, x), np.full(2, v), t)[-1])
+    by_x = (float(law(x + np.array([0.0, step[0]]), np.full(2, v), t)[-1]) - first) / step[0]
+    by_v = (float(law(np.full(2, x), v + np.array([0.0, step[1]]), t)[-1]) - first) / step[1]
+    one = np.ones_like(panels.t)
+    rest = first - by_x * x - by_v * v + (walk.push(panels.t) - walk.push(t)[0]) / walk.conditions.mass
+    a, _ = Linear(panels, by_x * one, by_v * one).respond(rest[:, None], np.array([[x], [v]]))
+    return a[:, 0]
+
+
+def _stop(walk: _Walk, s: float, edges: Array, state: tuple[float, float], a: Array) -> tuple[float, float, float]:
+    """Time and place of the stop inside a panel (2,) that begins in a state and has node accelerations a (3,)."""
+    h, begin, law = float(edges[1] - edges[0]), float(edges[0]), walk.acceleration(s)
     curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a, 2)[::-1]).integ(k=float(state[1]))
     tau = float(brentq(curve, 0.0, h)) if curve(0.0) * curve(h) < 0 else h
     if tau < 1e-12:
-        return float(begin) + 1e-9, float(state[0]), 0.0
+        return begin + 1e-9, float(state[0]), 0.0
     for _ in range(4):  # the polynomial only guesses the moment: the law itself settles it
         piece = Panels(np.array([begin, begin + tau]))
         where = float(state[0]), float(state[1])
         motion, _ = solve(law, piece, where, np.full(3, float(a[0])), memory=walk.model.memory)
-        braking = float(law(motion.x_edge[-1:], motion.v_edge[-1:], piece.edges[-1:])[0])
+        x, v, t = (_merged(*pair) for pair in (_nodes_and_edges(motion)[k] for k in (1, 2, 0)))
+        braking = float(law(x, v, t)[-1])
         late = float(motion.v_edge[-1]) / braking if braking else 0.0
         if abs(late) < 1e-13:
             break
         tau = float(np.clip(tau - late, 0.5 * tau, h))
-    return float(begin) + tau, float(motion.x_edge[-1]), 0.0
+    walk.advance(motion, 2, s)
+    return float(piece.edges[-1]), float(motion.x_edge[-1]), 0.0
 
 
-def _collect(walk: _Walk, t: Array, states: States) -> Slide:
-    known = np.array(sorted(states))
-    x, v, s = np.array([states[k] for k in known]).T
+def _collected(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> Slide:
+    """The motion at the frames, with the forces."""
+    known, x, v, _, s, felt = _walked(walk, t, start, per_frame)
     force = walk.push(known)
-    cuts = np.flatnonzero(np.diff(s)) + 1
-    for rows in np.split(np.arange(len(known)), cuts):  # the way so far counts, so every state of a slide is passed
+    for rows in np.split(np.arange(len(known)), np.flatnonzero(np.diff(s)) + 1):
         if s[rows[0]]:
-            force[rows] = walk.force(x[rows], v[rows], known[rows], float(s[rows[0]]))
-    at = np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
+            memory = walk.model.memory
+            force[rows] = felt[rows] if memory else walk.force(x[rows], v[rows], known[rows], float(s[rows[0]]))
+    at = _rows_at(known, t)
     x, v, force = x[at], v[at], force[at]
     a = (walk.push(t) - force) / walk.conditions.mass
-    return Slide(t, x, v, a, force, shift(walk.model, walk.values, walk.path(x, v, t, 1.0)))
+    return Slide(t, x, v, a, force, _shown_at(walk, x, v, t) - x)
+
+
+def _shown(walk: _Walk, t: Array, start: Start, per_frame: int) -> Array:
+    """What a camera would show of a motion at the frames, (n,)."""
+    known, x, v, *_ = _walked(walk, t, (start.x, start.v), per_frame)
+    at = _rows_at(known, t)
+    return _shown_at(walk, x[at], v[at], t)
+
+
+def _rows_at(known: Array, t: Array) -> NDArray[np.int_]:
+    return np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
+
+
+def _shown_at(walk: _Walk, x: Array, v: Array, t: Array) -> Array:
+    if all(e.acts_on == "force" for e in walk.model.effects):
+        return x
+    return x + shift(walk.model, walk.values, walk.path(x, v, t, 1.0))
 
 
 def shift(model: Model, values: Values, path: Path) -> Array:

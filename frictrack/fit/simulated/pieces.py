@@ -103,12 +103,18 @@ class Piece:
         path = replace(
             self.path,
             before=_until(self.way, self.t[start]),
-            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v", "s")},
+            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
+            s=self._onward(low, high),
             **self._series(lambda q: q[nodes]),
         )
         angle = None if self.angle is None else self.angle[start:stop]
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
+
+    def _onward(self, low: int, high: int) -> Array:
+        """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
+        s = self.path.s[3 * low : 3 * high]
+        return np.full_like(s, headings(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
 
     def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
         """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
@@ -200,6 +206,20 @@ def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
     piece = _piece(run, index, rows, noise, begin)
     first = np.sign(run.motion.v[rows[0]]) if is_moving(run)[rows[0]] else 0.0
     return replace(piece, turns=True, path=replace(piece.path, s=np.full_like(piece.path.t, first)))
+
+
+def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
+    """The whole record of a driven run, or of one that was pushed its free section, in one piece.
+
+    Its direction is 0 where the record begins at rest.
+    """
+    if run.drive is not None:
+        noise = relative_noise(run.displacement.sigma_x, run.displacement.valid)
+        return _turning(run, index, noise, begin_of(run, reference))
+    free, _ = free_section(run)
+    rows = np.flatnonzero(free & np.isfinite(run.displacement.x))
+    noise = relative_noise(run.displacement.sigma_x, free)
+    return _piece(run, index, rows, noise, begin_of(run, reference))
 
 
 def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,10 +11,12 @@ from frictrack.effects import Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.unknowns.layout import Layout
-from frictrack.models import Model
+from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import Motion6, solve
 from frictrack.simulate.dynamics import Response as Sensitivity
+
+SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value per node
 
 
 @dataclass(frozen=True)
@@ -113,11 +115,12 @@ class Problem:
     def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
         """The law along one piece: x'' at places x, velocities v and times t."""
         memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
+        states = self._entered(piece, values)
 
         def law(x: Array, v: Array, t: Array) -> Array:
             if not memory:
                 return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
-            force = self.model.force(piece.since_start(x, v, t, level), values)
+            force = self.model.force(replace(piece.since_start(x, v, t, level), states=states), values)
             return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
 
         return law
@@ -137,17 +140,27 @@ class Problem:
         self._guess[i] = motion.a
         return motion, linear
 
-    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+    def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
+        """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
+        path = piece.path
+        if not self.model.memory or path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
+            return {}
+        two = {name: getattr(path, name)[[0, 0]] for name in SERIES if getattr(path, name) is not None}
+        states = self.model.states(replace(path, **two), values)
+        return {e.name: states[e.name] for e in self.model.effects if e.turns}
+
+    def _along(self, piece: Piece, motion: Motion6, level: float, values: Values) -> Path:
         """The path of a solved motion: its nodes, with memory after the start."""
         if not self.model.memory:
             return piece.along(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
-        return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
+        path = piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
+        return replace(path, states=self._entered(piece, values))
 
     def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
-        path = self._along(piece, motion, level)
+        path = self._along(piece, motion, level, values)
         columns = self.model.force_columns(path, values)
         base = self.model.force(path, values)
         g = np.zeros((len(path.t), len(active)))
@@ -159,7 +172,7 @@ class Problem:
             elif led or not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
-                moved = self.model.force(self._along(piece, motion, level_i), values_i)
+                moved = self.model.force(self._along(piece, motion, level_i, values_i), values_i)
                 g[:, j] = (moved - base) / step
         return -g[-len(motion.x) :] / piece.mass
 

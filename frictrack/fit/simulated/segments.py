@@ -9,7 +9,8 @@ covariance of its coefficients is at most about
 
 since what a segment holds beyond the noise may all point along a coefficient (Cauchy-Schwarz; it is the usual
 sandwich with every residual in the worst place). The length of the smallest determinant is taken: without an
-excess the whole run, otherwise the one that balances what is forgotten with what is not modelled.
+excess the whole run, otherwise the one that balances what is forgotten with what is not modelled. A long record that is
+followed through its reversals is cut into segments of `TURNING` frames, each with its memory of the motion before.
 """
 
 from __future__ import annotations
@@ -29,14 +30,20 @@ from frictrack.records import Array, Run
 SHORTEST = 2 * MIN_FRAMES  # frames: shorter ones spend a quarter of what they hold on their start
 EXCESS = 2.33  # standard deviations of chi-squared, 1 %
 SEEN = 1e-6  # of the largest singular value, below which a direction of the law is left out
+TURNING = 512  # frames per segment of a long record that is followed through its reversals: the price grows faster
+UNKNOWN = 100  # first frames of one that began before: what a law remembers there is not known, they only tell it
 QUARTERS = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter is held
 
 
 def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
     """Frames per segment of one run whose stretches of one direction are given; 0 leaves them whole."""
-    if run.drive is None or any(p.turns for p in sections):
-        return 0
     whole = max(len(p.t) for p in sections)
+    if any(p.slack for p in sections):  # only the loss over many swings tells the friction of a mass that swings
+        return 0
+    if any(p.turns for p in sections):
+        return TURNING if whole > 2 * TURNING else 0
+    if run.drive is None:
+        return 0
     ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= SHORTEST)]
     if len(ladder) == 1 or not any(_is_plain(e) for e in model.effects):
         return 0
@@ -53,9 +60,16 @@ def divided(sections: Sequence[Piece], n: int) -> list[Piece]:
         return list(sections)
     out = []
     for piece in sections:
-        cuts = _cuts(len(piece.t), n)
+        first = UNKNOWN if piece.turns and not piece.slack and _is_unknown(piece) else 0
+        cuts = [c + first for c in _cuts(len(piece.t) - first, n)]
         out += [replace(piece.part(int(c[0]), int(c[-1]) + 1), cut=True) for c in cuts]
     return out
+
+
+def _is_unknown(piece: Piece) -> bool:
+    """Whether nothing is known of the motion before a piece that moves from its first frame on."""
+    before = piece.path.before
+    return bool(piece.path.s[0] != 0 and (before is None or before.shape[1] < 2))
 
 
 def _cuts(frames: int, n: int) -> list[Rows]:

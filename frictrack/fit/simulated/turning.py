@@ -7,10 +7,12 @@ displacement (Golub & Pereyra 1973).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import product
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -22,7 +24,9 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 MOST = 600  # settings tried
-SHORTEST = 128  # frames of the first stretches
+NARROWEST = 32  # frames of a window: its start takes two numbers
+REFINED = 30  # settings tried beyond the grid, at most
+SHORTEST = 128  # frames of the first stretches of a mass that swings
 STEPS = 6  # of a refinement of one length
 
 
@@ -34,19 +38,50 @@ def bent(model: Model) -> tuple[list[Effect], list[Effect]]:
 
 
 def first_law(problem: Problem) -> Array:
-    """The unknowns (P,) of the best setting on the grid."""
+    """The unknowns (P,) of the best setting on the grid, refined along the smoothed motion.
+
+    A force that goes with the place, such as a spring's, makes an error of every place, twice integrated. Stretches are
+    therefore compared as they are and in windows, of the length in which the law explains most.
+    """
     layout = problem.layout
     scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != "level"]
-    grids = [_grid(problem, i) for i in scanned]
-    points = list(product(*grids))
-    best, least = np.ones(len(layout.slots)), np.inf
+    points = list(product(*(_grid(problem, i) for i in scanned)))
+    lengths = _lengths(problem)
+    best, least, length = np.ones(len(layout.slots)), np.inf, 0
     for point in points[:: -(-len(points) // MOST)]:
         p = np.where([s.effect == "level" for s in layout.slots], 1.0, 0.0)
         p[scanned] = point
-        misfit = _solved(problem, p)
-        if misfit < least:
-            best, least = p, misfit
-    return best
+        for n, columns, right in _windowed(problem, p, lengths):
+            q, left = _solved(problem, p, columns, right)
+            share = float(left @ left) / max(float(right @ right), 1e-300)
+            if share < least:
+                best, least, length = q, share, n
+    return _refined(problem, best, scanned, length) if scanned else best
+
+
+def _lengths(problem: Problem) -> list[int]:
+    """Frames per window that are tried; 0 leaves stretches whole."""
+    longest = max(len(p.t) for p in problem.pieces)
+    return [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= NARROWEST)]
+
+
+def _refined(problem: Problem, p: Array, scanned: list[int], length: int) -> Array:
+    """Unknowns (P,) with the scanned ones moved on from the grid, the coefficients solved for each of them."""
+    low, high = (bound[scanned] for bound in problem.layout.bounds)
+    scale = np.maximum(np.abs(p[scanned]), 1e-12)
+
+    def left(theta: Array) -> Array:
+        return solved(theta)[1]
+
+    def solved(theta: Array) -> tuple[Array, Array]:
+        q = p.copy()
+        q[scanned] = np.clip(theta * scale, low, high)
+        ((_, columns, right),) = _windowed(problem, q, [length])
+        return _solved(problem, q, columns, right)
+
+    inside = np.clip(p[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
+    found = least_squares(left, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=REFINED)
+    return solved(found.x)[0]
 
 
 def lengthened(problem: Problem) -> Array:
@@ -78,18 +113,36 @@ def _grid(problem: Problem, i: int) -> Array:
     return np.array([np.mean(slot.bounds)]) if scan is None else scan(problem.layout.span)
 
 
-def _solved(problem: Problem, p: Array) -> float:
-    """Squared misfit with the best coefficients, which are written into p (P,)."""
+def _solved(problem: Problem, p: Array, columns: Array, right: Array) -> tuple[Array, Array]:
+    """Unknowns (P,) with the best coefficients, and what they leave of the data (n,)."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
-    blocks = [_compared(problem, piece, p, linear) for piece in problem.pieces]
-    columns, right = (np.concatenate(q) for q in zip(*blocks, strict=True))
     low, high = (bound[linear] for bound in problem.layout.bounds)
-    p[linear] = np.clip(np.linalg.lstsq(columns, right, rcond=1e-10)[0], low, high)
-    return float(np.sum((right - columns @ p[linear]) ** 2))
+    out = p.copy()
+    out[linear] = np.clip(np.linalg.lstsq(columns, right, rcond=1e-10)[0], low, high)
+    return out, np.asarray(right - columns @ out[linear])
 
 
-def _compared(problem: Problem, piece: Piece, p: Array, linear: list[int]) -> tuple[Array, Array]:
-    """Displacement (n, K) per unit coefficient and the measured one (n,), in units of sigma, starts removed."""
+def _windowed(problem: Problem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
+    """For windows of every length: displacement (n, K) per unit coefficient and the measured one (n,), starts removed."""
+    linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
+    rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
+    for n in lengths:
+        cut = np.concatenate([q for piece, white in rows for q in _unstarted(piece, white, n)])
+        yield n, cut[:, :-1], cut[:, -1]
+
+
+def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
+    """Windows of about n frames of columns (n, k), each without what a start position and speed explain."""
+    out = []
+    for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
+        t = piece.t[rows]
+        q, _ = np.linalg.qr(np.column_stack([np.ones_like(t), t - t[0]]) / piece.sigma[rows, None])
+        out.append(white[rows] - q @ (q.T @ white[rows]))
+    return out
+
+
+def _compared(problem: Problem, piece: Piece, p: Array, linear: list[int]) -> Array:
+    """Displacement (n, K) per unit coefficient, and last the measured one, in units of sigma."""
     values, level = problem.layout.values(p, piece.run)
     made = problem.model.force_columns(piece.along(piece.x_hat, piece.v_hat, level), values)
     inputs = [piece.known]
@@ -101,7 +154,4 @@ def _compared(problem: Problem, piece: Piece, p: Array, linear: list[int]) -> tu
         )
         inputs.append(-column / piece.mass)
     moved = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
-    white = np.column_stack([moved[:, 1:], piece.y - moved[:, 0]]) / piece.sigma[:, None]
-    q, _ = np.linalg.qr(np.column_stack([np.ones_like(piece.t), piece.t]) / piece.sigma[:, None])
-    white = white - q @ (q.T @ white)
-    return white[:, :-1], white[:, -1]
+    return np.column_stack([moved[:, 1:], piece.y - moved[:, 0]]) / piece.sigma[:, None]
