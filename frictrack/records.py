@@ -243,6 +243,8 @@ class Run:
     beam_length: float | None = scalar("m", default=None)
     role: str = "fit"  # or "validation"
     group: str = ""
+    noise: float | None = None  # stated white noise, rms: N where friction was measured, else m
+    drift: float | None = None  # stated slow error, rms, in the same unit
     has_incline: bool = False  # gravity drives the run: the free section starts where motion starts
 
     def __post_init__(self) -> None:

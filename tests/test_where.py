@@ -206,6 +206,12 @@ def test_what_the_runs_show_too_little_of_is_left_open():
     assert told([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
 
 
+def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
+    axes = [Repeat("x", 0.84, 0.005, 5, 5, evidence=-60.0), Repeat("t", 0.3, 0.2, 1, 5, evidence=-90.0)]
+    assert axes[0].holds
+    assert told(axes) == "The failure repeats at the same place in 5 of 5 runs: it belongs to the course."
+
+
 def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
     specs = tuple(Spec(v, 1, 0.1) for v in (2.5, 3.5, 5.0, -6.5))
     found = repeats(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution, np.random.default_rng(0))

@@ -45,6 +45,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
         for e in effects.LIBRARY.values()
         if e.name not in law
         and not e.replaces
+        and not (e.memory and not e.modifies)  # what swings under no drive stands still
         and not (e.modifies and not kinds & e.modifies)
         and not (e.name == "friction_lag" and "stribeck" not in law)  # a level that does not change cannot lag
         and "angle" not in e.needs

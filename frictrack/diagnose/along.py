@@ -8,6 +8,7 @@ from typing import Any
 
 from frictrack.words import AXES
 
+MOSTLY, ALPHA = 0.5, 0.01  # share of the misfit that the other runs predict, and its chance, for a failure to repeat
 DECISIVE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
 
 WHERE = {
@@ -35,8 +36,12 @@ class Repeat:
 
     @property
     def holds(self) -> bool:
-        """Whether one force common to the runs is decisively likelier than one of every run."""
-        return self.evidence > DECISIVE
+        """Whether the failure repeats: a common force is decisively likelier, or the other runs predict most of it.
+
+        A strong and narrow force is followed closer by a curve of every run than by a common one, but what runs predict
+        of each other is common to them.
+        """
+        return self.evidence > DECISIVE or (self.share > MOSTLY and self.p < ALPHA)
 
     def summary(self) -> dict[str, Any]:
         """JSON of one axis."""

@@ -263,6 +263,11 @@ def _driven(seen: Seen) -> str:
     return f"the true drive would be {_n(100 * seen.value('e'))} % larger, {_n(1e3 * seen.value('tau'))} ms late"
 
 
+def _hysteresis(seen: Seen) -> str:
+    length = 1.0 / seen.value("gamma")
+    return f"{_n(seen.value('alpha'))} N/m for small swings, yielding within {_length(length)}"
+
+
 OWN: dict[str, Callable[[Seen], str]] = {
     "vibration": _vibration,
     "decaying_vibration": _ringing,
@@ -276,6 +281,7 @@ OWN: dict[str, Callable[[Seen], str]] = {
     "dropped_frame": _lost,
     "drag": _drag,
     "spring": _spring,
+    "bouc_wen": _hysteresis,
     "thermal": _thermal,
     "drift": _drift,
     "slope": _slope,

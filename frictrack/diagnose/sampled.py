@@ -34,7 +34,7 @@ def sampled(solution: Solution) -> tuple[Solution, str]:
 def thinned(solution: Solution) -> tuple[Solution, str]:
     """Return the law compared at every few frames of very many, and in words what that means; "" where all are kept.
 
-    The law itself was fitted to all frames; the motion between those kept is simulated as before.
+    The law itself was fitted to all frames.
     """
     every = -(-solution.problem.n_frames // MAX_FRAMES)
     if every <= 1:
@@ -52,10 +52,11 @@ def thinned(solution: Solution) -> tuple[Solution, str]:
 
 
 def _every(piece: Piece, every: int) -> Piece:
+    """A piece with every few of its frames alone, its panels from one to the next."""
     rows = slice(None, None, every)
     angle = None if piece.angle is None else piece.angle[rows]
     kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
-    return replace(piece, angle=angle, **kept)
+    return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
 
 
 def _coarser(layout: Layout, pieces: Sequence[Piece], kept: Sequence[int]) -> Layout:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from frictrack.diagnose.power import Undetermined, undetermined
 from frictrack.diagnose.rivals import NEAR
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
 from frictrack.diagnose.sampled import sampled, thinned
-from frictrack.diagnose.simple import explained_alone, first_of_pair, simplest
+from frictrack.diagnose.simple import explained_alone, first_of_pair, nested, simplest
 from frictrack.diagnose.tests import ALPHA
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
@@ -38,6 +38,7 @@ from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
 MOST_ROUNDS = 6  # of adding and looking again
+WORTH_ADDING = 0.99  # times the held-out error before, that an effect must reach for the list to go on past it
 DECISIVE = 0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
 LISTED = 3  # candidates whose held-out error and rivals are computed
 
@@ -66,26 +67,42 @@ def diagnose(
     whole = uncut(fit)
     if whole is not None:
         whole, coarse = thinned(whole)
-        said = _searched(fit, whole, own, beside, (np.random.default_rng(seed), tell))
-        if said.verdict != "unexplained":
+        found = _search(fit, whole, (own, beside), (np.random.default_rng(seed), tell))
+        said = None if found.leaves_misfit else _concluded(fit, found, beside)
+        if said is not None and said.verdict != "unexplained":
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
     start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
     start, coarse = (start, "") if fit.measured else thinned(start)
-    said = _searched(fit, start, own, beside, (np.random.default_rng(seed), tell))
+    said = _concluded(fit, _search(fit, start, (own, beside), (np.random.default_rng(seed), tell)), beside)
     return replace(said, remarks=[*said.remarks, *filter(None, [left_out, coarse])])
 
 
-def _searched(
+@dataclass(frozen=True)
+class _Search:
+    """A search from one law to its end: the first and the last test, what was found, and further random numbers."""
+
+    start: Solution
+    first: Round
+    last: Round
+    found: list[Tried]
+    again: list[np.random.Generator]
+
+    @property
+    def leaves_misfit(self) -> bool:
+        """Whether what was found leaves more than noise."""
+        return self.last.tests.p_lack_of_fit < ALPHA / 2
+
+
+def _search(
     fit: Fit,
     start: Solution,
-    own: Sequence[Effect],
-    beside: Beside | None,
+    known: tuple[Sequence[Effect], Beside | None],
     how: tuple[np.random.Generator, Progress],
-) -> Diagnosis:
-    """The search from one law; `how` holds what draws and what is told of the progress."""
-    rng, tell = how
+) -> _Search:
+    """Search from one law; `known` holds own effects and what else was seen, `how` what draws and who is informed."""
+    (own, beside), (rng, tell) = known, how
     again = rng.spawn(2)
     felt = None if fit.measured else sensed(start, fit.runs, beside or {})
     first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
@@ -109,6 +126,12 @@ def _searched(
         law = found[-1].law if found else start
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
     tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
+    return _Search(start, first, last, found, again)
+
+
+def _concluded(fit: Fit, search: _Search, beside: Beside | None) -> Diagnosis:
+    """The verdict of a search, and where it fails."""
+    start, first, last, found, again = search.start, search.first, search.last, search.found, search.again
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
@@ -198,16 +221,24 @@ def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence
     hold = _Held(first.solution)
     unit = "N" if fit.measured else "um"
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
-    out, before = [], first.solution.chi2
-    for k, t in enumerate(found):
-        laws = [t.law] if t.solution is not None else []
-        after = laws[0].chi2 if laws else before
-        held = hold(laws[0])[1] if laws else None
-        share = float(np.clip((before - after) / excess, 0.0, 1.0))
-        out.append(Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=k == len(found) - 1))
-        before = after
+    out, chi2, error = [], first.solution.chi2, None
+    for t, law in zip(found, nested(found), strict=True):
+        share = held = None
+        if law is not None:
+            before, held, _ = hold(law)
+            share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
+            worth = held < WORTH_ADDING * (before if error is None else error)
+            out, error = (_stopped(out) if worth else out), held
+        out.append(
+            Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=held is not None and worth)
+        )
     others = [c for c in listed if c.p < ALPHA / 2 and c.effect not in {t.effect.name for t in found}]
     return out + [Importance(c.effect, alone.get(c.effect), None, None, unit) for c in others if not c.implausible]
+
+
+def _stopped(rows: Sequence[Importance]) -> list[Importance]:
+    """The same rows, none of which is the last that is worth adding."""
+    return [replace(row, stop=False) for row in rows]
 
 
 def _noise(fit: Fit) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from frictrack.diagnose.rivals import information, price
 from frictrack.diagnose.rounds import Round, Tried
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import simulated
+from frictrack.fit.simulated.growth import simulated, without
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.simulated.trial import STRONG, Trial, bare, tried_together
 from frictrack.fit.sure.misfit import dispersion
@@ -83,4 +83,18 @@ def explained_alone(last: Round, tried: Sequence[Tried]) -> dict[str, float]:
     for t in tried:
         if t.along is not None and t.along[0] is last.draws.law:
             out[t.effect.name] = min(max((misfit - t.along[1].misfit) / excess, 0.0), 1.0)
+    return out
+
+
+def nested(found: Sequence[Tried]) -> list[Solution | None]:
+    """The laws with the first effect found, the first two, and so on; None where one cannot be followed."""
+    if not found:
+        return []
+    out: list[Solution | None] = [found[-1].law]
+    for t in reversed(found[1:]):
+        law = out[0]
+        try:
+            out.insert(0, None if law is None else without(law, t.effect.name))
+        except FrictrackError:
+            out.insert(0, None)
     return out

@@ -68,7 +68,7 @@ def candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Eff
         if kind.acts_on == "measurement" and is_series(solution.problem):
             continue
         effect = effects.get(model.next_instance(kind.name), own)
-        if why := effect.lacks(paths) or _loose_end(effect, model):
+        if why := effect.lacks(paths) or _loose_end(effect, model) or _one_way(effect, solution):
             barred[effect.name] = why
         else:
             found.append(effect)
@@ -80,6 +80,17 @@ def _loose_end(effect: Effect, model: Model) -> str:
     if follows(effect, model.effects):
         return ""
     return f"{effect.name} follows an effect that the model does not have"
+
+
+def _one_way(effect: Effect, solution: Solution) -> str:
+    """Why a memory that stands for itself cannot be told: along one way it is a spring, or a running-in."""
+    if effect.modifies or not (effect.memory and effect.turns):
+        return ""
+    pieces = solution.problem.pieces
+    ways = {(p.run, float(s)) for p in pieces for s in np.sign(p.v_hat if p.turns else p.path.s[-1:])}
+    if len({w for w in ways if w[1]}) > len({run for run, s in ways if s}):
+        return ""
+    return f"{effect.name} needs a run that reverses; let the mass swing to and fro"
 
 
 def _may_repeat(effect: Effect) -> bool:

@@ -352,7 +352,22 @@ def _run(work: RunWork, displacement: Displacement, motion: Motion, sensors: Sen
         beam_length=run.beam_length,
         role=run.role,
         group=run.group,
+        noise=_stated(run.noise, "noise", sensors),
+        drift=_stated(run.drift, "drift", sensors),
     )
+
+
+def _stated(found: tuple[float, str] | None, key: str, sensors: Sensors) -> float | None:
+    """An instrument's specification in the unit of what was measured: N of a friction force, m of a position."""
+    if found is None:
+        return None
+    unit = "m" if sensors.friction_N is None else "N"
+    if found[1] != unit:
+        what = "position" if unit == "m" else "friction force"
+        raise FrictrackError(
+            f"expected {key} in {unit}, since the {what} was measured, but got {found[0]:g} {found[1]}"
+        )
+    return found[0]
 
 
 def _chain(*head: Stage) -> dict[str, Stage]:

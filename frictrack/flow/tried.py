@@ -73,6 +73,11 @@ class Spec:
         return json.dumps(asdict(self), sort_keys=True)
 
 
+def _specified(run: RunTable) -> list[Any]:
+    """What is stated of the instrument, where anything is."""
+    return [run.noise, run.drift] if run.noise or run.drift else []
+
+
 def with_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
     """The model with what the `[[effect]]` tables of the study file say of its effects; the other tables wait.
 
@@ -231,7 +236,16 @@ class Tried:
     def input_hash(self) -> str:
         """Hash of the runs as the fit sees them."""
         keys = [
-            [w.run.name, w.run.role, w.run.group, w.run.clamp_x, w.run.beam_length, w.key("friction"), w.key("motion")]
+            [
+                w.run.name,
+                w.run.role,
+                w.run.group,
+                w.run.clamp_x,
+                w.run.beam_length,
+                w.key("friction"),
+                w.key("motion"),
+                *_specified(w.run),
+            ]
             for w in self._works
         ]
         return digest([keys, self.study.mass])

@@ -66,6 +66,17 @@ def _span(unit: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
+    """What an instrument is stated to be off by, and its SI unit: of a load cell N, of a position m."""
+    name = str(info.field_name)
+    if not isinstance(raw, str):
+        raise ValueError(f'expected a text with a unit, as in {name} = "0.004 N" or {name} = "5 um", but got {raw!r}')
+    try:
+        return si(raw, "N", name, above=0.0)[0], "N"
+    except ValueError:
+        return si(raw, "m", name, above=0.0)[0], "m"
+
+
 def _mass(raw: Any) -> Any:
     return raw if raw == "fit" else si(raw, "kg", "mass", above=0.0)
 
@@ -274,6 +285,7 @@ Place = Annotated[float, _number("m")]
 Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
+Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Angle = Annotated[float, _number("rad", above=-math.pi / 2, below=math.pi / 2)]
 Times = Annotated[Pair, _span("s")]
 
@@ -329,6 +341,8 @@ class RunTable(Keys):
     sensor: Sensor | None = None  # a path, or a table of `SENSOR` keys
     columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
     impact_energy: Energy | None = None
+    noise: Specification | None = None  # of the load cell, N, or of the position, m: white, rms
+    drift: Specification | None = None  # the same for what comes and goes slowly over the record, rms
     group: str = ""
     role: Literal["fit", "validation"] = "fit"
     note: str = ""

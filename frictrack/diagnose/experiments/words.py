@@ -31,6 +31,7 @@ KEEPS = {
     "target_rotation": "a turning target moves its mark as its angle says",
     "presliding": "presliding needs a reversal",
     "friction_lag": "a lag needs a speed that swings",
+    "bouc_wen": "a hysteretic spring remembers its way, whatever the speed",
     "lugre": "LuGre's bristles need a reversal or a slow speed",
     "place": "what is tied to the place comes again at the same place",
     "time since release": "what is tied to the time comes again as long after release",

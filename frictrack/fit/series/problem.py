@@ -171,7 +171,9 @@ def _span(piece: Piece, fps: float) -> Span:
 
 
 def _noise(run: Run) -> float:
-    """White noise of the cell, N."""
+    """White noise of the cell, N: as stated, else its own."""
+    if run.noise is not None:
+        return run.noise
     series = np.asarray(run.friction_N, dtype=float)
     known = np.isfinite(series)
     sigma = float(np.nan_to_num(noise_level(series, known)[0]))
@@ -203,6 +205,7 @@ def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
         path=path,
         mass=1.0,
         way=begin.way,
+        systematic=run.drift or 0.0,
     )
 
 

@@ -165,7 +165,7 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
     digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
-    level = max(float(noise_level(disp.x, use)[0]), digits)
+    level = run.noise or max(float(noise_level(disp.x, use)[0]), digits)
     noise = noise * level / np.sqrt(np.mean(noise[use] ** 2))
     begin = begin_of(run, reference)
     sections = moving_sections(run)
@@ -326,7 +326,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piec
         mass=mass,
         way=begin.way,
         angle=_read(times, begin.angle, t),
-        systematic=run.displacement.systematic,
+        systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         shake=run.displacement.shake,
         locked=_locked(run, rows, noise),
     )

@@ -18,6 +18,7 @@ PROJECTIONS = 2  # linear solves after a step that went too far, before it is ta
 FIRST_DAMPING, MOST_DAMPED = 1e-8, 1e8
 UNDAMPED = 1e-12  # damping with which a step is Gauss-Newton's
 ENOUGH = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
+KINKED = 0.01  # likewise for motions with reversals: each is a kink that slips from one node to the next
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,8 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
+    if any(getattr(piece, "turns", False) for piece in problem.pieces):
+        enough = max(enough, KINKED)
     walk = _Walk(problem, tau, low, high, free is None)
     state, damping = walk.at(p, list(starts)), FIRST_DAMPING
     for _ in range(max_steps):

@@ -27,6 +27,7 @@ from frictrack.records import Array, Mask
 
 STOPPING = 2.0  # frames before the stop that are left out
 EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
+MOST_TURNING = 16  # segments of a long record on which a law that passes reversals is settled before it sees all
 SHARES = (0.5, 0.2, 0.0)  # of the coefficients that a start keeps where no motion can be integrated under all
 
 
@@ -161,11 +162,27 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 
 def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """The law of runs that are followed through stops and reversals."""
+    """The law of runs that are followed through stops and reversals; that of very many segments on some of them first."""
+    some = pieces[:: -(-len(pieces) // MOST_TURNING)]
+    if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
+        return _turned(model, pieces, names, spans)
+    found = _turned(model, some, names, spans)
+    problem = found.problem.over(found.problem.layout, pieces)
+    return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
+
+
+def _turned(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The same on all of some pieces."""
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
     problem = Problem(layout.model, layout, pieces)
+<<<<<<< HEAD
     return _grown(model, problem, first_law if not any(p.slack for p in pieces) else lengthened, later)
+=======
+    if later:
+        return _grown(model, problem, first_law, later)
+    return settle_scatter(problem, first_law(problem), problem.first_starts())
+>>>>>>> freerun
 
 
 def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:
