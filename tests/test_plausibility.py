@@ -240,6 +240,20 @@ def test_an_incline_that_is_too_small_for_the_motion_is_remarked():
     assert "but incline = -2.2 deg gives only 0.376 m/s^2" in finding.words
 
 
+def test_a_spring_and_a_push_contradict_no_incline():
+    t = np.arange(round(2.0 * FPS)) / FPS
+    for angle in (0.1, 3.0, -3.0):
+        for x in (pendulum(t), np.where(t < 0.35, pushed(np.minimum(t, 0.35)), np.nan)[: round(0.35 * FPS)]):
+            run = run_of(t[: len(x)], x, incline=radians(angle), has_incline=True)
+            assert wrong_incline(run) is None
+
+
+def test_an_incline_in_degrees_without_a_unit_is_refused_with_what_to_write(study_file: Path) -> None:
+    edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\nincline = 22')
+    with pytest.raises(FrictrackError, match='a number is in rad: write "22 deg" for degrees'):
+        open_study(study_file)
+
+
 def test_what_speeds_up_more_than_gravity_is_no_incline():
     t = np.arange(800) / FPS
     finding = missing_incline(run_of(t, 15.0 * t**2 / 2))
@@ -337,6 +351,10 @@ def test_a_measured_drive_tells_the_mass():
     assert finding.correction == 'mass = "0.35 kg"'
     (finding,) = implausible_masses([run_of(t, x, drive=1e3 * drive(t))])
     assert "or the drive is 1000 times too large" in finding.words
+    (finding,) = implausible_masses([run_of(1e3 * t, x, drive=drive(t))])
+    assert "t_s holds ms" in finding.words
+    (finding,) = implausible_masses([run_of(t, 1e3 * x, noise=1e3 * NOISE, drive=drive(t))])
+    assert "x_m holds mm" in finding.words
 
 
 def test_the_drive_of_a_real_carriage_tells_its_published_mass():

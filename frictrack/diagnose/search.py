@@ -221,7 +221,8 @@ def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence
     hold = _Held(first.solution)
     unit = "N" if fit.measured else "um"
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
-    out, chi2, error = [], first.solution.chi2, None
+    out: list[Importance] = []
+    chi2, error = first.solution.chi2, None
     for t, law in zip(found, nested(found), strict=True):
         share = held = None
         if law is not None:

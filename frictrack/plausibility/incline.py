@@ -11,7 +11,7 @@ from math import asin, degrees, sin
 import numpy as np
 
 from frictrack.plausibility.finding import ERROR, Finding
-from frictrack.plausibility.legs import Leg, legs_of, mean, total
+from frictrack.plausibility.legs import CERTAIN, Leg, legs_of, mean, total
 from frictrack.records import GRAVITY, Run, Track
 
 STEADY = 0.02  # rms off a parabola over the way: a push by hand is not as constant as gravity
@@ -60,19 +60,19 @@ def wrong_incline(run: Run) -> Finding | None:
     """
     if not run.has_incline or _driven(run) or run.incline == 0.0:
         return None
-    legs = tuple(leg for leg in legs_of(run) if leg.partner < ALONE * leg.way or not leg.speeding)
-    if not legs:
+    every = legs_of(run)
+    if not _speeds_up(every):
         return None
+    legs = tuple(leg for leg in every if leg.certain and (leg.partner < ALONE * leg.way or not leg.speeding))
     stated = -GRAVITY * sin(run.incline)
     pull, both = _pull(legs)
     if both:
         return _of_both(run, stated, pull)
-    direction = max(legs, key=lambda leg: leg.way).direction
-    friction = direction * (stated - mean(_toward(legs, direction)))
-    if friction >= -AGAINST * abs(stated) or not any(leg.certain for leg in legs):
+    longest = max(legs, key=lambda leg: leg.way)
+    friction = longest.direction * (stated - pull)
+    if friction >= -max(AGAINST * abs(stated), CERTAIN * longest.sigma_a):
         return None
-    reversed_sign = direction * (-stated - pull)
-    if reversed_sign >= 0.0 and stated * pull < 0.0:
+    if longest.direction * (-stated - pull) >= 0.0 and stated * pull < 0.0:
         return _reversed(run, pull)
     words = (
         f"the mass speeds up with {abs(pull):.3g} m/s^2, but incline = {degrees(run.incline):.3g} deg gives only "
@@ -121,9 +121,9 @@ def _toward(legs: tuple[Leg, ...], direction: float) -> tuple[Leg, ...]:
 def _pull(legs: tuple[Leg, ...]) -> tuple[float, bool]:
     """Pull of gravity over mass toward +x, m/s^2, and whether both directions tell it; else a lower bound of it."""
     forth, back = _toward(legs, 1.0), _toward(legs, -1.0)
-    if min(total(forth), total(back)) > BOTH * total(legs):
+    if min(total(forth), total(back)) > BOTH * total(legs) and mean(forth) * mean(back) > 0.0:
         return (mean(forth) + mean(back)) / 2, True
-    return mean(forth if total(forth) > total(back) else back), False
+    return mean(_toward(legs, max(legs, key=lambda leg: leg.way).direction)), False
 
 
 def _proposed(run: Run, pull: float, path_angle: float | None, *, both: bool) -> Finding:

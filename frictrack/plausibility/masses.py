@@ -26,6 +26,7 @@ AGREE = 0.2  # decades within which the other runs agree, or two numbers are the
 EXACT = 0.02  # decades: the same weighing up to a power of ten
 MIN_FRAMES = 20
 KNOWN = 0.1  # relative deviation of a mass that the drive tells
+UNITS = {3: "x_m holds mm", -6: "t_s holds ms", -3: "t_s holds ms and x_m mm"}  # by the power of ten of m = D/a
 FEWEST = 3  # runs, of which two agree against the third
 
 
@@ -205,8 +206,9 @@ def _of_drive(run: Run) -> Finding | None:
     if not power:
         return None
     line = f'mass = "{run.mass / 10.0**power:g} kg"'
+    unit = f", or {UNITS[power]}" if power in UNITS and run.pixel_pitch is None else ""
     words = (
         f"the drive moves it as a mass of {seen:.3g} kg, but mass = {run.mass:g} kg; probably {line}, or the drive is "
-        f"{_times(-power)}"
+        f"{_times(-power)}{unit}"
     )
     return Finding("mass", words, line, run.name)

@@ -81,6 +81,16 @@ def _mass(raw: Any) -> Any:
     return raw if raw == "fit" else si(raw, "kg", "mass", above=0.0)
 
 
+def _angle(raw: Any, info: ValidationInfo) -> float:
+    """An angle below a right one; a number is in rad."""
+    try:
+        return si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
+    except ValueError as e:
+        degrees = isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < 90
+        hint = f'; a number is in rad: write "{raw:g} deg" for degrees' if degrees else ""
+        raise ValueError(f"{e}{hint}") from e
+
+
 def _path(raw: Any, info: ValidationInfo) -> Path:
     """A file or folder that is there, relative to the study file."""
     if not isinstance(raw, str) or not raw:
@@ -286,7 +296,7 @@ Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
-Angle = Annotated[float, _number("rad", above=-math.pi / 2, below=math.pi / 2)]
+Angle = Annotated[float, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
 
 

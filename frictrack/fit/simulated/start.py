@@ -176,13 +176,10 @@ def _turned(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tu
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
     problem = Problem(layout.model, layout, pieces)
-<<<<<<< HEAD
-    return _grown(model, problem, first_law if not any(p.slack for p in pieces) else lengthened, later)
-=======
+guess = lengthened if any(p.slack for p in pieces) else first_law
     if later:
-        return _grown(model, problem, first_law, later)
-    return settle_scatter(problem, first_law(problem), problem.first_starts())
->>>>>>> freerun
+        return _grown(model, problem, guess, later)
+    return settle_scatter(problem, guess(problem), problem.first_starts())
 
 
 def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:
