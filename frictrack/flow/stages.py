@@ -38,6 +38,7 @@ from frictrack.records import (
 )
 from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
+from frictrack.samples import rounding_noise, screened
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
 from frictrack.version import __version__
@@ -267,29 +268,33 @@ def _paths(value: Any) -> list[Path | Remote]:
 
 
 def _tabled(work: RunWork) -> Displacement:
-    """A table is a displacement already; what it does not hold is NaN."""
+    """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
     data = own_table(work.run)
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
-    return Displacement(
-        t=data.t,
-        x=data.x + work.run.x_offset,
-        y=nan if data.y is None else data.y,
-        angle=nan,
-        sigma_x=_table_sigma(data.x) if data.sigma is None else data.sigma,
-        sigma_y=nan,
-        valid=np.ones(len(data.t), dtype=bool),
-        pixel_pitch=pitch,
-        relative_scale_error=relative,
+    seen = screened(
+        Displacement(
+            t=data.t,
+            x=data.x + work.run.x_offset,
+            y=nan if data.y is None else data.y,
+            angle=nan,
+            sigma_x=nan if data.sigma is None else data.sigma,
+            sigma_y=nan,
+            valid=np.ones(len(data.t), dtype=bool),
+            pixel_pitch=pitch,
+            relative_scale_error=relative,
+        )
     )
+    return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
 
 
-def _table_sigma(x: Array) -> Array:
-    """White noise of a displacement whose table states none; at least that of its last digit."""
+def _table_sigma(seen: Displacement) -> Array:
+    """White noise of a displacement whose table states none; at least that of its last digit, or of its rounding."""
+    x = seen.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = float(noise_level(x, np.ones(len(x), dtype=bool))[0])
+    sigma = max(float(noise_level(x, seen.valid)[0]), rounding_noise(seen.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 

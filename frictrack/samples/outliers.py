@@ -24,6 +24,7 @@ HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one th
 DEGREE = 3
 LONGEST = 8  # rows of a burst
 LONGEST_AT_END = 5
+LONGEST_GAP = 25  # frames without a row, beyond which the course is not followed
 BRIDGED = 2  # good rows between suspects that make them one burst
 NEAR = 30  # rows on either side over which the noise is compared with that of the record
 LARGEST_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
@@ -70,8 +71,12 @@ class _Series:
     x: Array
     scale: Array
 
-    def cubic(self, rows: Rows, at: Rows) -> tuple[Array, float]:
-        """Deviations of the rows `at` from the cubic through `rows`, their own error included, and its chi-squared."""
+    def part(self, rows: Rows) -> _Series:
+        """Some of the rows."""
+        return _Series(self.frames[rows], self.x[rows], self.scale[rows])
+
+    def cubic(self, rows: Rows, at: Rows) -> tuple[Array, Array, float]:
+        """How far the rows `at` lie off the cubic through `rows`, the deviation of that, m, and its chi-squared."""
         middle, reach = 0.5 * (self.frames[rows[0]] + self.frames[rows[-1]]), 0.5 * np.ptp(self.frames[rows]) + 1.0
         powers = np.vander((self.frames - middle)[np.r_[rows, at]] / reach, DEGREE + 1)
         value = self.x[np.r_[rows, at]] - self.x[rows[0]]
@@ -81,7 +86,7 @@ class _Series:
         best = np.linalg.solve(upper, q.T @ white)
         known = np.linalg.norm(np.linalg.solve(upper.T, powers[len(rows) :].T), axis=0)
         off = value[len(rows) :] - powers[len(rows) :] @ best
-        return off / np.hypot(self.scale[at], known), float(np.sum((white - q @ (q.T @ white)) ** 2))
+        return off, np.hypot(self.scale[at], known), float(np.sum((white - q @ (q.T @ white)) ** 2))
 
     def event(self, rows: Rows, block: Rows) -> float:
         """Chi-squared of all rows about a cubic with the kink or the jump that suits them best, near a block."""
@@ -127,25 +132,32 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     >>> outliers(np.arange(200.0), x, np.ones(200)).rows
     array([120])
     """
-    n = len(x)
-    if n < 2 * SIDE + LONGEST:
-        return NONE
     relative = sigma / np.median(sigma)
     digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
     noise = max(_level(x / relative, frames), floor, digits)
     series = _Series(frames, x, noise * relative)
-    bad = np.zeros(n, dtype=bool)
+    parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > LONGEST_GAP) + 1)
+    found = [(part[rows], off) for part in parts for rows, off in [_of_stretch(series.part(part))]]
+    rows, off = (np.concatenate(each) for each in zip(*found, strict=True))
+    if len(rows) > LARGEST_SHARE * len(x):
+        return NONE
+    return Outliers(rows, off, noise)
+
+
+def _of_stretch(series: _Series) -> tuple[Rows, Array]:
+    """Outliers of rows without long gaps, and how far they lie off, m."""
+    bad = np.zeros(len(series.x), dtype=bool)
+    if len(bad) < 2 * SIDE + LONGEST:
+        return NONE.rows, NONE.off
     for _ in range(ROUNDS):
         spread, new = _round(series, bad)
         if not len(new):
             break
         bad[new] = True
     local = replace(series, scale=series.scale * spread)
-    held = [(rows, z) for rows in _bursts(bad) if (z := _judged(local, rows, bad, WIDE)) is not None]
-    if not held or np.sum(bad) > LARGEST_SHARE * n:
-        return NONE
-    rows = np.concatenate([rows for rows, _ in held])
-    return Outliers(rows, np.concatenate([z for _, z in held]) * local.scale[rows], noise)
+    held = [(rows, off) for rows in _bursts(bad) if (off := _judged(local, rows, bad, WIDE)) is not None]
+    rows, off = (np.concatenate(each) for each in zip((NONE.rows, NONE.off), *held, strict=True))
+    return rows, off
 
 
 def _level(x: Array, frames: Array) -> float:
@@ -162,7 +174,7 @@ def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:
 def _round(series: _Series, bad: Mask) -> tuple[Array, Rows]:
     """The noise (n,) of each neighbourhood over the usual one, and rows of bursts that stand without the rows `bad`."""
     good = np.flatnonzero(~bad)
-    kept = _Series(series.frames[good], series.x[good], series.scale[good])
+    kept = series.part(good)
     near = _screened(kept)
     spread = np.ones(len(bad))
     if not near.any():
@@ -187,7 +199,7 @@ def _strongest(kept: _Series, near: Mask) -> list[Rows]:
     tried = [r for r in np.argsort(-out).tolist() if near[r]][:TRIED]
     bursts = {(start, m) for r in tried for m in range(1, LONGEST_CLOSE + 1) for start in range(r - m + 1, r + 1)}
     inside = [np.arange(start, start + m) for start, m in sorted(bursts) if 0 <= start <= len(kept.x) - m]
-    judged = [(z, burst) for burst in inside if (z := _judged(kept, burst, nobody, CLOSE)) is not None]
+    judged = [(off, burst) for burst in inside if (off := _judged(kept, burst, nobody, CLOSE)) is not None]
     return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
 
 
@@ -234,7 +246,7 @@ def _bursts(suspects: Mask) -> Iterator[Rows]:
 
 
 def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Array | None:
-    """How far the rows of a burst lie off, in standard deviations, if it is one."""
+    """How far the rows of a burst lie off their course, m, if it is one."""
     before = np.flatnonzero(~suspects[: burst[0]])[-SIDE:]
     after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[:SIDE]
     at_end = min(len(before), len(after)) < judge.fewest
@@ -242,16 +254,17 @@ def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Arra
     freedom = len(sides) - DEGREE - 1
     if burst[-1] - burst[0] >= (LONGEST_AT_END if at_end else LONGEST) or freedom < judge.fewest:
         return None
-    z, misfit = series.cubic(sides, burst)
+    off, error, misfit = series.cubic(sides, burst)
+    farthest = float(np.max(np.abs(off) / error))
     if misfit > chi2.ppf(LIKELY, freedom):
         return None
     if at_end:
         suspects = suspects | np.isin(np.arange(len(suspects)), burst)
-        stands = np.max(np.abs(z)) > FAR_AT_END and _leaps(series, burst, ~suspects)
+        stands = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
     else:
         event = series.event(np.sort(np.r_[sides, burst]), burst)
-        stands = np.max(np.abs(z)) > judge.far and event - misfit > judge.than_event
-    return z if stands else None
+        stands = farthest > judge.far and event - misfit > judge.than_event
+    return off if stands else None
 
 
 def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:
