@@ -23,7 +23,7 @@ FAR_AT_END = 8.0
 HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
 LONGEST = 8  # rows of a burst
-LONGEST_AT_END = 5
+FEW_AT_END, LONGEST_AT_END = 2, 5  # the former are left out even where a blow may have moved the mass
 LONGEST_GAP = 25  # frames without a row, beyond which the course is not followed
 BRIDGED = 2  # good rows between suspects that make them one burst
 NEAR = 30  # rows on either side over which the noise is compared with that of the record
@@ -260,7 +260,7 @@ def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Arra
         return None
     if at_end:
         suspects = suspects | np.isin(np.arange(len(suspects)), burst)
-        stands = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
+        stands = farthest > FAR_AT_END and (len(burst) <= FEW_AT_END or _leaps(series, burst, ~suspects))
     else:
         event = series.event(np.sort(np.r_[sides, burst]), burst)
         stands = farthest > judge.far and event - misfit > judge.than_event
