@@ -17,9 +17,11 @@ from scipy.stats import chi2
 
 from frictrack.records import Array, Mask
 
-SCREEN = 5.0  # robust deviations of a fourth difference, below which no row near it is looked at
+# Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
+# with a sixth of the weight that others have.
+SCREEN, SCREEN_AT_END = 4.0, 2.0
 SUSPECT = 4.5  # deviations from the robust local cubic
-FAR_AT_END = 8.0
+FAR_AT_END = 6.0
 HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
 LONGEST = 8  # rows of a burst
@@ -147,7 +149,7 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
 def _of_stretch(series: _Series) -> tuple[Rows, Array]:
     """Outliers of rows without long gaps, and how far they lie off, m."""
     bad = np.zeros(len(series.x), dtype=bool)
-    if len(bad) < 2 * SIDE + LONGEST:
+    if len(bad) < 2 * HALF + 1:
         return NONE.rows, NONE.off
     for _ in range(ROUNDS):
         spread, new = _round(series, bad)
@@ -178,7 +180,7 @@ def _round(series: _Series, bad: Mask) -> tuple[Array, Rows]:
     near = _screened(kept)
     spread = np.ones(len(bad))
     if not near.any():
-        return spread, good[:0]
+        return spread, good[_at_ends(kept)]
     rows = np.flatnonzero(binary_dilation(near, iterations=NEAR))
     away = np.zeros(len(good))
     away[rows] = _robust(kept, rows)
@@ -186,8 +188,8 @@ def _round(series: _Series, bad: Mask) -> tuple[Array, Rows]:
     kept = replace(kept, scale=kept.scale * spread[good])
     suspects = near & (np.abs(away) > SUSPECT * spread[good])
     found = [burst for burst in _bursts(suspects) if _judged(kept, burst, suspects, WIDE) is not None]
-    if not found:  # they stand so close that the robust cubic follows them
-        found = _strongest(kept, near)
+    if not found:  # they stand so close that the robust cubic follows them, or at an end
+        found = _strongest(kept, near) or [_at_ends(kept)]
     return spread, good[np.concatenate([np.empty(0, np.int64), *found])]
 
 
@@ -203,10 +205,22 @@ def _strongest(kept: _Series, near: Mask) -> list[Rows]:
     return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
 
 
+def _at_ends(kept: _Series) -> Rows:
+    """The first or last rows where they lie off: fourth differences, which they hardly enter, do not show them."""
+    n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
+    first = [np.arange(start, start + m) for m in range(1, FEW_AT_END + 1) for start in range(FEW_AT_END + 1)]
+    for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
+        if _judged(kept, burst, nobody, WIDE) is not None:
+            return burst
+    return nobody.nonzero()[0]
+
+
 def _screened(series: _Series) -> Mask:
     """Rows near a fourth difference that stands out."""
     difference, whole = _fourth(series.x / series.scale, series.frames)
-    out = (np.abs(difference) > SCREEN * np.sqrt(70.0)) | ~whole
+    limit = np.full(len(difference), SCREEN)
+    limit[[0, 1, -2, -1]] = SCREEN_AT_END
+    out = (np.abs(difference) > limit * np.sqrt(70.0)) | ~whole
     mask = np.convolve(out, np.ones(5 + 2 * BRIDGED), mode="full") > 0.5
     return np.asarray(mask[BRIDGED : BRIDGED + len(series.x)])
 
@@ -247,8 +261,8 @@ def _bursts(suspects: Mask) -> Iterator[Rows]:
 
 def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Array | None:
     """How far the rows of a burst lie off their course, m, if it is one."""
-    before = np.flatnonzero(~suspects[: burst[0]])[-SIDE:]
-    after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[:SIDE]
+    before = np.flatnonzero(~suspects[: burst[0]])[-2 * SIDE :]
+    after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[: 2 * SIDE]
     at_end = min(len(before), len(after)) < judge.fewest
     sides = np.r_[before, after] if at_end else np.r_[before[-judge.side :], after[: judge.side]]
     freedom = len(sides) - DEGREE - 1
