@@ -21,8 +21,9 @@ from frictrack import models, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
-from frictrack.flow.beside import known, own_table, sensed
+from frictrack.flow.beside import known, sensed
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
+from frictrack.flow.tables import even_table, own_table
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level, trade
 from frictrack.records import (
@@ -269,7 +270,8 @@ def _paths(value: Any) -> list[Path | Remote]:
 
 def _tabled(work: RunWork) -> Displacement:
     """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
-    data = own_table(work.run)
+    table = even_table(own_table(work.run), work.run.fps)
+    data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
@@ -281,10 +283,12 @@ def _tabled(work: RunWork) -> Displacement:
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,
             sigma_y=nan,
-            valid=np.ones(len(data.t), dtype=bool),
+            valid=table.valid,
             pixel_pitch=pitch,
             relative_scale_error=relative,
-        )
+            notes=table.notes,
+        ),
+        table.numbers,
     )
     return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
 
@@ -386,5 +390,5 @@ FILM = _chain(
     ),
 )
 TABLE = _chain(
-    Stage("displacement", (), ("table", "columns", "scale", "x_offset"), _tabled, Displacement),
+    Stage("displacement", (), ("table", "columns", "fps", "scale", "x_offset"), _tabled, Displacement),
 )

@@ -37,7 +37,7 @@ class Repeat:
     ticks: int
 
 
-def repeats(p: Array, good: Mask, sigma: Array, *, held: bool) -> list[Repeat]:
+def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = False) -> list[Repeat]:
     """Frames that repeat the one before, in order.
 
     Parameters
@@ -47,6 +47,7 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool) -> list[Repeat]:
     sigma : (n,) standard deviations of p.
     held : whether, where every frame comes several times, the time stamps are right and the position was held; else
         the frames were put in, and time counts pictures.
+    exact : whether a repeat is the same to the last digit. Many of them then come at even distances, or the mass sticks.
 
     Examples
     --------
@@ -57,13 +58,15 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool) -> list[Repeat]:
     """
     steps = np.where(good[1:] & good[:-1], np.diff(p), np.nan)
     usual = _usual(np.abs(steps))
-    still = np.abs(steps) < STILL * usual
+    still = (steps == 0.0) if exact else np.abs(steps) < STILL * usual
     if not still.any():
         return []
     often = np.sum(still) > OFTEN * len(still)
     found = [run for run in _runs(still) if _moves(steps, run, usual, ends=often)]
     noise = _noise(p, sigma, good, found)
     found = [run for run in found if usual[run.start] > CLEAR * noise]
+    if exact and often and len({run.stop - run.start for run in found[1:-1]}) > 1:
+        return []
     clean = _clean(steps, still)
     judged = (_judged(steps, run, clean, held=held) for run in found)
     return [one for one in judged if one is not None]

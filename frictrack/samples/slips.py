@@ -56,6 +56,7 @@ class Course:
     ticks: Ticks
     good: Mask
     smallest: float
+    exact: bool = False  # a frame that repeats another is the same to the last digit
     window: int = WINDOWS[0][0]
     degree: int = WINDOWS[0][1]
 
@@ -72,7 +73,7 @@ def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
     `repeats`.
     """
     follows = np.concatenate(([True], np.diff(path.ticks) == 1))
-    again = [slip for one in repeats(path.p, path.good & follows, path.sigma, held=held) for slip in _slips_of(one)]
+    again = [slip for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact) for slip in _slips_of(one)]
     ticks, keep = corrected(path.ticks, again)
     stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
     rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest)
