@@ -23,8 +23,7 @@ DEPENDS = 0.5  # standard deviations between forward and backward that are worth
 def judged(
     track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
 ) -> tuple[Track, tuple[str, ...], Rows]:
-    """The track without camera shake (of at least `least` px) and with true times, what is to be said of it, and the
-    number of the frame that each of its rows is.
+    """The track without camera shake (of at least `least` px) and with true times, findings, and its frame numbers.
 
     Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
     that are missing become gaps, doubled ones are left out.
@@ -108,7 +107,9 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     right, keep = corrected(ticks, slips)
     rows = rows_kept(len(track), slips)
     lost = ~keep[rows]
-    columns = {f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")}
+    columns: dict[str, Any] = {
+        f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")
+    }
     for name in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px"):
         columns[name][lost] = np.nan
     columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]

@@ -19,7 +19,7 @@ from frictrack.flow import changes
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import open_study
-from frictrack.flow.stages import Progress, RunWork, digest, hashed, silent
+from frictrack.flow.stages import Progress, RunWork, copied, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
@@ -137,7 +137,9 @@ class Session:
             group, spec = self.tried.append(replace(spec, **asked), model=model, **how)
         if profiles or draws:
             self._make_sure(group, profiles, draws, spec.seed)
-        return {**self._summary(group), "scale_error": self._scale_error()}
+        found = self._summary(group)
+        twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
+        return {**found, "remarks": [*found["remarks"], *twice], "scale_error": self._scale_error()}
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +22,7 @@ from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
 from frictrack.flow.beside import known, sensed
+from frictrack.flow.copies import copy_notes
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
 from frictrack.flow.tables import even_table, own_table
 from frictrack.friction import friction
@@ -239,6 +240,13 @@ class RunWork:
         """The run as the fit wants it."""
         sensors: Sensors = self.get("sensors")
         return _run(self, self.get("displacement"), self.get("motion"), sensors)
+
+
+def copied(works: Sequence[RunWork]) -> dict[str, str]:
+    """Findings on runs that are the same recording as an earlier one."""
+    displacements = {work.run.name: work.get("displacement") for work in works}
+    films = {work.run.name: work.get("recording").hash for work in works if work.run.video}
+    return copy_notes(displacements, films)
 
 
 def key_of(name: str, version: str, settings: dict[str, Any], hashes: list[str]) -> str:

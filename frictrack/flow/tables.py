@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.motion import noise_level
 from frictrack.records import Array, Mask
@@ -15,6 +17,10 @@ from frictrack.samples.screen import frame_numbers, listed
 from frictrack.samples.slips import Course, Slip, corrected, faults
 from frictrack.study import RunTable, TableData, read_table
 
+if TYPE_CHECKING:
+    from frictrack.recording.timebase import Stamps
+
+Rows = NDArray[np.int64]
 DISAGREE = 1e-3  # relative difference of two frame rates that is worth a word
 DIGITS = 8 * np.finfo(float).eps  # relative error of what a double holds
 CLEAR = 10.0  # times its noise: a smaller jump of a position is no missing sample
@@ -29,7 +35,7 @@ class EvenTable:
 
     data: TableData
     valid: Mask
-    numbers: Array  # of each row in the file, counted from 0
+    numbers: Rows  # of each row in the file, counted from 0
     notes: tuple[str, ...] = ()
 
 
@@ -60,11 +66,10 @@ def _followed(data: TableData) -> bool:
     return is_even(data.t) and float(np.max(gaps)) < LONGEST_GAP and float(np.ptp(data.x)) > STILL
 
 
-def _clocked(data: TableData) -> tuple[TableData, Array, tuple[str, ...]]:
+def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
     """A table of uneven stamps on an even clock, the numbers of its rows, and what was done."""
-    from frictrack.recording.timebase import read_stamps  # noqa: PLC0415 - loads OpenCV; tables with even stamps do without
+    from frictrack.recording.timebase import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
-    assert data.x is not None
     rows = np.arange(len(data.t))
     rounded = rounded_clock(data.t)
     if rounded is not None:
@@ -72,31 +77,40 @@ def _clocked(data: TableData) -> tuple[TableData, Array, tuple[str, ...]]:
     read = read_stamps(data.t)
     if read is None:
         return data, rows, ()
+    rows = np.setdiff1d(rows, read.doubled)
+    ticks = _filled(read.ticks)[rows]
+    right = data.t[0] + (ticks - ticks[0]) * read.step
+    taken = _taken(
+        replace(data, t=_put(data.t, rows, np.where(np.isin(rows, read.corrupt), right, data.t[rows]))), rows
+    )
+    moved, notes = _evened(taken, ticks)
+    return moved, rows, (*_stamp_notes(read), *notes)
+
+
+def _evened(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
+    """A table whose rows are so many intervals after the first, on an even clock, and what was done."""
+    assert data.x is not None
+    if np.any(np.diff(ticks) <= 0) or is_even(data.t):
+        return data, ()
+    clock = jittered_clock(data.t, ticks, data.x)
+    return (data, ()) if clock is None else (_on(data, clock), clock.notes)
+
+
+def _stamp_notes(read: Stamps) -> tuple[str, ...]:
+    """Stamps that were written twice, and wrong ones, in words."""
     notes: tuple[str, ...] = ()
     if len(read.doubled):
-        rows = np.setdiff1d(rows, read.doubled)
         notes += (f"{_count(len(read.doubled))} the time stamp of the row before: {listed(read.doubled)}; left out",)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {listed(read.corrupt)}; the row stays in its place",)
-    ticks = _filled(read.ticks)[rows]
-    data = _taken(data, rows)
-    if np.any(np.diff(ticks) <= 0):
-        return data, rows, notes
-    assert data.x is not None
-    t = np.where(np.isin(rows, read.corrupt), data.t[0] + (ticks - ticks[0]) * read.step, data.t)
-    if is_even(t):
-        return replace(data, t=t), rows, notes
-    clock = jittered_clock(t, ticks, data.x)
-    if clock is None:
-        return data, rows, notes
-    return _on(data, clock), rows, (*notes, *clock.notes)
+    return notes
 
 
 def _count(n: int) -> str:
     return "1 row has" if n == 1 else f"{n} rows have"
 
 
-def _filled(ticks: Array) -> Array:
+def _filled(ticks: Rows) -> Rows:
     """Frame numbers with those of corrupt stamps (-1) in their place."""
     known = ticks >= 0
     return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
@@ -112,10 +126,11 @@ def _on(data: TableData, clock: Clock) -> TableData:
     return replace(data, t=clock.t, **moved)
 
 
-def _taken(data: TableData, rows: Array) -> TableData:
+def _taken(data: TableData, rows: Rows) -> TableData:
     """Some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
-    return TableData(**{name: None if column is None else column[rows] for name, column in columns.items()})
+    taken: dict[str, Any] = {name: None if column is None else column[rows] for name, column in columns.items()}
+    return TableData(**taken)
 
 
 def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
@@ -157,7 +172,7 @@ def _course(data: TableData) -> Course:
     return Course(x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), CLEAR * noise, exact=True)
 
 
-def _slip_notes(found: tuple[Slip, ...], numbers: Array) -> tuple[str, ...]:
+def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
     """Repeated and missing samples in words."""
     again = [int(numbers[s.frame]) for s in found if s.doubled]
     lost = [s for s in found if not s.doubled]

@@ -70,7 +70,8 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> Clock | None:
     >>> true = even + 1e-4 * rng.standard_normal(400)
     >>> x = 2 * true + 1e-6 * rng.standard_normal(400)
     >>> jittered_clock(true, np.arange(400), x).notes[0][:37]
-    'time stamps jitter by 9.6 % of the in'
+    'time stamps jitter by 9.9 % of the in'
+
     """
     interval, start = np.polyfit(ticks, t, 1)
     even = start + interval * ticks
@@ -82,13 +83,15 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> Clock | None:
     as_stamped = _noise(x - speed(t, x) * late, ticks)
     jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
     if len(t) >= FEWEST and as_even < as_stamped:
-        return Clock(even, np.zeros(len(t)), (f"{jitter}; the motion is even, so that the rows are taken as evenly spaced",))
+        return Clock(
+            even, np.zeros(len(t)), (f"{jitter}; the motion is even, so that the rows are taken as evenly spaced",)
+        )
     note = f"{jitter}; each position is moved to the even clock by its speed times how late it was sampled"
     return Clock(even, late, (note,))
 
 
 def speed(t: Array, x: Array) -> Array:
-    """Speed (n,) of positions x at times t: the median of differences over several spans, which outliers leave alone."""
+    """Speed (n,) of positions x at times t: the median over several spans, which outliers leave alone."""
     rows = np.arange(len(t))
     quotients = []
     for k in range(1, SPREAD + 1):

@@ -38,10 +38,14 @@ def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]
 
     Parameters
     ----------
-    p : (n,) position along the course.
-    ticks : (n,) frame interval that each row is thought to be.
-    good : (n,) rows whose position is known.
-    smallest : a step longer than usual by less, in the unit of p, may be a fault of the tracker.
+    p : array (n,)
+        Position along the course.
+    ticks : array (n,)
+        Frame interval that each row is thought to be.
+    good : array (n,)
+        Rows whose position is known.
+    smallest : float
+        A step longer than usual by less, in the unit of p, may be a fault of the tracker.
 
     Examples
     --------
@@ -50,6 +54,7 @@ def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]
     >>> p = k + 0.01 * np.random.default_rng(0).standard_normal(57)
     >>> [(gap.at, gap.missing) for gap in gaps(p, np.arange(57), np.ones(57, bool))]
     [(20, 1), (23, 2)]
+
     """
     rows = np.flatnonzero(good)
     if len(rows) < 2 * FEWEST + 2:

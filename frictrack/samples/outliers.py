@@ -1,8 +1,8 @@
 """Find samples of a displacement that lie far off its course and return to it: outliers, single or in short bursts.
 
-A collision, a stop or a push bends the course for good; an outlier leaves it and comes back. Suspects are rows whose
-robust local cubic (least absolute deviations) misses them. A suspect is an outlier where the rows on both sides lie on one
-cubic to within the noise, it is far off that cubic, and neither a kink nor a jump explains all rows as well.
+A collision, a stop or a push bends the course for good; an outlier leaves it and comes back. Suspects are rows that
+their robust local cubic (least absolute deviations) misses. A suspect is an outlier where the rows on both sides lie on
+one cubic to within the noise, it is far off that cubic, and neither a kink nor a jump explains all rows as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ FAR_AT_END = 6.0
 HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
 LONGEST = 8  # rows of a burst
-FEW_AT_END, LONGEST_AT_END = 2, 5  # the former are left out even where a blow may have moved the mass
+FEW_AT_END, LONGEST_AT_END = 2, 5
+LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
 LONGEST_GAP = 25  # frames without a row, beyond which the course is not followed
 BRIDGED = 2  # good rows between suspects that make them one burst
 NEAR = 30  # rows on either side over which the noise is compared with that of the record
@@ -112,10 +113,14 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
 
     Parameters
     ----------
-    frames : (n,) number of the frame of every row, rising.
-    x : (n,) position, m.
-    sigma : (n,) standard deviations of the rows; only their ratios count.
-    floor : noise that a row has at the least, m: the step of quantised positions over sqrt(12).
+    frames : array (n,)
+        Number of the frame of every row, rising.
+    x : array (n,)
+        Position, m.
+    sigma : array (n,)
+        Standard deviations of the rows; only their ratios count.
+    floor : float
+        Noise that a row has at the least, m: the step of quantised positions over sqrt(12).
 
     Returns
     -------
@@ -133,6 +138,7 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     >>> x[120] += 1e-3
     >>> outliers(np.arange(200.0), x, np.ones(200)).rows
     array([120])
+
     """
     relative = sigma / np.median(sigma)
     digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
@@ -274,7 +280,7 @@ def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Arra
         return None
     if at_end:
         suspects = suspects | np.isin(np.arange(len(suspects)), burst)
-        stands = farthest > FAR_AT_END and (len(burst) <= FEW_AT_END or _leaps(series, burst, ~suspects))
+        stands = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
     else:
         event = series.event(np.sort(np.r_[sides, burst]), burst)
         stands = farthest > judge.far and event - misfit > judge.than_event
@@ -290,4 +296,4 @@ def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:
     steps = np.abs(np.diff(series.x[rows]) / np.diff(series.frames[rows]))
     next_to = rows[np.argmin(np.abs(rows - burst[0]))]
     step = np.abs(series.x[burst] - series.x[next_to]) / np.abs(series.frames[burst] - series.frames[next_to])
-    return bool(np.max(step) > np.max(steps) + FAR_AT_END * float(np.max(series.scale[burst])))
+    return bool(np.max(step) > LEAP * np.max(steps) + FAR_AT_END * float(np.max(series.scale[burst])))

@@ -1,8 +1,8 @@
-"""Find the step of quantised positions: an encoder's counts, an ultrasonic sensor's centimetres, the digits of a table.
+"""Find the step of quantised positions: counts of an encoder, centimetres of an ultrasonic sensor, digits of a table.
 
-Rounding to a step q adds an error of standard deviation q / sqrt(12) (Bennett 1948, Bell Syst. Tech. J. 27), white where
-the position changes by more than a step, or its noise by half of one, from sample to sample. A slower mass shares
-its error with the samples before: differences of the positions then show less noise than there is, or none.
+Rounding to a step q adds an error of standard deviation q / sqrt(12) (Bennett 1948, Bell Syst. Tech. J. 27). It is
+white where the position changes by more than a step, or its noise by half of one, from sample to sample. A slower mass
+shares its error with the samples before: differences of the positions then show less noise than there is, or none.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ def quantum(x: Array) -> float:
     >>> import numpy as np
     >>> quantum(np.round(np.linspace(0.0, 1.0, 50), 2))
     0.01
+
     """
     values = np.unique(x)
     gaps = np.diff(values)

@@ -42,12 +42,17 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
 
     Parameters
     ----------
-    p : (n,) position along the course.
-    good : (n,) frames whose position is known, one frame interval after the row before.
-    sigma : (n,) standard deviations of p.
-    held : whether, where every frame comes several times, the time stamps are right and the position was held; else
-        the frames were put in, and time counts pictures.
-    exact : whether a repeat is the same to the last digit. Many of them then come at even distances, or the mass sticks.
+    p : array (n,)
+        Position along the course.
+    good : array (n,)
+        Frames whose position is known, one frame interval after the row before.
+    sigma : array (n,)
+        Standard deviations of p.
+    held : bool
+        Whether, where every frame comes several times, the time stamps are right and the position was held; else the
+        frames were put in, and time counts pictures.
+    exact : bool
+        Whether a repeat is the same to the last digit. Many of them then come at even distances, or the mass sticks.
 
     Examples
     --------
@@ -55,13 +60,14 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
     >>> k = np.repeat(np.arange(40.0), 1 + (np.arange(40) == 20))
     >>> repeats(k, np.ones(41, bool), np.full(41, 1e-3), held=False)
     [Repeat(first=21, last=21, ticks=1)]
+
     """
     steps = np.where(good[1:] & good[:-1], np.diff(p), np.nan)
     usual = _usual(np.abs(steps))
     still = (steps == 0.0) if exact else np.abs(steps) < STILL * usual
     if not still.any():
         return []
-    often = np.sum(still) > OFTEN * len(still)
+    often = bool(np.sum(still) > OFTEN * len(still))
     found = [run for run in _runs(still) if _moves(steps, run, usual, ends=often)]
     noise = _noise(p, sigma, good, found)
     found = [run for run in found if usual[run.start] > CLEAR * noise]
@@ -91,11 +97,11 @@ def _runs(still: Mask) -> Iterator[slice]:
 
 
 def _moves(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
-    """Whether the mass moves at full speed, the same way, before and after; at `ends` of the record on one side only."""
-    beside = [steps[i] for i in (run.start - 1, run.stop) if 0 <= i < len(steps)]
-    if len(beside) < (1 if ends else 2) or not np.all(np.isfinite(beside)):
+    """Whether the mass moves at full speed, the same way, before and after; at the `ends` of the record on one side."""
+    near = [steps[i] for i in (run.start - 1, run.stop) if 0 <= i < len(steps)]
+    if len(near) < (1 if ends else 2) or not np.all(np.isfinite(near)):
         return False
-    return bool(min(np.abs(beside)) > FULL * usual[run.start] and beside[0] * beside[-1] > 0)
+    return bool(min(np.abs(near)) > FULL * usual[run.start] and near[0] * near[-1] > 0)
 
 
 def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:

@@ -1,4 +1,4 @@
-"""Check the samples of a displacement: outliers are left out, the step of quantised positions is found, both are named."""
+"""Check the samples of a displacement: leave outliers out, find the step of quantised positions, name both."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.records import Array, Displacement, Mask
+from frictrack.records import Array, Displacement
 from frictrack.samples.outliers import MEDIAN_TO_SIGMA, Outliers, outliers
 from frictrack.samples.quantisation import MATTERS, quantum, rounding_noise
 
@@ -22,8 +22,10 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
 
     Parameters
     ----------
-    displacement : positions as they were measured; they stay as they are.
-    numbers : (n,) number of each row's frame in its recording, for the findings; counted from 0 by default.
+    displacement : Displacement
+        Positions as they were measured; they stay as they are.
+    numbers : array (n,), optional
+        Number of each row's frame in its recording, for the findings; counted from 0 by default.
 
     Returns
     -------
@@ -41,6 +43,7 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
     >>> seen = screened(Displacement(t, x, nan, nan, nan, nan, np.ones(200, bool)))
     >>> seen.valid[119:122].tolist(), seen.notes[0].endswith("off its course (frame 120): left out")
     ([True, False, True], True)
+
     """
     numbers = np.arange(len(displacement)) if numbers is None else numbers
     frames = frame_numbers(displacement.t)

@@ -73,7 +73,11 @@ def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
     `repeats`.
     """
     follows = np.concatenate(([True], np.diff(path.ticks) == 1))
-    again = [slip for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact) for slip in _slips_of(one)]
+    again = [
+        slip
+        for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact)
+        for slip in _slips_of(one)
+    ]
     ticks, keep = corrected(path.ticks, again)
     stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
     rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest)
