@@ -80,9 +80,8 @@ def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
     rows = np.setdiff1d(rows, read.doubled)
     ticks = _filled(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
-    taken = _taken(
-        replace(data, t=_put(data.t, rows, np.where(np.isin(rows, read.corrupt), right, data.t[rows]))), rows
-    )
+    stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
+    taken = replace(_taken(data, rows), t=stamps)
     moved, notes = _evened(taken, ticks)
     return moved, rows, (*_stamp_notes(read), *notes)
 
