@@ -82,6 +82,8 @@ def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
     taken = replace(_taken(data, rows), t=stamps)
+    if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
+        return data, np.arange(len(data.t)), ()
     moved, notes = _evened(taken, ticks)
     return moved, rows, (*_stamp_notes(read), *notes)
 
@@ -89,7 +91,7 @@ def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
 def _evened(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
     """A table whose rows are so many intervals after the first, on an even clock, and what was done."""
     assert data.x is not None
-    if np.any(np.diff(ticks) <= 0) or is_even(data.t):
+    if is_even(data.t):
         return data, ()
     clock = jittered_clock(data.t, ticks, data.x)
     return (data, ()) if clock is None else (_on(data, clock), clock.notes)
