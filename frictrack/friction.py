@@ -59,7 +59,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
         reason = f"whole record ({what} is measured), {stuck} of {len(valid)} frames left out as stuck"
     else:
         section = _section(run)
-        mask = valid & moving
+        mask = valid & moving & ~_at_ends(run)
         mask[: section.first] = mask[section.last + 1 :] = False
         reason = f"from {section.begins} to {section.ends}"
     if np.sum(mask) < MIN_FREE:
@@ -196,7 +196,7 @@ def is_motion(run: Run, s: slice) -> bool:
 def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
     """First free frame, frame of release, and why."""
     t, smear = run.motion.t, _smear(run)
-    there = run.displacement.valid & ~_leaps(run, start, stop)
+    there = run.displacement.valid & ~_leaps(run, start, stop) & ~_at_ends(run)
     speed = np.where(there, np.abs(run.motion.v), 0.0)[start : stop + 1]
     fastest = int(np.argmax(speed))
     before = speed[: fastest + 1]
@@ -243,6 +243,17 @@ def _event(run: Run, row: int) -> tuple[int, int] | None:
     return min(near, key=lambda e: max(e[0] - row, row - e[1])) if near else None
 
 
+def _at_ends(run: Run) -> Mask:
+    """Frames (n,) of events at an end of the record: nothing shows whether the mass was pushed or a sample is off."""
+    n = len(run.motion)
+    rows = np.arange(n)
+    out = np.zeros(n, dtype=bool)
+    for first, last in run.motion.events:
+        if first <= EVENT_REACH or last >= n - 1 - EVENT_REACH:
+            out |= (rows >= first - EVENT_REACH) & (rows <= last + EVENT_REACH)
+    return out
+
+
 def _leaps(run: Run, start: int, stop: int) -> Mask:
     """Frames (n,) whose speed was not there just before and is lost at once: no push but a frame that was lost."""
     speed, window = np.abs(run.motion.v), _window(run)
@@ -284,7 +295,7 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     had = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in beside], axis=0)
     left = np.max([way * v[np.minimum(j + k, len(v) - 1)] for k in beside], axis=0)
     loss = had - left
-    hits = i[(loss > 0.5 * had) & (loss > _sudden(run, first, stop))]
+    hits = i[(loss > 0.5 * had) & (loss > _sudden(run, first, stop)) & ~_at_ends(run)[i]]
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))

@@ -123,6 +123,7 @@ class Displacement(Table):
     systematic: float = scalar("m", default=0.0)  # rms of what a tracker is off by slowly, beside its noise
     shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
+    resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, where it exceeds the noise
 
 
 @dataclass(frozen=True, eq=False)

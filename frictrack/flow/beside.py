@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.flow.tables import even_table, own_table
 from frictrack.friction import release_time
 from frictrack.motion import differentiate, low_pass
 from frictrack.motion.known import KnownAcceleration
 from frictrack.records import Array, Displacement, Motion, Run
-from frictrack.remote import local
 from frictrack.results import Sensors
 from frictrack.sensors import (
     Alignment,
@@ -27,18 +27,12 @@ from frictrack.sensors import (
     release_energy,
     second_differences,
 )
-from frictrack.study import RunTable, TableData, read_clocked, read_table
+from frictrack.study import RunTable, TableData, read_clocked
 
 if TYPE_CHECKING:
     from frictrack.flow.stages import RunWork
 
 HEAVIER = 3.0  # standard deviations between the mass that the drive moves and the one that was weighed
-
-
-def own_table(run: RunTable) -> TableData:
-    """The table that a run is."""
-    assert run.table is not None
-    return read_table(local(run.table), run.columns)
 
 
 def sensed(run: RunTable, displacement: Displacement) -> Sensors:
@@ -49,7 +43,7 @@ def sensed(run: RunTable, displacement: Displacement) -> Sensors:
     """
     beside = _Beside(displacement)
     if run.table:
-        beside.own(own_table(run), run.table.name)
+        beside.own(even_table(own_table(run)).data, run.table.name)
     if run.drive is not None:
         beside.drive(run.drive if isinstance(run.drive, dict) else _spelled(run.drive))
     if run.sensor is not None:

@@ -14,6 +14,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.quality import judged, left_of_shake
 from frictrack.records import Displacement, Track
 from frictrack.results import Film
+from frictrack.samples import screened
 
 if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
@@ -165,7 +166,7 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
     plane = early_plane(work) or plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
     seen = aligned(track, anchor.get("track")) if anchor else track
     least = least_shake(run)
-    clean, notes = judged(seen, tracks, clocked=work.get("recording").clocked, least=least)
+    clean, notes, numbers = judged(seen, tracks, clocked=work.get("recording").clocked, least=least)
     unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     made = calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
@@ -174,6 +175,7 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
         origin_px=run.origin_px,
         x_offset=run.x_offset,
     )
+    made = screened(made, numbers)
     left = left_of_shake(tracks.get(REFERENCE), least)
     if left is None or made.pixel_pitch is None:
         return made

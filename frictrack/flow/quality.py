@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.calibration import shake, steadied
 from frictrack.records import Track
@@ -15,13 +16,14 @@ from frictrack.results import Film
 if TYPE_CHECKING:
     from frictrack.tracking.checks.timing import Slip
 
+Rows = NDArray[np.int64]
 DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
 
 
 def judged(
     track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
-) -> tuple[Track, tuple[str, ...]]:
-    """The track without camera shake (of at least `least` px) and with true times, and what is to be said of it.
+) -> tuple[Track, tuple[str, ...], Rows]:
+    """The track without camera shake (of at least `least` px) and with true times, findings, and its frame numbers.
 
     Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
     that are missing become gaps, doubled ones are left out.
@@ -30,7 +32,8 @@ def judged(
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
     notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
-    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips)))
+    rows = np.arange(len(track)) if clocked else rows_kept(len(track), slips)
+    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips))), rows
 
 
 def _clean(
@@ -85,6 +88,11 @@ def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
     return (both.words,) if both.only_one or both.in_sigma > DEPENDS else ()
 
 
+def rows_kept(n: int, slips: Sequence[Slip]) -> Rows:
+    """Rows of a track of n frames that stay: doubled frames that were put in do not."""
+    return np.setdiff1d(np.arange(n), [s.frame for s in slips if s.frames < 0])
+
+
 def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     """The track with gaps in time where frames are missing, and without doubled frames.
 
@@ -97,9 +105,11 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
     right, keep = corrected(ticks, slips)
-    rows = np.setdiff1d(np.arange(len(track)), [s.frame for s in slips if s.frames < 0])
+    rows = rows_kept(len(track), slips)
     lost = ~keep[rows]
-    columns = {f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")}
+    columns: dict[str, Any] = {
+        f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")
+    }
     for name in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px"):
         columns[name][lost] = np.nan
     columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]

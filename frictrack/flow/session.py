@@ -20,7 +20,7 @@ from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import open_study
 from frictrack.flow.plausible import Findings
-from frictrack.flow.stages import Progress, RunWork, digest, hashed, silent
+from frictrack.flow.stages import Progress, RunWork, copied, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
@@ -153,7 +153,10 @@ class Session:
             group, spec = self.tried.append(replace(spec, **asked), model=model, **how)
         if profiles or draws:
             self._make_sure(group, profiles, draws, spec.seed)
-        return {**self._summary(group), "scale_error": self._scale_error(), "warnings": self.findings.summary}
+        found = self._summary(group)
+        twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
+        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary}
+        return {**found, "remarks": [*found["remarks"], *twice], **more}
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""

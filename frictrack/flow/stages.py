@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,8 +21,10 @@ from frictrack import models, store
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
-from frictrack.flow.beside import known, own_table, sensed
+from frictrack.flow.beside import known, sensed
+from frictrack.flow.copies import copy_notes
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
+from frictrack.flow.tables import even_table, own_table
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, noise_level, trade
 from frictrack.plausibility import missing_incline, path_angle
@@ -39,6 +41,7 @@ from frictrack.records import (
 )
 from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
+from frictrack.samples import rounding_noise, screened
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
 from frictrack.version import __version__
@@ -240,6 +243,13 @@ class RunWork:
         return _run(self, self.get("displacement"), self.get("motion"), sensors)
 
 
+def copied(works: Sequence[RunWork]) -> dict[str, str]:
+    """Findings on runs that are the same recording as an earlier one."""
+    displacements = {work.run.name: work.get("displacement") for work in works}
+    films = {work.run.name: work.get("recording").hash for work in works if work.run.video}
+    return copy_notes(displacements, films)
+
+
 def key_of(name: str, version: str, settings: dict[str, Any], hashes: list[str]) -> str:
     """The key of a stage: hash of its name, the version of frictrack, its settings and the hashes of its inputs."""
     return digest([name, version, settings, hashes])
@@ -268,29 +278,36 @@ def _paths(value: Any) -> list[Path | Remote]:
 
 
 def _tabled(work: RunWork) -> Displacement:
-    """A table is a displacement already; what it does not hold is NaN."""
-    data = own_table(work.run)
+    """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
+    table = even_table(own_table(work.run), work.run.fps)
+    data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
-    return Displacement(
-        t=data.t,
-        x=data.x + work.run.x_offset,
-        y=nan if data.y is None else data.y,
-        angle=nan,
-        sigma_x=_table_sigma(data.x) if data.sigma is None else data.sigma,
-        sigma_y=nan,
-        valid=np.ones(len(data.t), dtype=bool),
-        pixel_pitch=pitch,
-        relative_scale_error=relative,
+    seen = screened(
+        Displacement(
+            t=data.t,
+            x=data.x + work.run.x_offset,
+            y=nan if data.y is None else data.y,
+            angle=nan,
+            sigma_x=nan if data.sigma is None else data.sigma,
+            sigma_y=nan,
+            valid=table.valid,
+            pixel_pitch=pitch,
+            relative_scale_error=relative,
+            notes=table.notes,
+        ),
+        table.numbers,
     )
+    return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
 
 
-def _table_sigma(x: Array) -> Array:
-    """White noise of a displacement whose table states none; at least that of its last digit."""
+def _table_sigma(seen: Displacement) -> Array:
+    """White noise of a displacement whose table states none; at least that of its last digit, or of its rounding."""
+    x = seen.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = float(noise_level(x, np.ones(len(x), dtype=bool))[0])
+    sigma = max(float(noise_level(x, seen.valid)[0]), rounding_noise(seen.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
@@ -408,5 +425,5 @@ FILM = _chain(
     ),
 )
 TABLE = _chain(
-    Stage("displacement", (), ("table", "columns", "scale", "x_offset"), _tabled, Displacement),
+    Stage("displacement", (), ("table", "columns", "fps", "scale", "x_offset"), _tabled, Displacement),
 )

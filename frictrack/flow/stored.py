@@ -20,7 +20,7 @@ from frictrack.flow.beside import known, sensor_rows
 from frictrack.flow.budgets import budgeted
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.quality import quality
-from frictrack.flow.stages import RunWork, silent
+from frictrack.flow.stages import RunWork, copied, silent
 from frictrack.flow.tried import Tried, model_results
 from frictrack.motion import derivatives, low_pass
 from frictrack.records import Array, Happenings
@@ -44,7 +44,7 @@ def stored(study: Study) -> Results:
             path=study.path,
             output=study.output,
             version=__version__,
-            runs=tuple(run_results(work) for work in works if _is_measured(work)),
+            runs=_with_copies([work for work in works if _is_measured(work)]),
             models=models,
             comparison=_summary(tried, "comparison"),
             diagnosis=current.diagnosis if current else None,
@@ -52,6 +52,13 @@ def stored(study: Study) -> Results:
             papers=tried.results("papers") if has_papers else None,
             outdated=tuple(_outdated(works, tried)),
         )
+
+
+def _with_copies(works: list[RunWork]) -> tuple[RunResults, ...]:
+    """The runs, and which of them are the same recording."""
+    twice = copied(works)
+    runs = [run_results(work) for work in works]
+    return tuple(replace(r, notes=(*r.notes, twice[r.name])) if r.name in twice else r for r in runs)
 
 
 def attempted(path: Path) -> ModelResults:

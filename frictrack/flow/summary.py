@@ -11,7 +11,7 @@ from frictrack.flow.beside import sensor_rows
 from frictrack.flow.budgets import budgeted
 from frictrack.flow.films import overlay, sheet
 from frictrack.flow.quality import quality
-from frictrack.flow.stages import RunWork
+from frictrack.flow.stages import RunWork, copied
 from frictrack.records import Displacement, Friction, Happenings, Motion, Trade
 from frictrack.results import plain
 
@@ -22,7 +22,10 @@ def summary(works: list[RunWork], stage: str) -> list[dict[str, Any]]:
     made: list[dict[str, Any]] = plain(
         [{"run": work.run.name, **describe(work)} for work in works if stage in work.stages]
     )
-    return made
+    if stage == "track":  # what cannot be calibrated has no displacement to compare
+        return made
+    twice = copied(works)
+    return [{**row, "notes": [*row["notes"], *filter(None, [twice.get(row["run"])])]} for row in made]
 
 
 def _track(work: RunWork) -> dict[str, Any]:

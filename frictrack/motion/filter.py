@@ -15,6 +15,7 @@ from frictrack.motion.spread import trend
 from frictrack.motion.stencil import derived
 from frictrack.motion.structure import Event, Growth, Structure
 from frictrack.motion.system import ORDER, Data, cutoff_of
+from frictrack.motion.windows import grown
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING = float("inf")  # m, standard deviation of a frame that was not measured
@@ -165,7 +166,7 @@ class _Coordinate:
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
         else:
-            structure = plain if method == KALMAN or growth.data.count < SHORTEST else growth.grown()
+            structure = plain if method == KALMAN or growth.data.count < SHORTEST else grown(growth.data)
             reason = described(structure, len(self.y), interval)
         factor = structure.factored(growth.data)
         _, variance, unknowns = factor.judged()

@@ -25,6 +25,7 @@ FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number th
 MOST_UNPACKED = 256 << 20  # bytes of a workbook
 MOST = 1e12  # SI units: beyond anything that slides
 SHORTEST = 1e-9  # s between rows
+REPEATED, MANY = 0.9, 16  # share of time stamps that may repeat the one before, in a table of so many rows
 MOST_COLUMNS, MOST_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 NO_COLUMNS: Mapping[str, str] = {}
 
@@ -136,11 +137,13 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
 def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
-    back = np.flatnonzero(np.diff(t) <= 0)
+    steps = np.diff(t)
+    repeated = np.sum(steps == 0) <= REPEATED * len(steps)  # a clock that is read too seldom; rows go on all the same
+    back = np.flatnonzero((steps < 0) if repeated and len(t) >= MANY else (steps <= 0))
     if len(back):
         i = int(back[0])
         return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
-    if (step := float(np.median(np.diff(t)))) < SHORTEST:
+    if (step := float(np.median(steps[steps > 0]))) < SHORTEST:
         return [f"expected rows {SHORTEST:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []
 

@@ -176,7 +176,7 @@ def _turned(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tu
     together, later = bent(model)
     layout = Layout(Model(tuple(together)), names, spans)
     problem = Problem(layout.model, layout, pieces)
-guess = lengthened if any(p.slack for p in pieces) else first_law
+    guess = lengthened if any(p.slack for p in pieces) else first_law
     if later:
         return _grown(model, problem, guess, later)
     return settle_scatter(problem, guess(problem), problem.first_starts())

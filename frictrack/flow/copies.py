@@ -1,0 +1,27 @@
+"""Say which runs of a study are the same recording: by the content of their files, else by their values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from frictrack.records import Displacement
+from frictrack.samples import copies
+
+
+def copy_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
+    """A finding for every run that repeats an earlier one; `contents` are hashes of the files, where they are known."""
+    names = list(displacements)
+    pairs = [(names[i], names[j]) for i, j in copies(list(displacements.values()))]
+    found: dict[str, str] = {}
+    for i, one in enumerate(names):
+        for other in names[i + 1 :]:
+            if other not in found and ((one, other) in pairs or _alike(contents.get(one), contents.get(other))):
+                found[other] = (
+                    f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
+                    "held-out error too low; remove one of them"
+                )
+    return found
+
+
+def _alike(one: str | None, other: str | None) -> bool:
+    return one is not None and one == other

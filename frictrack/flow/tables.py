@@ -1,0 +1,189 @@
+"""Read the table of a run onto an even clock: repeated stamps, jitter, doubled and missing samples, each named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.motion import noise_level
+from frictrack.records import Array, Mask
+from frictrack.remote import local
+from frictrack.samples import quantum, rounding_noise
+from frictrack.samples.clock import Clock, is_even, jittered_clock, rounded_clock, speed
+from frictrack.samples.screen import frame_numbers, listed
+from frictrack.samples.slips import Course, Slip, corrected, faults
+from frictrack.study import RunTable, TableData, read_table
+
+if TYPE_CHECKING:
+    from frictrack.recording.timebase import Stamps
+
+Rows = NDArray[np.int64]
+DISAGREE = 1e-3  # relative difference of two frame rates that is worth a word
+DIGITS = 8 * np.finfo(float).eps  # relative error of what a double holds
+CLEAR = 10.0  # times its noise: a smaller jump of a position is no missing sample
+LONGEST_GAP = 1000  # frames
+STILL = 1e-15  # m: what moves by less does not move
+FEWEST = 16  # rows that can show a fault of the clock
+
+
+@dataclass(frozen=True, eq=False)
+class EvenTable:
+    """A table whose rows lie on an even clock, which of them hold a sample of their own, and findings in words."""
+
+    data: TableData
+    valid: Mask
+    numbers: Rows  # of each row in the file, counted from 0
+    notes: tuple[str, ...] = ()
+
+
+def own_table(run: RunTable) -> TableData:
+    """The table that a run is."""
+    assert run.table is not None
+    return read_table(local(run.table), run.columns)
+
+
+def even_table(data: TableData, fps: float | None = None) -> EvenTable:
+    """The same rows on an even clock; nothing is changed where nothing is found."""
+    n = len(data.t)
+    rows = np.arange(n)
+    if data.x is None or n < FEWEST:
+        return EvenTable(data, np.ones(n, dtype=bool), rows)
+    clocked = not is_even(data.t)
+    data, rows, notes = _clocked(data) if clocked else (data, rows, ())
+    notes += _rate_note(data.t, fps)
+    if not _followed(data):  # the smoother says what is wrong with it
+        return EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes)
+    return _steady(EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes), clocked=clocked)
+
+
+def _followed(data: TableData) -> bool:
+    """Whether rows lie on an even clock without long gaps, and something moves."""
+    assert data.x is not None
+    gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
+    return is_even(data.t) and float(np.max(gaps)) < LONGEST_GAP and float(np.ptp(data.x)) > STILL
+
+
+def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
+    """A table of uneven stamps on an even clock, the numbers of its rows, and what was done."""
+    from frictrack.recording.timebase import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
+
+    rows = np.arange(len(data.t))
+    rounded = rounded_clock(data.t)
+    if rounded is not None:
+        return _on(data, rounded), rows, rounded.notes
+    read = read_stamps(data.t)
+    if read is None:
+        return data, rows, ()
+    rows = np.setdiff1d(rows, read.doubled)
+    ticks = _filled(read.ticks)[rows]
+    right = data.t[0] + (ticks - ticks[0]) * read.step
+    stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
+    taken = replace(_taken(data, rows), t=stamps)
+    if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
+        return data, np.arange(len(data.t)), ()
+    moved, notes = _evened(taken, ticks)
+    return moved, rows, (*_stamp_notes(read), *notes)
+
+
+def _evened(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
+    """A table whose rows are so many intervals after the first, on an even clock, and what was done."""
+    assert data.x is not None
+    if is_even(data.t):
+        return data, ()
+    clock = jittered_clock(data.t, ticks, data.x)
+    return (data, ()) if clock is None else (_on(data, clock), clock.notes)
+
+
+def _stamp_notes(read: Stamps) -> tuple[str, ...]:
+    """Stamps that were written twice, and wrong ones, in words."""
+    notes: tuple[str, ...] = ()
+    if len(read.doubled):
+        notes += (f"{_count(len(read.doubled))} the time stamp of the row before: {listed(read.doubled)}; left out",)
+    if len(read.corrupt):
+        notes += (f"the time stamp is wrong in {listed(read.corrupt)}; the row stays in its place",)
+    return notes
+
+
+def _count(n: int) -> str:
+    return "1 row has" if n == 1 else f"{n} rows have"
+
+
+def _filled(ticks: Rows) -> Rows:
+    """Frame numbers with those of corrupt stamps (-1) in their place."""
+    known = ticks >= 0
+    return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
+
+
+def _on(data: TableData, clock: Clock) -> TableData:
+    """The table at the times of a clock, positions moved by how late they were sampled."""
+    moved = {
+        name: column - speed(data.t, column) * clock.late if np.any(clock.late) else column
+        for name, column in (("x", data.x), ("y", data.y))
+        if column is not None
+    }
+    return replace(data, t=clock.t, **moved)
+
+
+def _taken(data: TableData, rows: Rows) -> TableData:
+    """Some rows of a table."""
+    columns = {f.name: getattr(data, f.name) for f in fields(data)}
+    taken: dict[str, Any] = {name: None if column is None else column[rows] for name, column in columns.items()}
+    return TableData(**taken)
+
+
+def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
+    """A rate that is given and that of the stamps, where they disagree."""
+    rate = 1.0 / float(np.median(np.diff(t)))
+    if fps is None or abs(rate / fps - 1) <= DISAGREE:
+        return ()
+    return (f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; the time stamps are used",)
+
+
+def _steady(table: EvenTable, *, clocked: bool) -> EvenTable:
+    """The table without the samples that repeat the one before, and with gaps in time where samples are missing.
+
+    Stamps that are not even were written by a clock: then they are believed, and only repeated samples are left out.
+    """
+    found = faults(_course(table.data), held=True)
+    if not found:
+        return table
+    data = table.data
+    t0, interval = data.t[0], float(np.median(np.diff(data.t)))
+    ticks = frame_numbers(data.t).astype(np.int64)
+    if clocked:
+        found = tuple(replace(s, frames=0) for s in found if s.doubled)
+    right, keep = corrected(ticks, found)
+    stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
+    t = np.where(right == ticks, data.t, t0 + right * interval)
+    taken = _taken(replace(data, t=t), stay)
+    return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
+
+
+def _course(data: TableData) -> Course:
+    """The positions of a table; only those that are the same to the last digit can repeat each other."""
+    assert data.x is not None
+    x = data.x
+    own = x[np.concatenate(([True], np.diff(x) != 0))]
+    noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
+    noise = max(noise, rounding_noise(quantum(x)), DIGITS * float(np.max(np.abs(x))))
+    ticks = frame_numbers(data.t).astype(np.int64)
+    return Course(x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), CLEAR * noise, exact=True)
+
+
+def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
+    """Repeated and missing samples in words."""
+    again = [int(numbers[s.frame]) for s in found if s.doubled]
+    lost = [s for s in found if not s.doubled]
+    notes = []
+    if again:
+        count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
+        notes.append(f"{count} the one before: {listed(again)}; left out")
+    if lost:
+        total = sum(s.frames for s in lost)
+        count = "1 sample is" if total == 1 else f"{total} samples are"
+        places = listed([int(numbers[s.frame]) for s in lost])
+        notes.append(f"{count} missing, told by the motion: before {places}; left as gaps in time")
+    return tuple(notes)

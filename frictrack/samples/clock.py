@@ -1,0 +1,107 @@
+"""Bring the rows of a table onto an even clock: stamps that jitter, are rounded, or are written twice.
+
+Stamps may be wrong while the samples are even (a computer wrote them down when it found the time), or right while the
+samples are not. The motion says which: with the wrong choice a moving mass shows its jitter as noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array
+from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
+
+EVEN = 0.01  # of the interval: stamps may be off by this much
+COARSE = 1.01  # steps of rounded stamps by which a row may be off the even clock
+WIDEST = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
+SPREAD = 6  # rows on either side that say how fast the mass moves
+FEWEST = 16  # rows whose noise can say which stamps are right
+
+Ticks = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Times of rows on an even clock (n,) s, how late each was sampled (n,) s, and findings in words."""
+
+    t: Array
+    late: Array
+    notes: tuple[str, ...] = ()
+
+
+def is_even(t: Array) -> bool:
+    """Whether time stamps rise by whole multiples (within 1 %) of the usual interval."""
+    usual = float(np.median(np.diff(t)))
+    if usual <= 0:
+        return False
+    steps = np.diff(t) / usual
+    return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= EVEN)))
+
+
+def rounded_clock(t: Array) -> Clock | None:
+    """An even clock through stamps (n,) that are rounded so far that they repeat; None where they are not."""
+    steps = np.diff(np.unique(t))
+    if len(steps) < 2 or len(steps) > 0.9 * len(t):
+        return None
+    rounding = float(np.min(steps))
+    rows = np.arange(len(t))
+    slope, start = np.polyfit(rows, t, 1)
+    if slope <= 0 or np.max(np.abs(t - start - slope * rows)) > COARSE * rounding:
+        return None
+    note = (
+        f"time stamps are rounded to {rounding:.4g} s and repeat: the rows are taken as evenly spaced by {slope:.6g} s"
+    )
+    return Clock(start + slope * rows, np.zeros(len(t)), (note,))
+
+
+def jittered_clock(t: Array, ticks: Ticks, x: Array) -> Clock | None:
+    """An even clock for stamps (n,) that jitter about whole frame intervals `ticks` (n,); None where they do not.
+
+    The positions x (n,) tell whether stamps or samples are uneven.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> even = np.arange(400) / 1000
+    >>> true = even + 1e-4 * rng.standard_normal(400)
+    >>> x = 2 * true + 1e-6 * rng.standard_normal(400)
+    >>> jittered_clock(true, np.arange(400), x).notes[0][:37]
+    'time stamps jitter by 9.9 % of the in'
+
+    """
+    interval, start = np.polyfit(ticks, t, 1)
+    even = start + interval * ticks
+    late = t - even
+    if interval <= 0 or np.std(late) > WIDEST * interval:
+        return None
+    share = 100 * float(np.std(late)) / interval
+    as_even = _noise(x, ticks)
+    as_stamped = _noise(x - speed(t, x) * late, ticks)
+    jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
+    if len(t) >= FEWEST and as_even < as_stamped:
+        return Clock(
+            even, np.zeros(len(t)), (f"{jitter}; the motion is even, so that the rows are taken as evenly spaced",)
+        )
+    note = f"{jitter}; each position is moved to the even clock by its speed times how late it was sampled"
+    return Clock(even, late, (note,))
+
+
+def speed(t: Array, x: Array) -> Array:
+    """Speed (n,) of positions x at times t: the median over several spans, which outliers leave alone."""
+    rows = np.arange(len(t))
+    quotients = []
+    for k in range(1, SPREAD + 1):
+        before, after = np.maximum(rows - k, 0), np.minimum(rows + k, len(t) - 1)
+        quotients.append((x[after] - x[before]) / (t[after] - t[before]))
+    return np.asarray(np.median(quotients, axis=0))
+
+
+def _noise(x: Array, ticks: Ticks) -> float:
+    """Noise of positions by their fourth differences."""
+    whole = ticks[4:] - ticks[:-4] == 4
+    difference = np.convolve(x, FOURTH, mode="valid")[whole]
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))) / float(np.sqrt(70.0)) if len(difference) else 0.0

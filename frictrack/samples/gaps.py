@@ -1,0 +1,92 @@
+"""Find missing frames by the steps of a course: where many are lost, no two of them leave an undisturbed curve between.
+
+Among frames that follow each other the step from one to the next changes slowly. A step that is a whole multiple of
+what its neighbours say it should be, to within the noise, passes over so many intervals less one of lost frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array, Mask
+
+NEAR = 12  # steps on either side that say what is usual
+FEWEST = 3  # of them on either side
+ALIKE = 0.25  # of the usual step, within which a step passes over one interval
+EXACT = 4.0  # standard deviations within which a step is a whole multiple
+PRECISE = 0.06  # intervals: deviation of a multiple from which it can be told
+LARGEST = 200
+MEDIAN_TO_SIGMA = 1.4826022
+
+Ticks = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """So many frames are `missing` before the frame `at`; how many standard deviations the step is too long."""
+
+    at: int
+    missing: int
+    significance: float
+
+
+def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]:
+    """Missing frames of a course, in order.
+
+    Parameters
+    ----------
+    p : array (n,)
+        Position along the course.
+    ticks : array (n,)
+        Frame interval that each row is thought to be.
+    good : array (n,)
+        Rows whose position is known.
+    smallest : float
+        A step longer than usual by less, in the unit of p, may be a fault of the tracker.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> k = np.delete(np.arange(60.0), [20, 24, 25])
+    >>> p = k + 0.01 * np.random.default_rng(0).standard_normal(57)
+    >>> [(gap.at, gap.missing) for gap in gaps(p, np.arange(57), np.ones(57, bool))]
+    [(20, 1), (23, 2)]
+
+    """
+    rows = np.flatnonzero(good)
+    if len(rows) < 2 * FEWEST + 2:
+        return []
+    steps = np.diff(p[rows]) / np.diff(ticks[rows])
+    padded = np.pad(steps, NEAR, constant_values=np.nan)
+    usual = np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEAR + 1), axis=1)
+    follows = np.diff(ticks[rows]) == 1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = steps / usual
+    tried = np.flatnonzero(follows & (ratio > 1.5) & (ratio < LARGEST) & (np.abs(steps - usual) > smallest))
+    found = [(i, _gap(steps, np.abs(ratio - 1) < ALIKE, int(i))) for i in tried]
+    return [Gap(int(rows[i + 1]), missing, z) for i, (missing, z) in found if missing]
+
+
+def _gap(steps: Array, single: Mask, i: int) -> tuple[int, float]:
+    """Frames missing within a step, and the significance of that; 0 where it is no whole multiple of its neighbours."""
+    near = np.arange(max(i - NEAR, 0), min(i + NEAR + 1, len(steps)))
+    used = near[single[near] & (near != i)]
+    if min(np.sum(used < i), np.sum(used > i)) < FEWEST or not _goes_on(steps, i):
+        return 0, 0.0
+    design = np.stack([np.ones(len(used)), used - i], axis=1)
+    best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
+    left = steps[used] - design @ best
+    spread = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(left))), float(np.std(left)))
+    error = spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
+    usual = float(best[0])
+    multiple = round(steps[i] / usual)
+    whole = abs(steps[i] - multiple * usual) < EXACT * error and error < PRECISE * abs(usual)
+    return (multiple - 1, abs(steps[i] - usual) / error) if whole else (0, 0.0)
+
+
+def _goes_on(steps: Array, i: int) -> bool:
+    """Whether the steps on both sides go the same way: a sample that is off makes a long step and one back."""
+    return bool(steps[i - 1] * steps[i] > 0 and steps[i + 1] * steps[i] > 0)

@@ -1,0 +1,299 @@
+"""Find samples of a displacement that lie far off its course and return to it: outliers, single or in short bursts.
+
+A collision, a stop or a push bends the course for good; an outlier leaves it and comes back. Suspects are rows that
+their robust local cubic (least absolute deviations) misses. A suspect is an outlier where the rows on both sides lie on
+one cubic to within the noise, it is far off that cubic, and neither a kink nor a jump explains all rows as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, median_filter
+from scipy.stats import chi2
+
+from frictrack.records import Array, Mask
+
+# Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
+# with a sixth of the weight that others have.
+SCREEN, SCREEN_AT_END = 4.0, 2.0
+SUSPECT = 4.5  # deviations from the robust local cubic
+FAR_AT_END = 6.0
+HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one that judges
+DEGREE = 3
+LONGEST = 8  # rows of a burst
+FEW_AT_END, LONGEST_AT_END = 2, 5
+LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
+LONGEST_GAP = 25  # frames without a row, beyond which the course is not followed
+BRIDGED = 2  # good rows between suspects that make them one burst
+NEAR = 30  # rows on either side over which the noise is compared with that of the record
+LARGEST_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
+ROUNDS, STEPS = 40, 15
+MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
+FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Rows on either side by which a burst is judged, the fewest of them, and how far off it must lie."""
+
+    side: int
+    fewest: int
+    far: float  # deviations from the cubic of the sides
+    than_event: float  # chi-squared by which a kink or a jump must be worse
+
+
+WIDE = _Judge(SIDE, 4, 6.0, 16.0)  # 2e-9 by chance
+CLOSE = _Judge(4, 4, 12.0, 64.0)
+LIKELY = 0.998  # that the sides leave less about their common cubic
+TRIED, LONGEST_CLOSE = 12, 5
+
+
+@dataclass(frozen=True, eq=False)
+class Outliers:
+    """Rows that are outliers, how far each lies off the course of its neighbours, m, and the noise of a row, m."""
+
+    rows: Rows
+    off: Array
+    noise: float
+
+
+NONE = Outliers(np.empty(0, np.int64), np.empty(0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """Positions x (n,) at frames, each in units of its own noise when divided by `scale` (n,)."""
+
+    frames: Array
+    x: Array
+    scale: Array
+
+    def part(self, rows: Rows) -> _Series:
+        """Some of the rows."""
+        return _Series(self.frames[rows], self.x[rows], self.scale[rows])
+
+    def cubic(self, rows: Rows, at: Rows) -> tuple[Array, Array, float]:
+        """How far the rows `at` lie off the cubic through `rows`, the deviation of that, m, and its chi-squared."""
+        middle, reach = 0.5 * (self.frames[rows[0]] + self.frames[rows[-1]]), 0.5 * np.ptp(self.frames[rows]) + 1.0
+        powers = np.vander((self.frames - middle)[np.r_[rows, at]] / reach, DEGREE + 1)
+        value = self.x[np.r_[rows, at]] - self.x[rows[0]]
+        design = powers[: len(rows)] / self.scale[rows, None]
+        q, upper = np.linalg.qr(design)
+        white = value[: len(rows)] / self.scale[rows]
+        best = np.linalg.solve(upper, q.T @ white)
+        known = np.linalg.norm(np.linalg.solve(upper.T, powers[len(rows) :].T), axis=0)
+        off = value[len(rows) :] - powers[len(rows) :] @ best
+        return off, np.hypot(self.scale[at], known), float(np.sum((white - q @ (q.T @ white)) ** 2))
+
+    def event(self, rows: Rows, block: Rows) -> float:
+        """Chi-squared of all rows about a cubic with the kink or the jump that suits them best, near a block."""
+        centre = float(np.mean(self.frames[block]))
+        tau = (self.frames[rows] - centre) / (np.ptp(self.frames[rows]) + 1.0)
+        cuts = np.linspace(self.frames[block[0]] - 1.0, self.frames[block[-1]] + 1.0, 2 * len(block) + 3)
+        past = self.frames[rows][:, None] - cuts
+        smooth = np.vander(tau, DEGREE + 1) / self.scale[rows, None]
+        q, _ = np.linalg.qr(smooth)
+        value = (self.x[rows] - self.x[rows[0]]) / self.scale[rows]
+        left = value - q @ (q.T @ value)
+        shapes = np.column_stack([np.maximum(past, 0.0), past > 0]) / self.scale[rows, None]
+        shapes = shapes - q @ (q.T @ shapes)
+        power = np.sum(shapes**2, axis=0)
+        gained = np.where(power > 1e-9 * np.max(power), (shapes.T @ left) ** 2 / np.maximum(power, 1e-300), 0.0)
+        return float(left @ left - np.max(gained))
+
+
+def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outliers:
+    """Find the outliers of a displacement.
+
+    Parameters
+    ----------
+    frames : array (n,)
+        Number of the frame of every row, rising.
+    x : array (n,)
+        Position, m.
+    sigma : array (n,)
+        Standard deviations of the rows; only their ratios count.
+    floor : float
+        Noise that a row has at the least, m: the step of quantised positions over sqrt(12).
+
+    Returns
+    -------
+    Outliers
+        None where nothing is found, or where more than a tenth of the rows lie off: the noise has tails then.
+
+    References
+    ----------
+    Rousseeuw & Leroy 1987, Robust Regression and Outlier Detection (least absolute deviations, median scale).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.linspace(0.0, 0.3, 200) + 1e-5 * np.random.default_rng(0).standard_normal(200)
+    >>> x[120] += 1e-3
+    >>> outliers(np.arange(200.0), x, np.ones(200)).rows
+    array([120])
+
+    """
+    relative = sigma / np.median(sigma)
+    digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
+    noise = max(_level(x / relative, frames), floor, digits)
+    series = _Series(frames, x, noise * relative)
+    parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > LONGEST_GAP) + 1)
+    found = [(part[rows], off) for part in parts for rows, off in [_of_stretch(series.part(part))]]
+    rows, off = (np.concatenate(each) for each in zip(*found, strict=True))
+    if len(rows) > LARGEST_SHARE * len(x):
+        return NONE
+    return Outliers(rows, off, noise)
+
+
+def _of_stretch(series: _Series) -> tuple[Rows, Array]:
+    """Outliers of rows without long gaps, and how far they lie off, m."""
+    bad = np.zeros(len(series.x), dtype=bool)
+    if len(bad) < 2 * HALF + 1:
+        return NONE.rows, NONE.off
+    for _ in range(ROUNDS):
+        spread, new = _round(series, bad)
+        if not len(new):
+            break
+        bad[new] = True
+    local = replace(series, scale=series.scale * spread)
+    held = [(rows, off) for rows in _bursts(bad) if (off := _judged(local, rows, bad, WIDE)) is not None]
+    rows, off = (np.concatenate(each) for each in zip((NONE.rows, NONE.off), *held, strict=True))
+    return rows, off
+
+
+def _level(x: Array, frames: Array) -> float:
+    """White noise by the median of the fourth differences of rows whose frames follow each other."""
+    difference, whole = _fourth(x, frames)
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference[whole]))) / np.sqrt(70.0) if whole.any() else 0.0
+
+
+def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:
+    """Fourth differences (n - 4,), and where their frames follow each other."""
+    return np.convolve(x, FOURTH, mode="valid"), np.asarray(frames[4:] - frames[:-4] == 4)
+
+
+def _round(series: _Series, bad: Mask) -> tuple[Array, Rows]:
+    """The noise (n,) of each neighbourhood over the usual one, and rows of bursts that stand without the rows `bad`."""
+    good = np.flatnonzero(~bad)
+    kept = series.part(good)
+    near = _screened(kept)
+    spread = np.ones(len(bad))
+    if not near.any():
+        return spread, good[_at_ends(kept)]
+    rows = np.flatnonzero(binary_dilation(near, iterations=NEAR))
+    away = np.zeros(len(good))
+    away[rows] = _robust(kept, rows)
+    spread[good] = _spread(away, rows)
+    kept = replace(kept, scale=kept.scale * spread[good])
+    suspects = near & (np.abs(away) > SUSPECT * spread[good])
+    found = [burst for burst in _bursts(suspects) if _judged(kept, burst, suspects, WIDE) is not None]
+    if not found:  # they stand so close that the robust cubic follows them, or at an end
+        found = _strongest(kept, near) or [_at_ends(kept)]
+    return spread, good[np.concatenate([np.empty(0, np.int64), *found])]
+
+
+def _strongest(kept: _Series, near: Mask) -> list[Rows]:
+    """The burst of a few rows that lies farthest off, each tried with few rows on its sides."""
+    nobody = np.zeros(len(kept.x), dtype=bool)
+    difference, whole = _fourth(kept.x / kept.scale, kept.frames)
+    out = np.pad(np.where(whole, np.abs(difference), 0.0), 2, mode="edge")
+    tried = [r for r in np.argsort(-out).tolist() if near[r]][:TRIED]
+    bursts = {(start, m) for r in tried for m in range(1, LONGEST_CLOSE + 1) for start in range(r - m + 1, r + 1)}
+    inside = [np.arange(start, start + m) for start, m in sorted(bursts) if 0 <= start <= len(kept.x) - m]
+    judged = [(off, burst) for burst in inside if (off := _judged(kept, burst, nobody, CLOSE)) is not None]
+    return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
+
+
+def _at_ends(kept: _Series) -> Rows:
+    """The first or last rows where they lie off: fourth differences, which they hardly enter, do not show them."""
+    n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
+    first = [np.arange(start, start + m) for m in range(1, FEW_AT_END + 1) for start in range(FEW_AT_END + 1)]
+    for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
+        if _judged(kept, burst, nobody, WIDE) is not None:
+            return burst
+    return nobody.nonzero()[0]
+
+
+def _screened(series: _Series) -> Mask:
+    """Rows near a fourth difference that stands out."""
+    difference, whole = _fourth(series.x / series.scale, series.frames)
+    limit = np.full(len(difference), SCREEN)
+    limit[[0, 1, -2, -1]] = SCREEN_AT_END
+    out = (np.abs(difference) > limit * np.sqrt(70.0)) | ~whole
+    mask = np.convolve(out, np.ones(5 + 2 * BRIDGED), mode="full") > 0.5
+    return np.asarray(mask[BRIDGED : BRIDGED + len(series.x)])
+
+
+def _robust(series: _Series, rows: Rows) -> Array:
+    """Deviations (m,) of rows from the cubic of least absolute deviations through their neighbours."""
+    n = len(series.x)
+    start = np.clip(rows - HALF, 0, n - 2 * HALF - 1)
+    index = start[:, None] + np.arange(2 * HALF + 1)
+    tau = (series.frames[index] - series.frames[rows][:, None]) / HALF
+    powers = np.stack([tau**k for k in range(DEGREE + 1)], axis=2) / series.scale[index][:, :, None]
+    value = (series.x[index] - series.x[rows][:, None]) / series.scale[index]
+    weight = np.ones_like(value)
+    left = value
+    for _ in range(STEPS):  # iteratively reweighted least squares
+        part = powers * weight[:, :, None]
+        normal = np.einsum("nij,nik->njk", part, powers) + 1e-12 * np.eye(DEGREE + 1)
+        best = np.linalg.solve(normal, np.einsum("nij,ni->nj", part, value)[:, :, None])[:, :, 0]
+        left = value - np.einsum("nij,nj->ni", powers, best)
+        weight = 1.0 / np.maximum(np.abs(left), 0.5)
+    return np.asarray(left[np.arange(len(rows)), rows - start])
+
+
+def _spread(away: Array, rows: Rows) -> Array:
+    """Deviations (n,) that rows (m,) have in their neighbourhood, by their median; 1 at the least."""
+    out = np.ones(len(away))
+    out[rows] = np.maximum(MEDIAN_TO_SIGMA * median_filter(np.abs(away[rows]), size=2 * NEAR + 1, mode="reflect"), 1.0)
+    return out
+
+
+def _bursts(suspects: Mask) -> Iterator[Rows]:
+    """Suspects with few good rows between them, together."""
+    rows = np.flatnonzero(suspects)
+    if len(rows):
+        for part in np.split(rows, np.flatnonzero(np.diff(rows) > BRIDGED + 1) + 1):
+            yield part.astype(np.int64)
+
+
+def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Array | None:
+    """How far the rows of a burst lie off their course, m, if it is one."""
+    before = np.flatnonzero(~suspects[: burst[0]])[-2 * SIDE :]
+    after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[: 2 * SIDE]
+    at_end = min(len(before), len(after)) < judge.fewest
+    sides = np.r_[before, after] if at_end else np.r_[before[-judge.side :], after[: judge.side]]
+    freedom = len(sides) - DEGREE - 1
+    if burst[-1] - burst[0] >= (LONGEST_AT_END if at_end else LONGEST) or freedom < judge.fewest:
+        return None
+    off, error, misfit = series.cubic(sides, burst)
+    farthest = float(np.max(np.abs(off) / error))
+    if misfit > chi2.ppf(LIKELY, freedom):
+        return None
+    if at_end:
+        suspects = suspects | np.isin(np.arange(len(suspects)), burst)
+        stands = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
+    else:
+        event = series.event(np.sort(np.r_[sides, burst]), burst)
+        stands = farthest > judge.far and event - misfit > judge.than_event
+    return off if stands else None
+
+
+def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:
+    """Whether the first or last rows are farther from their neighbour than the mass ever moves from frame to frame.
+
+    No course beyond them shows whether they return; a push before the second frame or a blow at the last is real.
+    """
+    rows = np.flatnonzero(good)
+    steps = np.abs(np.diff(series.x[rows]) / np.diff(series.frames[rows]))
+    next_to = rows[np.argmin(np.abs(rows - burst[0]))]
+    step = np.abs(series.x[burst] - series.x[next_to]) / np.abs(series.frames[burst] - series.frames[next_to])
+    return bool(np.max(step) > LEAP * np.max(steps) + FAR_AT_END * float(np.max(series.scale[burst])))

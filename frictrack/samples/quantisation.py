@@ -1,0 +1,55 @@
+"""Find the step of quantised positions: counts of an encoder, centimetres of an ultrasonic sensor, digits of a table.
+
+Rounding to a step q adds an error of standard deviation q / sqrt(12) (Bennett 1948, Bell Syst. Tech. J. 27). It is
+white where the position changes by more than a step, or its noise by half of one, from sample to sample. A slower mass
+shares its error with the samples before: differences of the positions then show less noise than there is, or none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.records import Array
+
+WHOLE = 0.02  # of a step: positions may be off a multiple of it by this much
+MOST_PARTS = 4  # of the smallest gap between two positions: a fast mass skips some
+FEWEST = 3  # distinct positions that can show a step
+MATTERS = 0.5  # of the noise that the differences show, above which rounding is worth a word
+
+
+def quantum(x: Array) -> float:
+    """Step of which all differences of positions x (n,) are whole multiples, m; 0 where there is none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> quantum(np.round(np.linspace(0.0, 1.0, 50), 2))
+    0.01
+
+    """
+    values = np.unique(x)
+    gaps = np.diff(values)
+    digits = 16 * np.finfo(float).eps * float(np.max(np.abs(values), initial=0.0))  # of a double
+    gaps = gaps[gaps > digits]
+    if len(gaps) < FEWEST - 1:
+        return 0.0
+    for parts in range(1, MOST_PARTS + 1):
+        if step := _step(gaps, float(np.min(gaps)) / parts):
+            return step
+    return 0.0
+
+
+def _step(gaps: Array, near: float) -> float:
+    """The step close to a guess of which all gaps are whole multiples; 0 where they are not."""
+    step = near
+    for _ in range(2):  # the mean of all steps is known better than the smallest
+        counts = np.rint(gaps / step)
+        if np.any(counts < 1) or np.max(np.abs(gaps - counts * step)) > WHOLE * step:
+            return 0.0
+        step = float(np.sum(gaps) / np.sum(counts))
+    return float(f"{step:.10g}")
+
+
+def rounding_noise(step: float) -> float:
+    """Standard deviation that rounding to a step adds, m."""
+    return step / float(np.sqrt(12.0))

@@ -1,0 +1,245 @@
+"""Doubled and missing frames that no time stamp tells of, found from the motion itself.
+
+The position before and after must be one smooth curve, read at times that are off by a whole number of frames. A
+collision bends the curve and a stop ends it; neither shifts it. Every candidate is therefore judged, on the frames
+around it, against the undisturbed curve, a kink, and a jump and a kink of any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import Array, Mask
+from frictrack.samples.gaps import gaps
+from frictrack.samples.repeats import Repeat, repeats
+
+WINDOWS = ((8, 3), (4, 2))  # frames on either side and degree of the curve; short ones where faults crowd
+PRECISE = 0.12  # frames: standard deviation of a jump from which whole frames can be told
+MOST_MISSING = 200
+MOST_SLIPS = 100
+# Differences of chi^2 in units of the noise. 49 is seven standard deviations: no false alarm in 10^5 frames.
+BETTER, THAN_KINK, THAN_FREE, FIT = 49.0, 36.0, 16.0, 3.0
+
+Ticks = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A fault of the time base: at `frame` so many `frames` are missing before it (> 0), or it is a doubled one.
+
+    A doubled frame was put in (-1, all later ones are one too late) or stands in place of a lost one (0).
+    """
+
+    frame: int
+    frames: int
+    significance: float  # standard deviations
+
+    @property
+    def doubled(self) -> bool:
+        """Whether the frame repeats the one before it."""
+        return self.frames <= 0
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Position along the course (n,) with its standard deviation, at whole ticks, and the frames that count.
+
+    A jump smaller than `smallest` is none: tracking faults may be as large.
+    """
+
+    p: Array
+    sigma: Array
+    ticks: Ticks
+    good: Mask
+    smallest: float
+    exact: bool = False  # a frame that repeats another is the same to the last digit
+    window: int = WINDOWS[0][0]
+    degree: int = WINDOWS[0][1]
+
+    @property
+    def enough(self) -> int:
+        """Frames that must be known on either side."""
+        return self.window - self.window // 3 - 1
+
+
+def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
+    """Doubled and missing frames of a course, in order, whatever their pattern.
+
+    Frames that repeat the one before are found first, so that the others stand on an undisturbed course. `held`: see
+    `repeats`.
+    """
+    follows = np.concatenate(([True], np.diff(path.ticks) == 1))
+    again = [
+        slip
+        for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact)
+        for slip in _slips_of(one)
+    ]
+    ticks, keep = corrected(path.ticks, again)
+    stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
+    rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest)
+    lost = [Slip(one.at, one.missing, one.significance) for one in gaps(rest.p, rest.ticks, rest.good, rest.smallest)]
+    rest = replace(rest, ticks=corrected(rest.ticks, lost)[0])
+    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *slips(rest))]
+    return tuple(sorted([*again, *others], key=lambda s: s.frame))
+
+
+def _slips_of(repeat: Repeat) -> Iterator[Slip]:
+    """Repeated frames as slips: as many as time allows in place of lost ones, the first of them put in."""
+    frames = range(repeat.first, repeat.last + 1)
+    put_in = max(len(frames) + 1 - repeat.ticks, 0)
+    for i, frame in enumerate(frames):
+        yield Slip(frame, -1 if i < put_in else 0, np.inf)
+    if repeat.ticks > len(frames) + 1:
+        yield Slip(repeat.last + 1, repeat.ticks - len(frames) - 1, np.inf)
+
+
+def slips(path: Course) -> tuple[Slip, ...]:
+    """Doubled and missing frames of a course, in order; none are found where the target is too slow to tell."""
+    noise = _noise(path)
+    found: list[Slip] = []
+    for window, degree in WINDOWS:
+        if np.count_nonzero(path.good) < 2 * window + 2:
+            break
+        path = replace(path, window=window, degree=degree)
+        refused: set[int] = set()
+        while len(found) < MOST_SLIPS:
+            slip = _strongest(path, noise, refused)
+            if slip is None:
+                break
+            found.append(slip)
+            path = _applied(path, slip)
+    return tuple(sorted(found, key=lambda s: s.frame))
+
+
+def corrected(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
+    """Ticks (n,) with gaps where frames are missing, and which frames to keep: doubled ones are left out."""
+    out, keep = np.array(ticks, dtype=np.int64), np.ones(len(ticks), np.bool_)
+    for slip in found:
+        out[slip.frame :] += slip.frames
+        keep[slip.frame] &= not slip.doubled
+    return out, keep
+
+
+def _applied(path: Course, slip: Slip) -> Course:
+    ticks, keep = corrected(path.ticks, [slip])
+    return replace(path, ticks=ticks, good=path.good & keep)
+
+
+def _noise(path: Course) -> float:
+    """Variance of the positions over what the tracker says, at least 1, although faults may be everywhere.
+
+    From the tenth smallest of the squared third differences (chi^2 with one degree of freedom: 0.0158).
+    """
+    four = np.arange(len(path.p) - 3)[:, None] + np.arange(4)
+    binomial = np.array([1.0, -3.0, 3.0, -1.0])
+    good = np.all(path.good[four], axis=1) & (np.ptp(path.ticks[four], axis=1) == 3)
+    if good.sum() < 10:
+        return 1.0
+    ratio = (path.p[four] @ binomial)[good] ** 2 / (path.sigma[four] ** 2 @ binomial**2)[good]
+    return max(1.5 * float(np.quantile(ratio, 0.1)) / 0.0158, 1.0)
+
+
+def _scan(path: Course) -> tuple[Array, Array, Array]:
+    """For the gap before every frame: jump there in frames, its standard deviation, its significance.
+
+    Where nothing can be said, the jump is 0.
+    """
+    n, half = len(path.p), path.window
+    at = np.arange(half, n - half + 1)
+    index = at[:, None] + np.arange(-half, half)
+    weight = np.where(path.good[index], 1 / path.sigma[index], 0.0)
+    middle = 0.5 * (path.ticks[at] + path.ticks[at - 1])
+    tau = (path.ticks[index] - middle[:, None]) / half
+    after = np.broadcast_to(np.arange(-half, half) >= 0, tau.shape)
+    design = np.stack([tau**k for k in range(path.degree + 1)] + [after], axis=2) * weight[:, :, None]
+    value = np.nan_to_num(path.p[index] - path.p[at - 1][:, None]) * weight
+    known = weight > 0
+    enough = np.minimum(known[:, :half].sum(axis=1), known[:, half:].sum(axis=1)) >= path.enough
+    normal = np.einsum("nij,nik->njk", design, design) + 1e-9 * np.eye(path.degree + 2)
+    inverse = np.linalg.inv(normal)
+    best = np.einsum("njk,nik,ni->nj", inverse, design, value)
+    speed, spread = best[:, 1] / half, np.sqrt(inverse[:, -1, -1])
+    sure = enough & (np.abs(speed) > 1e-6)
+    jump, error, z = np.zeros(n + 1), np.full(n + 1, np.inf), np.zeros(n + 1)
+    jump[at[sure]] = best[sure, -1] / speed[sure]
+    error[at[sure]] = spread[sure] / np.abs(speed[sure])
+    z[at[sure]] = np.abs(best[sure, -1]) / spread[sure]
+    return jump, error, z
+
+
+def _strongest(path: Course, noise: float, refused: set[int]) -> Slip | None:
+    """The most significant slip that stands the comparison; frames that did not are added to `refused`."""
+    jump, error, z = _scan(path)
+    for i in np.argsort(-z)[: 4 * MOST_SLIPS].tolist():
+        if z[i] < 5 * np.sqrt(noise):
+            break
+        if i in refused or error[i] > 3 * PRECISE:
+            continue
+        options = [s for s in _judged(path, i, float(jump[i]), noise) if s]
+        if options:
+            return max(options, key=lambda s: s.significance)
+        refused.add(i)
+    return None
+
+
+def _judged(path: Course, i: int, jump: float, noise: float) -> list[Slip | None]:
+    """What may have happened near frame i, each a slip or None where it does not stand."""
+    lengths = {k for k in (int(np.floor(jump)), int(np.ceil(jump))) if 1 <= k <= MOST_MISSING}
+    near = range(max(i - 1, path.window), min(i + 2, len(path.p) - path.window))
+    return [_judge(path, k, frames, noise) for k in near for frames in (*sorted(lengths), -1, 0)]
+
+
+def _judge(path: Course, i: int, frames: int, noise: float) -> Slip | None:
+    """The slip, if on the frames around it the shifted curve is better than all that it may be mistaken for."""
+    part = np.arange(i - path.window, i + path.window + (frames <= 0))
+    part = part[(part >= 0) & (part < len(path.p))]
+    part = part[path.good[part]]
+    left = part[part != i] if frames <= 0 else part
+    if i not in part or min(np.sum(left < i), np.sum(left >= i)) < path.enough:
+        return None
+    if frames <= 0 and not _repeats(path, i, noise):
+        return None
+    shifted = path.ticks + frames * (np.arange(len(path.p)) >= i)
+    chi2, speed, error = _curve(path, left, shifted, i)
+    fits = chi2 < FIT * noise * max(len(left) - path.degree - 1, 1)
+    moves = abs((frames or -1) * speed) > path.smallest and error * np.sqrt(noise) < PRECISE * abs(speed)
+    if not (fits and moves):
+        return None
+    plain = _curve(path, part, path.ticks, i)[0]
+    kink = min(_curve(path, part, path.ticks, i, (at,))[0] for at in (-1.0, -0.5, 0.0, 0.5))
+    free = _curve(path, left, shifted, i, (0.0,), jump=True)[0]
+    stands = plain - chi2 > BETTER * noise and kink - chi2 > THAN_KINK * noise and chi2 - free < THAN_FREE * noise
+    return Slip(i, frames, float(np.sqrt((plain - chi2) / noise))) if stands else None
+
+
+def _repeats(path: Course, i: int, noise: float) -> bool:
+    """Whether frame i shows the target where the frame before it does."""
+    if not path.good[i - 1]:
+        return False
+    spread = np.hypot(path.sigma[i], path.sigma[i - 1]) * np.sqrt(noise)
+    return bool(abs(path.p[i] - path.p[i - 1]) < 4 * spread)
+
+
+def _curve(
+    path: Course, part: Ticks, ticks: Ticks, i: int, kinks: tuple[float, ...] = (), jump: bool = False
+) -> tuple[float, float, float]:
+    """Chi^2 of a smooth curve through the frames `part`, with kinks (frames from i) or a jump at i.
+
+    Also its speed there, px per tick, and the standard deviation of a jump that might be there.
+    """
+    tau = (ticks[part] - ticks[i]).astype(np.float64)
+    columns = [(tau / path.window) ** k for k in range(path.degree + 1)]
+    columns += [np.maximum(tau - at, 0.0) / path.window for at in kinks]
+    step = (part >= i).astype(np.float64)
+    columns += [step] if jump else []
+    design = np.stack(columns, axis=1) / path.sigma[part, None]
+    value = (path.p[part] - path.p[part[0]]) / path.sigma[part]
+    best, *_ = np.linalg.lstsq(design, value, rcond=None)
+    scaled = step / path.sigma[part]
+    alone = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+    error = 1 / np.sqrt(max(float(alone @ alone), 1e-12))
+    return float(np.sum((value - design @ best) ** 2)), float(best[1] / path.window), error

@@ -1,0 +1,338 @@
+"""Bad samples of a displacement: what is left out, what is named, and that nothing else is touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from frictrack.fit import fit
+from frictrack.flow import Session, open_study
+from frictrack.flow.tables import even_table
+from frictrack.friction import free_section
+from frictrack.motion import differentiate, low_pass, noise_level
+from frictrack.records import Displacement, Run
+from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
+from frictrack.study import TableData
+from frictrack.tracking.checks.timing import corrected, slips
+from tests.test_timing import a_track
+
+N, FPS, NOISE, PIXEL = 600, 4000.0, 1e-5, 5e-4
+K = np.arange(N, dtype=float)
+T = K / FPS
+NAN = np.full(N, np.nan)
+
+
+def slide(t):
+    """A mass that loses 7 m/s in a second."""
+    return 2.0 * t - 3.5 * t**2
+
+
+def noisy(x, seed=0, noise=NOISE):
+    return x + noise * np.random.default_rng(seed).standard_normal(len(x))
+
+
+def displaced(x):
+    n = len(x)
+    nan = np.full(n, np.nan)
+    return Displacement(np.arange(n) / FPS, x, nan, nan, nan, nan, np.ones(n, bool))
+
+
+def spoilt(seed, size, share=0.02, burst=1):
+    """A slide of which a share of the samples is off by about `size` m, in bursts, and which these are."""
+    rng = np.random.default_rng(seed)
+    bad = np.zeros(N, bool)
+    for start in rng.choice(N - burst, max(1, round(share * N / burst)), replace=False):
+        bad[start : start + burst] = True
+    off = size * rng.uniform(0.9, 1.1, N) * rng.choice([-1, 1], N)
+    return noisy(slide(T), seed) + off * bad, bad
+
+
+@pytest.mark.parametrize("burst", [1, 5])
+@pytest.mark.parametrize("size", [1e-3, 1e-2])
+def test_two_per_cent_of_outliers_are_found_and_nothing_else(size, burst):
+    for seed in range(6):
+        x, bad = spoilt(seed, size, burst=burst)
+        np.testing.assert_array_equal(outliers(K, x, np.ones(N)).rows, np.flatnonzero(bad))
+
+
+def ring(k):
+    """A slide that begins to ring and ceases, 50 times the noise."""
+    return slide(k / FPS) + np.where(k > 300, PIXEL * np.exp(-(k - 300) / 20) * np.sin(np.pi * (k - 300) / 4), 0.0)
+
+
+REAL = {
+    "slide": lambda k: slide(k / FPS),
+    "stick and slip": lambda k: PIXEL * np.cumsum((k % 50 < 20) * 1.3),
+    "collision": lambda k: PIXEL * np.where(k < 250.4, 1.9 * k, 1.9 * 250.4 - 0.9 * (k - 250.4)),
+    "stop": lambda k: PIXEL * np.minimum(1.5 * k, 500.0),
+    "stop at the end": lambda k: PIXEL * np.minimum(1.5 * k, 1.5 * 597.5),
+    "push": lambda k: PIXEL * np.clip(2.3 * (k - 100.3), 0, None),
+    "push at the beginning": lambda k: PIXEL * np.clip(2.3 * (k - 0.3), 0, None),
+    "starts and stops": lambda k: PIXEL * np.cumsum(np.clip(np.sin(k / 40), 0, None)),
+    "vibration": lambda k: slide(k / FPS) + PIXEL * (0.3 * np.sin(k / 9) + 0.05 * np.sin(k / 3)),
+    "ringing": ring,
+    "lost frames": lambda k: slide((k + 30 * (k > 300)) / FPS),
+}
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("motion", REAL)
+def test_what_really_happens_is_no_outlier(motion, noise):
+    for seed in range(4):
+        seen = displaced(noisy(REAL[motion](K), seed, noise))
+        assert screened(seen) is seen
+
+
+@pytest.mark.slow
+def test_no_sample_of_a_clean_slide_is_left_out():
+    """5000 runs of 600 frames: at a rate of 1e-4 a run, one in two such tests would find one."""
+    assert all(len(outliers(K, noisy(slide(T), seed), np.ones(N)).rows) == 0 for seed in range(5000))
+
+
+def test_outliers_are_named_with_frames_and_size_and_stay_as_measured():
+    x = noisy(slide(T))
+    x[[120, 240, 241]] += [9.5e-4, -1.05e-3, 1e-3]
+    seen = screened(displaced(x))
+    assert np.flatnonzero(~seen.valid).tolist() == [120, 240, 241]
+    np.testing.assert_array_equal(seen.x, x)
+    (note,) = seen.notes
+    assert note.startswith("3 samples lie 0.9")
+    assert note.endswith("mm off their course (frames 120, 240, 241): left out")
+
+
+def test_frames_have_the_numbers_of_the_recording():
+    x = noisy(slide(T))
+    x[120] += 1e-3
+    (note,) = screened(displaced(x), np.arange(N) + 7).notes
+    assert note.endswith("off its course (frame 127): left out")
+
+
+@pytest.mark.parametrize("row", [0, 1, 598, 599])
+def test_an_outlier_at_an_end(row):
+    x = noisy(slide(T))
+    x[row] += 5e-3
+    assert outliers(K, x, np.ones(N)).rows.tolist() == [row]
+
+
+def test_noise_with_tails_is_not_thinned_out():
+    x = slide(T) + 1e-5 * np.random.default_rng(0).standard_cauchy(N)
+    assert len(outliers(K, x, np.ones(N)).rows) < 0.1 * N
+
+
+# ---- quantised positions
+
+
+def test_the_step_of_quantised_positions():
+    rng = np.random.default_rng(0)
+    assert quantum(np.round(np.linspace(0.0, 1.0, 50), 2)) == 0.01
+    assert quantum(2 * np.pi / 4096 * np.round(1000 * rng.random(600))) == pytest.approx(2 * np.pi / 4096)
+    assert quantum(rng.random(600)) == 0.0
+    assert quantum(np.zeros(10)) == 0.0
+
+
+def test_rounding_is_named_where_it_matters():
+    step = 1e-3
+    seen = screened(displaced(step * np.round(noisy(slide(T)) / step)))
+    assert seen.resolution == step
+    assert seen.valid.all()
+    assert seen.notes[0].startswith("positions are whole multiples of 1 mm: rounding adds a noise of 289 um")
+    assert screened(displaced(np.round(noisy(slide(T)), 8))).notes == ()
+
+
+# ---- doubled and missing frames in any pattern
+
+
+def recorded(kind, seed, n=176):
+    """Numbers of the moments that the frames of a faulty recording really show."""
+    rng, k = np.random.default_rng(seed), np.arange(2 * n)
+    if kind == "three in a row":
+        return np.sort(np.r_[k[: n - 3], [80, 80, 80]])
+    if kind == "three in place of others":
+        return np.where((k[:n] >= 80) & (k[:n] < 83), 79, k[:n])
+    if kind == "16 scattered":
+        return np.sort(np.r_[k[: n - 16], 2 + rng.choice(n - 20, 16, replace=False)])
+    if kind == "all":
+        return np.repeat(k[: n // 2], 2)
+    return np.setdiff1d(k, 4 + 10 * np.arange(16) + rng.integers(0, 4, 16))[:n]  # 16 are lost
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 4.0])
+@pytest.mark.parametrize("kind", ["three in a row", "three in place of others", "16 scattered", "all", "16 lost"])
+def test_every_pattern_of_doubled_and_missing_frames(kind, speed):
+    for seed in range(3):
+        shown = recorded(kind, seed)
+        n = len(shown)
+        moments = a_track(100 + speed * (np.arange(2.0 * n) - 0.35 * np.arange(2.0 * n) ** 2 / n), seed=seed)
+        columns = ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "score", "reason")
+        rows = {name: getattr(moments, name)[shown] for name in columns}  # a doubled frame is the same picture
+        ticks, keep = corrected(np.arange(n), slips(replace(moments, t=np.arange(n) / FPS, **rows)))
+        assert not np.any(keep[1:] & (np.diff(shown) == 0))
+        np.testing.assert_array_equal(np.diff(ticks[keep]), np.diff(shown[keep]))
+
+
+# ---- clocks of tables
+
+
+def table(t, x):
+    return TableData(np.asarray(t), np.asarray(x))
+
+
+def test_a_clean_table_stays_as_it_is():
+    data = table(T, noisy(slide(T)))
+    even = even_table(data)
+    assert even.data is data
+    assert even.valid.all()
+    assert even.notes == ()
+
+
+def test_positions_that_were_held_are_left_out():
+    x = noisy(slide(T))
+    x[1::2] = x[::2]
+    even = even_table(table(T, x))
+    np.testing.assert_array_equal(even.data.t, T)
+    assert not even.valid[1:400:2].any()
+    assert even.valid[::2].all()
+    assert "samples repeat the one before: frames 1, 3, 5" in even.notes[0]
+
+
+def test_missing_samples_become_gaps_and_repeated_ones_go():
+    x = noisy(slide(T))
+    kept = np.setdiff1d(np.arange(N), [100, 200, 201])
+    even = even_table(table(T[: len(kept)], x[kept]))
+    np.testing.assert_allclose(even.data.t, T[kept], atol=1e-12)
+    assert even.notes[0].startswith("3 samples are missing, told by the motion: before frames 100, 199")
+    twice = np.sort(np.r_[np.arange(N - 3), [80, 80, 300]])
+    even = even_table(table(T, x[twice]))
+    np.testing.assert_allclose(even.data.t, T[: N - 3], atol=1e-12)
+    assert even.notes[0].startswith("3 samples repeat the one before: frames 81, 82, 303")
+
+
+def test_jitter_of_the_stamps_and_jitter_of_the_samples():
+    late = 0.05 / FPS * np.random.default_rng(1).standard_normal(N)
+    written = even_table(table(T + late, noisy(slide(T), noise=1e-6)))
+    sampled = even_table(table(T + late, noisy(slide(T + late), noise=1e-6)))
+    assert "the rows are taken as evenly spaced" in written.notes[0]
+    assert "moved to the even clock" in sampled.notes[0]
+    for even in (written, sampled):
+        assert np.std(even.data.x - slide(even.data.t)) < 1.5e-6
+
+
+@pytest.mark.parametrize(("digits", "said"), [(3, "time stamps are rounded to 0.001 s"), (9, "")])
+def test_rounded_stamps(digits, said):
+    even = even_table(table(np.round(T, digits), noisy(slide(T))))
+    np.testing.assert_allclose(np.diff(even.data.t), 1 / FPS, rtol=1e-3)
+    assert said in "".join(even.notes)
+
+
+def test_a_stamp_and_a_row_that_were_written_twice():
+    x = noisy(slide(T))
+    t = T.copy()
+    t[100] = t[99]
+    even = even_table(table(t, x))
+    np.testing.assert_allclose(even.data.t, T, atol=1e-6)
+    assert even.notes == ("the time stamp is wrong in frame 100; the row stays in its place",)
+    rows = np.sort(np.r_[np.arange(N - 1), 100])
+    even = even_table(table(T[rows], x[rows]))
+    assert len(even.data.t) == N - 1
+    assert even.notes == ("1 row has the time stamp of the row before: frame 101; left out",)
+
+
+def test_a_rate_that_is_given_and_another_one_in_the_stamps():
+    assert even_table(table(T, noisy(slide(T))), 4000.0).notes == ()
+    (note,) = even_table(table(T, noisy(slide(T))), 4200.0).notes
+    assert note == "the time stamps say 4000 Hz but fps = 4200 is given; the time stamps are used"
+
+
+# ---- copies
+
+
+def test_a_copy_is_found_although_it_is_cut_and_shifted():
+    one, other = (displaced(noisy(slide(T), seed)) for seed in range(2))
+    cut = displaced(one.x[100:500] + 0.3)
+    assert copies([one, other, cut]) == [(0, 2)]
+
+
+def test_noise_free_runs_of_one_law_are_no_copies():
+    one, other = (displaced(slide(T) + s * T + 1e-4 * np.sin(400 * T + s)) for s in (0.0, 0.1))
+    assert copies([one, other]) == []
+    assert copies([one, one]) == [(0, 1)]
+
+
+# ---- the fit
+
+
+def measured(x):
+    seen = screened(displaced(x))
+    level = max(float(noise_level(seen.x, seen.valid)[0]), rounding_noise(seen.resolution))
+    seen = replace(seen, sigma_x=np.full(len(x), level))
+    return Run(seen, differentiate(low_pass(seen)), mass=0.35)
+
+
+def law(x0, v0, force, viscous, t):
+    """Coulomb and viscous friction in closed form, 0.35 kg."""
+    tau = 0.35 / viscous
+    end = force / viscous
+    return x0 + (v0 + end) * tau * (1 - np.exp(-t / tau)) - end * t
+
+
+FAULTS = {
+    "clean": lambda x, rng: x,
+    "outliers": lambda x, rng: x + np.isin(np.arange(len(x)), rng.choice(len(x), 12, replace=False)) * 1e-3,
+    "rounded to 0.1 mm": lambda x, rng: 1e-4 * np.round(x / 1e-4),
+    "rounded to 1 mm": lambda x, rng: 1e-3 * np.round(x / 1e-3),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_deviations_hold_with_bad_samples(fault):
+    away = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        speeds = (1.2, 2.0, 2.8)
+        runs = [
+            measured(FAULTS[fault](noisy(law(0.0, v, 2.0, 0.4, T), 10 * seed + i), rng)) for i, v in enumerate(speeds)
+        ]
+        found = fit("coulomb,viscous", runs).parameters
+        truth = {"coulomb.F_c": 2.0, "viscous.F_v": 0.4}
+        away.append([(found[name].value - true) / found[name].std for name, true in truth.items()])
+    assert np.all(np.sqrt(np.mean(np.square(away), axis=0)) < 1.5)
+
+
+def test_an_event_at_the_last_frame_does_not_hide_the_slide():
+    x = noisy(slide(T))
+    x[-1] += 2e-4  # too small to be told from a blow
+    run = measured(x)
+    assert np.sum(free_section(run)[0]) > 0.9 * N
+
+
+# ---- the study
+
+
+def study(folder: Path, **tables: np.ndarray) -> Session:
+    lines = ["[study]", "mass = 0.35", 'model = ["coulomb", "viscous"]']
+    for name, x in tables.items():
+        rows = [f"{t!r},{v!r}" for t, v in zip(T.tolist(), x.tolist(), strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join(["t_s,x_m", *rows]))
+        lines += ["[[run]]", f'name = "{name}"', f'table = "{name}.csv"']
+    (folder / "study.toml").write_text("\n".join(lines))
+    return Session(open_study(folder / "study.toml"))
+
+
+def test_a_study_names_bad_samples_and_copies(tmp_path):
+    good, spiky = noisy(law(0.0, 2.0, 2.0, 0.4, T)), noisy(law(0.0, 1.5, 2.0, 0.4, T), 1)
+    spiky[[50, 300]] += 1e-3
+    session = study(tmp_path, good=good, spiky=spiky, again=good + 0.1)
+    rows = {row["run"]: row["notes"] for row in session.measure("motion")["runs"]}
+    assert rows["good"] == []
+    assert "off their course (frames 50, 300): left out" in rows["spiky"][0]
+    assert rows["again"] == [
+        'the same recording as run "good": it counts twice, so that deviations are too small and a held-out error '
+        "too low; remove one of them"
+    ]
+    found = session.fit()
+    assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])
+    assert abs(found["parameters"]["coulomb.F_c"]["value"] - 2.0) < 3 * found["parameters"]["coulomb.F_c"]["std"]
