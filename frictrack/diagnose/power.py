@@ -21,6 +21,7 @@ from frictrack.records import Array
 
 BASIC = ("stribeck", "viscous", "drag", "texture", "vibration")  # effects that a complete law must be able to exclude
 SHARE = 0.10  # of the mean friction: rms size at which they must be seen
+HOPELESS = 5.0  # times less noise that a laboratory can still be asked for: beyond, another kind of run is needed
 GIVEN = ("fixed", "tied")  # reasons for which a parameter has no deviation though nothing is wrong with it
 
 
@@ -128,4 +129,4 @@ def _unseen(name: str, limit: float, confirm: str) -> Undetermined:
     times = limit / SHARE
     why = f"only from {100 * limit:.2g} % of the mean friction on would it have been seen"
     how = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
-    return Undetermined(name, why, how, limit)
+    return Undetermined(name, why, how if times < HOPELESS else confirm, limit)

@@ -22,6 +22,7 @@ from frictrack.records import Curve, Modelled, Run
 from frictrack.results import ModelResults, plain
 from frictrack.store import Entry, Stamp
 from frictrack.study import EffectTable, Study
+from frictrack.study.schema import RunTable
 
 STALE = ("comparison", "diagnosis")  # they speak of the model that was current before
 
