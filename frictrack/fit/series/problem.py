@@ -19,7 +19,7 @@ from frictrack.fit.simulated.pieces import Begin, Piece, Reference, _path, begin
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section, is_moving
-from frictrack.models import Model
+from frictrack.models import Model, Values
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
 from frictrack.simulate.dynamics import Linear, Motion6, Panels
@@ -82,7 +82,7 @@ class SeriesProblem(Problem):
         """None has a start that could be unknown."""
         return [np.zeros(0) for _ in self.pieces]
 
-    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+    def _along(self, piece: Piece, motion: Motion6, level: float, values: Values) -> Path:
         """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
         return piece.along(motion.x, motion.v, level)
 
