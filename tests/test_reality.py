@@ -95,6 +95,21 @@ def test_a_law_whose_runs_never_slow_is_undetermined():
     assert "film a run that slows to a stop" in gap.settled_by
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_rounded_positions_raise_no_alarm(seed):
+    from frictrack.samples import screened
+
+    runs = []
+    for run in study("tustin", BASE, SIX, sigma=1e-6, rng=np.random.default_rng(seed))[0]:
+        x = 1e-3 * np.round(run.displacement.x / 1e-3)
+        seen = screened(replace(run.displacement, x=x))
+        assert seen.resolution == pytest.approx(1e-3)
+        runs.append(replace(run, displacement=seen, motion=differentiate(low_pass(seen))))
+    found = diagnose(fit(TUSTIN, runs))
+    assert found.verdict in ("complete", "undetermined")
+    assert found.p_lack_of_fit > 0.005
+
+
 # --- plausible causes
 
 

@@ -92,6 +92,10 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             if piece.locked and piece.path.pixel_pitch:
                 e *= np.float32(np.sqrt(1 - piece.locked))
                 e += locked(piece.y / piece.path.pixel_pitch, e.shape[1], rng) * np.float32(np.sqrt(piece.locked))
+            if piece.step:
+                share = min(piece.step**2 / 12.0 / float(np.mean(piece.sigma**2)), 1.0)
+                e *= np.float32(np.sqrt(1 - share))
+                e += rounding(law.strips[i].response.model_y, piece.step, e.shape[1], rng) / piece.sigma[:, None]
             if piece.systematic:
                 e += slow_errors(e.shape, rng) * (piece.systematic / piece.sigma)[:, None]
             if piece.shake:
@@ -115,6 +119,17 @@ def locked(place: Array, draws: int, rng: np.random.Generator) -> Short:
     Where the target goes a whole number of pixels per frame, or stops, they change slowly.
     """
     return (tones(place, draws, rng) + tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
+
+
+def rounding(place: Array, step: float, draws: int, rng: np.random.Generator) -> Short:
+    """Errors (n, D) in m of places (n,) that are rounded to multiples of a step, their origin at random.
+
+    While a mass is slower than a step per frame they are alike from frame to frame: no white noise (Widrow & Kollar
+    2008, Quantization Noise, section 20).
+    """
+    at = place[:, None] / step + rng.uniform(0.0, 1.0, (1, draws))
+    errors: Short = (step * (np.round(at) - at)).astype(np.float32)
+    return errors
 
 
 def tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:

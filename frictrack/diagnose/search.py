@@ -187,7 +187,8 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
     limits, curves = _limits(first)
     noise, misfit = _noise(fit)
     gaps = undetermined(fit, first, curves)
-    if gaps and (clean or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], gaps))):
+    vague = misfit < 1 or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], gaps))
+    if gaps and (clean or vague):
         verdict, found = "undetermined", []
     return Diagnosis(
         model=fit.model.names,

@@ -55,6 +55,7 @@ class Piece:
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
     slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
     systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
+    step: float = 0.0  # m, to which the places are rounded
     shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
 
@@ -327,6 +328,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piec
         way=begin.way,
         angle=_read(times, begin.angle, t),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
+        step=run.displacement.resolution,
         shake=run.displacement.shake,
         locked=_locked(run, rows, noise),
     )
