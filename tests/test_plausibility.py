@@ -137,6 +137,7 @@ def test_units_of_a_table_are_recognised(length, time, said):
     [
         (1e3, 1.0, "the scale is a thousand times too large", "warning"),
         (1e4, 1.0, "faster than anything on rails (2885 m/s)", ERROR),
+        (1e2, 1.0, "the scale is a hundred times too large", "warning"),
         (1.0, 1e-3, "fps is a thousand times too small", "warning"),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import sin
+from math import log10, sin
 
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import ALONE, BOTH
@@ -15,6 +15,7 @@ from frictrack.records import GRAVITY, Run
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
     (1e-3, 1.0, "the scale is a thousand times too large (mm taken for m?)"),
     (1e3, 1.0, "the scale is a thousand times too small (um taken for mm?)"),
+    (1e-2, 1.0, "the scale is a hundred times too large (cm taken for m?)"),
     (1e-1, 1.0, "the scale is ten times too large"),
     (1e1, 1.0, "the scale is ten times too small"),
     (1.0, 1e-3, "fps is a thousand times too small (kHz?)"),
@@ -62,10 +63,16 @@ class Slide:
         return Slide(self.speed * length / time, self.travel * length, friction, slows)
 
     @property
-    def usual(self) -> bool:
-        """Whether a laboratory has such slides every day."""
-        rubbing = self.friction is None or self.friction in USUAL_FRICTION
-        return rubbing and self.speed in USUAL_SPEED and self.travel in USUAL_TRAVEL
+    def possible(self) -> bool:
+        """Whether a laboratory has such slides."""
+        rubbing = self.friction is None or self.friction in FRICTION
+        return rubbing and self.speed in SPEED and self.travel in USUAL_TRAVEL
+
+    @property
+    def rarity(self) -> float:
+        """Decades by which it is off a usual slide."""
+        rubbing = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
+        return rubbing + abs(log10(self.speed / USUAL_SPEED))
 
 
 def slide_of(run: Run) -> Slide | None:
@@ -127,10 +134,10 @@ def _friction_words(run: Run, slide: Slide) -> str:
 
 def _correction(slide: Slide, *, film: bool) -> tuple[str, str]:
     """Which unit makes all of it usual, in words, and alone."""
-    units = FILM_UNITS if film else TABLE_UNITS
-    fitting = [words for length, time, words in units if slide.scaled(length, time).usual]
+    tried = [(slide.scaled(length, time), words) for length, time, words in (FILM_UNITS if film else TABLE_UNITS)]
+    fitting = sorted((made.rarity, words) for made, words in tried if made.possible)
     if fitting:
-        return f"probably {fitting[0]}", fitting[0]
+        return f"probably {fitting[0][1]}", fitting[0][1]
     return ("check scale and fps" if film else "check the units of the table's columns"), ""
 
 
