@@ -178,6 +178,17 @@ def test_a_driven_run_has_no_friction_to_be_judged():
     assert slide.friction is None
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "mN"), (1e6, "uN"), (1e-5, "kN")])
+def test_a_measured_force_in_another_unit_is_named(factor, unit):
+    t = np.arange(600) / FPS
+    x = 0.01 * np.sin(2 * np.pi * 3.0 * t)
+    force = 0.4 * 5.0 * np.sign(np.cos(2 * np.pi * 3.0 * t))
+    right = run_of(t, x, friction_N=force, normal_load=5.0, mass=None)
+    assert implausible_slide(right, film=False) == ()
+    (finding,) = implausible_slide(replace(right, friction_N=factor * force), film=False)
+    assert finding.correction == f'columns = {{friction = "F ({unit})"}}'
+
+
 # --- one run: incline
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import log10, sin
 
+import numpy as np
+
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import ALONE, BOTH
 from frictrack.plausibility.legs import Leg, legs_of, mean, total
@@ -31,6 +33,7 @@ TABLE_UNITS = (
     (1e-2, 1.0, 'x_m holds cm: head that column "x (cm)" and give columns = {x = "x (cm)"}'),
     (1e3, 1.0, 'x_m holds km: head that column "x (km)" and give columns = {x = "x (km)"}'),
 )
+FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
 
 def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
     hint, correction = _correction(slide, film=film)
+    yield from _measured(run)
     if slide.speed not in SPEED:
         grade = ERROR if slide.speed > SPEED.limit else WARNING
         than = f"than anything on rails ({SPEED.limit:g} m/s)" if grade == ERROR else "than in a laboratory"
@@ -119,6 +123,20 @@ def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
         yield Finding("scale", f"the mass would slide {slide.travel:.3g} m without a stop; {hint}", correction)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
         yield from _blow(run.mass, slide)
+
+
+def _measured(run: Run) -> Iterator[Finding]:
+    """What a measured friction force has against a stated load."""
+    if run.friction_N is None or run.normal_load is None:
+        return
+    ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
+    if ratio in FRICTION or ratio == 0.0:
+        return
+    unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
+    line = f'columns = {{friction = "F ({unit})"}}' if unit else ""
+    likely = f"; probably friction_N holds {unit}: head that column so and give {line}" if unit else ""
+    words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
+    yield Finding("friction", words, line)
 
 
 def _friction_words(run: Run, slide: Slide) -> str:
