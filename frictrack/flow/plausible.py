@@ -30,9 +30,11 @@ from frictrack.records import Run, Track
 from frictrack.study import RunTable, Study, read_toml
 
 LOG = logging.getLogger("frictrack")
-BARE = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*")  # a text without a unit
+WITHOUT_UNIT = re.compile(
+    r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
+)  # a text without a unit
 KEYS = ("mass", "scale", "fps", "incline")
-HOMES = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
+INHERITED_FROM = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
 
 
 class Findings:
@@ -153,10 +155,10 @@ def _called(table: dict[str, Any]) -> str:
 
 
 def _inherited(raw: dict[str, Any], key: str) -> Any:
-    return raw.get(HOMES[key], {}).get(key) if key in HOMES else None
+    return raw.get(INHERITED_FROM[key], {}).get(key) if key in INHERITED_FROM else None
 
 
 def _is_bare(value: Any) -> bool:
     if isinstance(value, str):
-        return BARE.fullmatch(value) is not None
+        return WITHOUT_UNIT.fullmatch(value) is not None
     return isinstance(value, int | float) and not isinstance(value, bool)

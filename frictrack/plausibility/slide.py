@@ -9,7 +9,7 @@ from math import log10, sin
 import numpy as np
 
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.incline import ALONE, BOTH
+from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
 from frictrack.plausibility.legs import Leg, legs_of, mean, total
 from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, TRAVEL, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
 from frictrack.records import GRAVITY, Run
@@ -181,10 +181,12 @@ def _deceleration(run: Run, legs: tuple[Leg, ...]) -> float | None:
         return None
     direction = max(legs, key=lambda leg: leg.way).direction
     one_way = tuple(leg for leg in legs if leg.direction == direction)
-    if total(one_way) < (1 - BOTH) * total(legs):
+    if total(one_way) < (1 - MIN_SHARE_EACH_WAY) * total(legs):
         return None
     pull = -GRAVITY * sin(run.incline)
-    free = tuple(leg for leg in one_way if not leg.speeding or (run.has_incline and leg.partner < ALONE * leg.way))
+    free = tuple(
+        leg for leg in one_way if not leg.speeding or (run.has_incline and leg.partner < MAX_PARTNER_SHARE * leg.way)
+    )
     if not free or not any(leg.certain for leg in free):
         return None
     slows = direction * (pull - mean(free))
