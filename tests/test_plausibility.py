@@ -34,7 +34,7 @@ from frictrack.records import GRAVITY, Array, Displacement, Run, Track
 from frictrack.workbench.desk import Desk
 
 NOISE = 1e-5  # m
-FPS = 2000.0
+FPS = 1000.0
 
 
 def run_of(t: Array, x: Array, *, noise: float = NOISE, seed: int = 0, **known) -> Run:
@@ -137,6 +137,7 @@ def test_units_of_a_table_are_recognised(length, time, said):
     [
         (1e3, 1.0, "the scale is a thousand times too large", "warning"),
         (1e4, 1.0, "faster than anything on rails (2885 m/s)", ERROR),
+        (1e2, 1.0, "the scale is a hundred times too large", "warning"),
         (1.0, 1e-3, "fps is a thousand times too small", "warning"),
     ],
 )
@@ -148,7 +149,7 @@ def test_scale_and_frame_rate_of_a_film_are_recognised(scale, fps, said, grade):
     assert finding.grade == grade
 
 
-@pytest.mark.parametrize("mu", [0.02, 0.05, 0.3, 2.33, 4.0])
+@pytest.mark.parametrize("mu", [0.05, 0.3, 2.33, 4.0])
 def test_friction_of_a_struck_slide_is_found_and_not_doubted(mu):
     run = run_of(*struck(mu))
     slide = slide_of(run)
@@ -175,6 +176,17 @@ def test_a_driven_run_has_no_friction_to_be_judged():
     slide = slide_of(run_of(1e3 * t, x, drive=np.ones(len(t))))
     assert slide is not None
     assert slide.friction is None
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "mN"), (1e6, "uN"), (1e-5, "kN")])
+def test_a_measured_force_in_another_unit_is_named(factor, unit):
+    t = np.arange(600) / FPS
+    x = 0.01 * np.sin(2 * np.pi * 3.0 * t)
+    force = 0.4 * 5.0 * np.sign(np.cos(2 * np.pi * 3.0 * t))
+    right = run_of(t, x, friction_N=force, normal_load=5.0, mass=None)
+    assert implausible_slide(right, film=False) == ()
+    (finding,) = implausible_slide(replace(right, friction_N=factor * force), film=False)
+    assert finding.correction == f'columns = {{friction = "F ({unit})"}}'
 
 
 # --- one run: incline
@@ -208,7 +220,7 @@ def test_motion_up_and_down_gives_the_angle_itself():
     def pull(t: float, x: float, v: float) -> float:
         return -GRAVITY * sin(radians(8.0)) - 0.05 * GRAVITY * cos(radians(8.0)) * np.sign(v)
 
-    t, x = moved(pull, 0.0, 1.2, 1.6)
+    t, x = moved(pull, 0.0, 1.2, 1.6, fps=400.0)
     finding = missing_incline(run_of(t, x))
     assert finding is not None
     assert finding.correction == 'incline = "8 deg"'
@@ -275,7 +287,7 @@ def pushed(t: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("seconds", "motion"),
-    [(4.0, pendulum), (0.35, pushed), (0.4, lambda t: 2 * t - 2 * t**2), (0.5, lambda t: 0.5 * t)],
+    [(2.0, pendulum), (0.35, pushed), (0.4, lambda t: 2 * t - 2 * t**2), (0.5, lambda t: 0.5 * t)],
 )
 def test_what_is_driven_by_no_slope_gets_no_incline(seconds, motion):
     t = np.arange(round(seconds * FPS)) / FPS
@@ -345,7 +357,7 @@ def test_a_measured_drive_tells_the_mass():
     def drive(t):
         return 4.0 * np.sin(2 * np.pi * 4.0 * t)
 
-    t, x = moved(lambda t, x, v: (drive(t) - 0.3 * np.tanh(v / 0.01) - 0.2 * v) / 0.35, 0.0, 0.0, 1.0)
+    t, x = moved(lambda t, x, v: (drive(t) - 0.3 * np.tanh(v / 0.01) - 0.2 * v) / 0.35, 0.0, 0.0, 1.0, fps=500.0)
     assert implausible_masses([run_of(t, x, drive=drive(t))]) == ()
     (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=350.0)])
     assert finding.correction == 'mass = "0.35 kg"'
@@ -360,6 +372,7 @@ def test_a_measured_drive_tells_the_mass():
 def test_the_drive_of_a_real_carriage_tells_its_published_mass():
     """EMPS, 95.1 kg (Janot, Gautier, Brunot 2019)."""
     q, drive = np.loadtxt(Path(__file__).parent / "data" / "emps_200Hz.csv", delimiter=",").T
+    q, drive = q[:1200], drive[:1200]  # six seconds
     t = np.arange(len(q)) / 200.0
     right = run_of(t, q, noise=1e-6, drive=drive, mass=95.1)
     assert implausible_masses([right]) == ()

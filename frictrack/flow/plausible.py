@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,14 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import Run, Track
-from frictrack.study import RunTable, Study, written
+from frictrack.study import RunTable, Study, read_toml
 
 LOG = logging.getLogger("frictrack")
-BARE = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*")  # a text without a unit
+WITHOUT_UNIT = re.compile(
+    r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
+)  # a text without a unit
 KEYS = ("mass", "scale", "fps", "incline")
-HOMES = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
+INHERITED_FROM = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
 
 
 class Findings:
@@ -44,6 +47,7 @@ class Findings:
     def __init__(self, study: Study) -> None:
         self.study = study
         self._found: dict[str, Finding] = {}
+        self._looked: set[str] = set()  # what was checked already
 
     @property
     def summary(self) -> list[dict[str, Any]]:
@@ -57,15 +61,21 @@ class Findings:
 
     def of_study(self) -> None:
         """What the study file shows by itself; what several runs inherit is said once."""
-        self._take(found for run in self.study.runs if not run.plausible for found in _of_file(self.study, run))
+        self._look("study", lambda: _of_file(self.study))
 
     def of_runs(self, works: Sequence[RunWork]) -> None:
         """What the motion of each run shows."""
-        self._take(found for work in works for found in of_run(work))
+        self._look("runs", lambda: (found for work in works for found in of_run(work)))
 
     def of_all(self, works: Sequence[RunWork]) -> None:
         """What the runs show together, those that the user has checked among them."""
-        self._take(implausible_masses([work.record() for work in works]))
+        self._look("all", lambda: implausible_masses([work.record() for work in works]))
+
+    def _look(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:
+        """Check one thing, once."""
+        if what not in self._looked:
+            self._take(find())
+            self._looked.add(what)
 
     def _take(self, findings: Iterable[Finding]) -> None:
         """Note the new ones of runs that the user has not checked. Raises `FrictrackError` with all errors."""
@@ -106,31 +116,49 @@ def _has_free_section(record: Run) -> bool:
     return True
 
 
-def _of_file(study: Study, run: RunTable) -> list[Finding]:
-    """Findings on the numbers of a run in the study file; what it inherits concerns all runs."""
-    own = {key: _raw(study, "run", key, run.name) for key in KEYS}
-    held = {key: _raw(study, HOMES[key], key) if own[key] is None and key in HOMES else own[key] for key in KEYS}
+def _of_file(study: Study) -> Iterator[Finding]:
+    """Findings on the numbers in the study file; what runs inherit concerns all of them."""
+    raw = _raw(study)
+    tables = {_called(table): table for table in raw.get("run", [])}
+    for run in (run for run in study.runs if not run.plausible):
+        own = {key: tables.get(run.name, {}).get(key) for key in KEYS}
+        held = {key: _inherited(raw, key) if own[key] is None else own[key] for key in KEYS}
+        bare = frozenset(key for key, value in held.items() if _is_bare(value))
+        for found in implausible(_typed(run, bare)):
+            yield found if own[found.kind] is not None else replace(found, run="")
+
+
+def _typed(run: RunTable, bare: frozenset[str]) -> Typed:
+    """The numbers of a run."""
     pitch = float("nan") if run.scale is None else parse_scale(run.scale)[0]
-    typed = Typed(
+    return Typed(
         run=run.name,
         mass=run.mass[0] if isinstance(run.mass, tuple) else None,
         pitch=pitch if np.isfinite(pitch) else None,
         fps=run.fps,
         incline=run.incline,
-        bare=frozenset(key for key, value in held.items() if _is_bare(value)),
+        bare=bare,
     )
-    return [found if own[found.kind] is not None else replace(found, run="") for found in implausible(typed)]
 
 
-def _raw(study: Study, table: str, key: str, which: str | None = None) -> Any:
-    """What stands in the study file under a key."""
+def _raw(study: Study) -> dict[str, Any]:
+    """The tables of the study file as they were typed; none of a study that is not in a file."""
     try:
-        return written(study.path.read_text(encoding="utf-8"), table, key, which)
-    except (FrictrackError, OSError):  # a study that is not in a file, or was changed meanwhile
-        return None
+        return read_toml(study.path.name, study.path.read_text(encoding="utf-8"))
+    except (FrictrackError, OSError, UnicodeDecodeError):  # it was changed meanwhile
+        return {}
+
+
+def _called(table: dict[str, Any]) -> str:
+    """The name of a run; that of its recording where it has none."""
+    return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
+
+
+def _inherited(raw: dict[str, Any], key: str) -> Any:
+    return raw.get(INHERITED_FROM[key], {}).get(key) if key in INHERITED_FROM else None
 
 
 def _is_bare(value: Any) -> bool:
     if isinstance(value, str):
-        return BARE.fullmatch(value) is not None
+        return WITHOUT_UNIT.fullmatch(value) is not None
     return isinstance(value, int | float) and not isinstance(value, bool)

@@ -11,15 +11,17 @@ from math import asin, degrees, sin
 import numpy as np
 
 from frictrack.plausibility.finding import ERROR, Finding
-from frictrack.plausibility.legs import CERTAIN, Leg, legs_of, mean, total
+from frictrack.plausibility.legs import MIN_SIGMAS, Leg, legs_of, mean, total
 from frictrack.records import GRAVITY, Run, Track
 
-STEADY = 0.02  # rms off a parabola over the way: a push by hand is not as constant as gravity
-ALONE = 0.25  # of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring
-SHARE = 0.4  # of the whole way that must be passed speeding up
-BOTH = 0.2  # of the whole way that a direction needs to count
-AGAINST = 0.05  # of the pull of gravity by which friction would have to push
-FACTOR = 3.0  # by which the pull that the motion shows may differ from the stated one
+MAX_MISFIT = 0.02  # rms off a parabola over the way: a push by hand is not as constant as gravity
+MAX_PARTNER_SHARE = (
+    0.25  # of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring
+)
+MIN_SPEEDING_SHARE = 0.4  # of the whole way that must be passed speeding up
+MIN_SHARE_EACH_WAY = 0.2  # of the whole way that a direction needs to count
+MIN_PUSH_SHARE = 0.05  # of the pull of gravity by which friction would have to push
+MAX_PULL_RATIO = 3.0  # by which the pull that the motion shows may differ from the stated one
 
 
 def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None:
@@ -63,14 +65,16 @@ def wrong_incline(run: Run) -> Finding | None:
     every = legs_of(run)
     if not _speeds_up(every):
         return None
-    legs = tuple(leg for leg in every if leg.certain and (leg.partner < ALONE * leg.way or not leg.speeding))
+    legs = tuple(
+        leg for leg in every if leg.certain and (leg.partner < MAX_PARTNER_SHARE * leg.way or not leg.speeding)
+    )
     stated = -GRAVITY * sin(run.incline)
     pull, both = _pull(legs)
     if both:
         return _of_both(run, stated, pull)
     longest = max(legs, key=lambda leg: leg.way)
     friction = longest.direction * (stated - pull)
-    if friction >= -max(AGAINST * abs(stated), CERTAIN * longest.sigma_a):
+    if friction >= -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a):
         return None
     if longest.direction * (-stated - pull) >= 0.0 and stated * pull < 0.0:
         return _reversed(run, pull)
@@ -109,9 +113,9 @@ def _driven(run: Run) -> bool:
 def _speeds_up(legs: tuple[Leg, ...]) -> bool:
     """Whether most of the way is passed at a steadily rising speed that nothing but a collision or the end stops."""
     known = tuple(leg for leg in legs if leg.certain)
-    alone = tuple(leg for leg in known if leg.speeding and leg.partner < ALONE * leg.way)
-    steady = tuple(leg for leg in alone if leg.gains > 0 and leg.misfit < STEADY)
-    return bool(steady) and total(steady) > SHARE * total(known)
+    alone = tuple(leg for leg in known if leg.speeding and leg.partner < MAX_PARTNER_SHARE * leg.way)
+    steady = tuple(leg for leg in alone if leg.gains > 0 and leg.misfit < MAX_MISFIT)
+    return bool(steady) and total(steady) > MIN_SPEEDING_SHARE * total(known)
 
 
 def _toward(legs: tuple[Leg, ...], direction: float) -> tuple[Leg, ...]:
@@ -121,7 +125,7 @@ def _toward(legs: tuple[Leg, ...], direction: float) -> tuple[Leg, ...]:
 def _pull(legs: tuple[Leg, ...]) -> tuple[float, bool]:
     """Pull of gravity over mass toward +x, m/s^2, and whether both directions tell it; else a lower bound of it."""
     forth, back = _toward(legs, 1.0), _toward(legs, -1.0)
-    if min(total(forth), total(back)) > BOTH * total(legs) and mean(forth) * mean(back) > 0.0:
+    if min(total(forth), total(back)) > MIN_SHARE_EACH_WAY * total(legs) and mean(forth) * mean(back) > 0.0:
         return (mean(forth) + mean(back)) / 2, True
     return mean(_toward(legs, max(legs, key=lambda leg: leg.way).direction)), False
 
@@ -152,9 +156,9 @@ def _proposed(run: Run, pull: float, path_angle: float | None, *, both: bool) ->
 
 def _of_both(run: Run, stated: float, pull: float) -> Finding | None:
     """What a motion in both directions has against a stated incline."""
-    if stated * pull < 0 and abs(pull) > abs(stated) / FACTOR:
+    if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
         return _reversed(run, pull)
-    if abs(pull) < GRAVITY and not 1 / FACTOR < pull / stated < FACTOR:
+    if abs(pull) < GRAVITY and not 1 / MAX_PULL_RATIO < pull / stated < MAX_PULL_RATIO:
         line = _line(pull)
         words = (
             f"incline = {degrees(run.incline):.3g} deg gives {abs(stated):.3g} m/s^2 along the course, but the motion "

@@ -11,10 +11,10 @@ from frictrack.friction import is_moving
 from frictrack.records import Array, Mask, Run, stretches
 
 MIN_FRAMES = 10  # of a leg, below which a parabola tells nothing
-EDGE = 0.1  # share of a leg at either end that is left out: smoothing reaches over a collision
-EVENT_REACH = 3  # frames beyond an event that a difference may still see it
-TOGETHER = 3.0  # factor on a standard deviation for errors that neighbours share
-CERTAIN = 5.0  # standard deviations
+TRIMMED_SHARE = 0.1  # share of a leg at either end that is left out: smoothing reaches over a collision
+EVENT_REACH_FRAMES = 3  # frames beyond an event that a difference may still see it
+CORRELATION_FACTOR = 3.0  # factor on a standard deviation for errors that neighbours share
+MIN_SIGMAS = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Leg:
     @property
     def certain(self) -> bool:
         """Whether the acceleration is known to differ from 0."""
-        return abs(self.a) > CERTAIN * self.sigma_a
+        return abs(self.a) > MIN_SIGMAS * self.sigma_a
 
 
 def legs_of(run: Run) -> tuple[Leg, ...]:
@@ -61,7 +61,7 @@ def _free(run: Run) -> Mask:
     """Frames (n,) that were found, move, and lie in no event."""
     free = run.displacement.valid & is_moving(run)
     for first, last in run.motion.events:
-        free[max(first - EVENT_REACH, 0) : last + EVENT_REACH + 1] = False
+        free[max(first - EVENT_REACH_FRAMES, 0) : last + EVENT_REACH_FRAMES + 1] = False
     return np.asarray(free)
 
 
@@ -86,7 +86,7 @@ def _both_sides(run: Run, s: slice) -> list[Leg]:
 
 def _leg(run: Run, s: slice, *, speeding: bool, partner: float) -> Leg | None:
     """The leg of a slice, None where it is too short to tell anything."""
-    edge = int(EDGE * (s.stop - s.start))
+    edge = int(TRIMMED_SHARE * (s.stop - s.start))
     t, x = run.motion.t[s.start + edge : s.stop - edge], run.displacement.x[s.start + edge : s.stop - edge]
     if len(t) < MIN_FRAMES:
         return None
@@ -107,5 +107,5 @@ def _parabola(t: Array, x: Array) -> tuple[tuple[float, float], float, float]:
     design = np.stack([np.ones_like(u), u, u**2 / 2], axis=1)
     solution = np.linalg.lstsq(design, x, rcond=None)[0]
     left = float(np.sqrt(np.sum((x - design @ solution) ** 2) / (len(u) - 3)))
-    sigma = TOGETHER * left * float(np.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
+    sigma = CORRELATION_FACTOR * left * float(np.sqrt(np.linalg.inv(design.T @ design)[2, 2]))
     return (float(solution[1]), float(solution[2])), sigma, left

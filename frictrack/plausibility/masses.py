@@ -18,16 +18,16 @@ import numpy as np
 
 from frictrack.friction import is_moving
 from frictrack.plausibility.finding import Finding
-from frictrack.plausibility.legs import CERTAIN, TOGETHER
+from frictrack.plausibility.legs import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.plausibility.slide import Slide, slide_of
 from frictrack.records import GRAVITY, Array, Run
 
-AGREE = 0.2  # decades within which the other runs agree, or two numbers are the same up to a power of ten
-EXACT = 0.02  # decades: the same weighing up to a power of ten
+MAX_SPREAD_DECADES = 0.2  # decades within which the other runs agree, or two numbers are the same up to a power of ten
+EXACT_DECADES = 0.02  # decades: the same weighing up to a power of ten
 MIN_FRAMES = 20
-KNOWN = 0.1  # relative deviation of a mass that the drive tells
+MAX_RELATIVE_STD = 0.1  # relative deviation of a mass that the drive tells
 UNITS = {3: "x_m holds mm", -6: "t_s holds ms", -3: "t_s holds ms and x_m mm"}  # by the power of ten of m = D/a
-FEWEST = 3  # runs, of which two agree against the third
+MIN_RUNS = 3  # runs, of which two agree against the third
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _among(slides: Sequence[Weighed]) -> Iterator[Finding]:
     """What each run has against all others."""
     for i, one in enumerate(slides):
         others = [*slides[:i], *slides[i + 1 :]]
-        found = (_by_load(one, others) or _by_mass(one, others)) if len(slides) >= FEWEST else None
+        found = (_by_load(one, others) or _by_mass(one, others)) if len(slides) >= MIN_RUNS else None
         if found is not None:
             yield found
 
@@ -111,14 +111,16 @@ def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
     line = f'mass = "{own / 10.0**power:g} kg"'
     rate = _common([w.rate for w in others])
     if one.rate is not None and rate is not None:
-        if abs(np.log10(one.rate / rate)) > AGREE:  # it goes with 1/m, as it should, or with something else
+        if (
+            abs(np.log10(one.rate / rate)) > MAX_SPREAD_DECADES
+        ):  # it goes with 1/m, as it should, or with something else
             return None
         words = (
             f"a mass of {own:g} kg is {_times(power)} that of the other runs ({common:g} kg), but the friction that "
             f"goes with the speed slows it as it slows them; probably {line}"
         )
         return Finding("mass", words, line, one.run.name)
-    if abs(np.log10(own / common) - power) > EXACT:
+    if abs(np.log10(own / common) - power) > EXACT_DECADES:
         return None
     words = (
         f"a mass of {own:g} kg is exactly {_times(power)} that of the other runs ({common:g} kg), and friction that "
@@ -134,7 +136,7 @@ def _times(power: int) -> str:
 def _common(values: Sequence[float | None]) -> float | None:
     """The median of values that are all known and agree; None where they do not, or are fewer than two."""
     known = np.array([v for v in values if v is not None and v > 0])
-    if len(known) < max(len(values), FEWEST - 1) or np.ptp(np.log10(known)) > AGREE:
+    if len(known) < max(len(values), MIN_RUNS - 1) or np.ptp(np.log10(known)) > MAX_SPREAD_DECADES:
         return None
     return float(np.median(known))
 
@@ -145,7 +147,7 @@ def _power(own: float | None, common: float | None) -> int:
         return 0
     decades = float(np.log10(own / common))
     power = round(decades)
-    return power if abs(decades - power) < AGREE else 0
+    return power if abs(decades - power) < MAX_SPREAD_DECADES else 0
 
 
 def _rate(run: Run) -> float | None:
@@ -164,8 +166,8 @@ def _rate(run: Run) -> float | None:
     solution = np.linalg.lstsq(design / scale, x, rcond=None)[0]
     left = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
     covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
-    rate, std = float(solution[3] / scale[3]), TOGETHER * float(np.sqrt(covariance[3, 3])) / float(scale[3])
-    return rate if rate > CERTAIN * std else None
+    rate, std = float(solution[3] / scale[3]), CORRELATION_FACTOR * float(np.sqrt(covariance[3, 3])) / float(scale[3])
+    return rate if rate > MIN_SIGMAS * std else None
 
 
 def _slowing(run: Run) -> Array:
@@ -201,8 +203,8 @@ def _of_drive(run: Run) -> Finding | None:
     solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
     left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
     covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
-    seen, std = float(solution[0] / scale[0]), TOGETHER * float(np.sqrt(covariance[0, 0])) / float(scale[0])
-    power = _power(run.mass, seen) if seen > 0 and std < KNOWN * seen else 0
+    seen, std = float(solution[0] / scale[0]), CORRELATION_FACTOR * float(np.sqrt(covariance[0, 0])) / float(scale[0])
+    power = _power(run.mass, seen) if seen > 0 and std < MAX_RELATIVE_STD * seen else 0
     if not power:
         return None
     line = f'mass = "{run.mass / 10.0**power:g} kg"'

@@ -31,8 +31,8 @@ FPS = Range(5.0, 1e7, "1/s", "from a slow time lapse to in-situ storage sensors 
 SPEED = Range(0.0, 100.0, "m/s", "gas guns aside; the fastest rocket sled ran 2885 m/s (Holloman, 2003)", limit=2885.0)
 TRAVEL = Range(0.0, 100.0, "m", "a free slide; a curling stone goes 30 to 45 m (World Curling)")
 FRICTION = Range(1e-4, 10.0, "1", "from an air bearing to ten times the weight; dry solids in air reach about 1.5")
-USUAL_FRICTION = Range(0.01, 1.0, "1", "most pairs of solids, dry or with boundary lubrication")
-USUAL_SPEED = Range(1e-3, 30.0, "m/s", "sliders in a laboratory")
+USUAL_FRICTION = 0.3  # most pairs of solids, dry or with boundary lubrication, lie within a decade of it
+USUAL_SPEED = 1.0  # m/s
 USUAL_TRAVEL = Range(1e-4, 20.0, "m", "courses in a laboratory")
 BLOW = Range(0.0, 300.0, "J", "energy of a blow: the largest pendulum hammers in common use (ISO 148-1)")
 INCLINE = Range(0.0, 0.8, "rad", "a number without a unit counts as rad: 0.8 rad are 46 degrees")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import sin
+from math import log10, sin
+
+import numpy as np
 
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.incline import ALONE, BOTH
+from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
 from frictrack.plausibility.legs import Leg, legs_of, mean, total
 from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, TRAVEL, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
 from frictrack.records import GRAVITY, Run
@@ -15,6 +17,7 @@ from frictrack.records import GRAVITY, Run
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
     (1e-3, 1.0, "the scale is a thousand times too large (mm taken for m?)"),
     (1e3, 1.0, "the scale is a thousand times too small (um taken for mm?)"),
+    (1e-2, 1.0, "the scale is a hundred times too large (cm taken for m?)"),
     (1e-1, 1.0, "the scale is ten times too large"),
     (1e1, 1.0, "the scale is ten times too small"),
     (1.0, 1e-3, "fps is a thousand times too small (kHz?)"),
@@ -30,6 +33,7 @@ TABLE_UNITS = (
     (1e-2, 1.0, 'x_m holds cm: head that column "x (cm)" and give columns = {x = "x (cm)"}'),
     (1e3, 1.0, 'x_m holds km: head that column "x (km)" and give columns = {x = "x (km)"}'),
 )
+FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
 
 
 @dataclass(frozen=True)
@@ -62,10 +66,16 @@ class Slide:
         return Slide(self.speed * length / time, self.travel * length, friction, slows)
 
     @property
-    def usual(self) -> bool:
-        """Whether a laboratory has such slides every day."""
-        rubbing = self.friction is None or self.friction in USUAL_FRICTION
-        return rubbing and self.speed in USUAL_SPEED and self.travel in USUAL_TRAVEL
+    def possible(self) -> bool:
+        """Whether a laboratory has such slides."""
+        rubbing = self.friction is None or self.friction in FRICTION
+        return rubbing and self.speed in SPEED and self.travel in USUAL_TRAVEL
+
+    @property
+    def rarity(self) -> float:
+        """Decades by which it is off a usual slide."""
+        rubbing = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
+        return rubbing + abs(log10(self.speed / USUAL_SPEED))
 
 
 def slide_of(run: Run) -> Slide | None:
@@ -101,6 +111,7 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
 
 def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
     hint, correction = _correction(slide, film=film)
+    yield from _measured(run)
     if slide.speed not in SPEED:
         grade = ERROR if slide.speed > SPEED.limit else WARNING
         than = f"than anything on rails ({SPEED.limit:g} m/s)" if grade == ERROR else "than in a laboratory"
@@ -112,6 +123,20 @@ def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
         yield Finding("scale", f"the mass would slide {slide.travel:.3g} m without a stop; {hint}", correction)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
         yield from _blow(run.mass, slide)
+
+
+def _measured(run: Run) -> Iterator[Finding]:
+    """What a measured friction force has against a stated load."""
+    if run.friction_N is None or run.normal_load is None:
+        return
+    ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
+    if ratio in FRICTION or ratio == 0.0:
+        return
+    unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
+    line = f'columns = {{friction = "F ({unit})"}}' if unit else ""
+    likely = f"; probably friction_N holds {unit}: head that column so and give {line}" if unit else ""
+    words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
+    yield Finding("friction", words, line)
 
 
 def _friction_words(run: Run, slide: Slide) -> str:
@@ -127,10 +152,10 @@ def _friction_words(run: Run, slide: Slide) -> str:
 
 def _correction(slide: Slide, *, film: bool) -> tuple[str, str]:
     """Which unit makes all of it usual, in words, and alone."""
-    units = FILM_UNITS if film else TABLE_UNITS
-    fitting = [words for length, time, words in units if slide.scaled(length, time).usual]
+    tried = [(slide.scaled(length, time), words) for length, time, words in (FILM_UNITS if film else TABLE_UNITS)]
+    fitting = sorted((made.rarity, words) for made, words in tried if made.possible)
     if fitting:
-        return f"probably {fitting[0]}", fitting[0]
+        return f"probably {fitting[0][1]}", fitting[0][1]
     return ("check scale and fps" if film else "check the units of the table's columns"), ""
 
 
@@ -156,10 +181,12 @@ def _deceleration(run: Run, legs: tuple[Leg, ...]) -> float | None:
         return None
     direction = max(legs, key=lambda leg: leg.way).direction
     one_way = tuple(leg for leg in legs if leg.direction == direction)
-    if total(one_way) < (1 - BOTH) * total(legs):
+    if total(one_way) < (1 - MIN_SHARE_EACH_WAY) * total(legs):
         return None
     pull = -GRAVITY * sin(run.incline)
-    free = tuple(leg for leg in one_way if not leg.speeding or (run.has_incline and leg.partner < ALONE * leg.way))
+    free = tuple(
+        leg for leg in one_way if not leg.speeding or (run.has_incline and leg.partner < MAX_PARTNER_SHARE * leg.way)
+    )
     if not free or not any(leg.certain for leg in free):
         return None
     slows = direction * (pull - mean(free))

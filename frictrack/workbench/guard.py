@@ -21,7 +21,7 @@ from tornado.routing import Matcher, Rule
 from tornado.web import Application, RequestHandler
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-ANY = ("0.0.0.0", "::", "")  # addresses that stand for all of this machine's
+WILDCARD_HOSTS = ("0.0.0.0", "::", "")  # addresses that stand for all of this machine's
 REFRESH = '<!doctype html><meta http-equiv="refresh" content="0;url={}"><title>frictrack</title>'
 
 
@@ -88,7 +88,7 @@ class Guard:
             return True
         if self.alone:
             return False
-        own = {self.host, socket.gethostname(), socket.getfqdn()} - set(ANY)
+        own = {self.host, socket.gethostname(), socket.getfqdn()} - set(WILDCARD_HOSTS)
         return host in {name.lower() for name in own} or _is_address(host)
 
 

@@ -14,13 +14,11 @@ from frictrack.errors import FrictrackError
 from frictrack.workbench.guard import LOOPBACK, Guard, address_of, clean_names, protect
 from frictrack.workbench.page import Page
 
-HERE = LOOPBACK[0]
-
 
 def serve(
     path: Path,
     *,
-    host: str = HERE,
+    host: str = LOOPBACK[0],
     port: int = 5006,
     token: str | None = None,
     names: Sequence[str] = (),
