@@ -130,6 +130,25 @@ def test_missing_and_doubled_frames_are_told_by_the_motion(tmp_path):
     assert len(worked(tmp_path, 'reference = "none"').get("motion")) == 117
 
 
+@pytest.mark.parametrize("pattern", ["three in a row", "16 scattered", "all"])
+def test_pictures_shown_more_than_once(tmp_path, pattern):
+    x = filmed(tmp_path)
+    rng = np.random.default_rng(3)
+    again = {
+        "three in a row": [50, 50, 50],
+        "16 scattered": 2 + rng.choice(110, 16, replace=False),
+        "all": np.arange(60),
+    }
+    last = 60 if pattern == "all" else 120
+    refilmed(tmp_path, np.sort(np.r_[np.arange(last), again[pattern]]))
+    d = worked(tmp_path, 'reference = "none"').get("displacement")
+    shown = np.rint(d.t * 4000).astype(int)
+    assert shown[d.valid].tolist() == list(range(last))
+    assert error_um(d, x[shown]) < 1.6
+    assert said(d, "frames are doubled, told by the motion")
+    assert bool(said(d, "the film was stretched by showing pictures more than once")) == (pattern == "all")
+
+
 def test_missing_frames_of_a_shaking_film(tmp_path):
     """The shake is told on the true time base: its tones go through the gap."""
     x = filmed(tmp_path, SHAKE)

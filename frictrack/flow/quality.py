@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from frictrack.tracking.checks.timing import Slip
 
 Rows = NDArray[np.int64]
+OFTEN = 0.3  # share of the frames of a film that were put in: it was stretched
+STRETCHED = (
+    "the film was stretched by showing pictures more than once; the frame rate is taken as that of the pictures: "
+    "if it is that of the stretched film, divide fps by how often a picture is shown (friction goes with its square)"
+)
 DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
 
 
@@ -25,15 +30,15 @@ def judged(
 ) -> tuple[Track, tuple[str, ...], Rows]:
     """The track without camera shake (of at least `least` px) and with true times, findings, and its frame numbers.
 
-    Times are corrected by what the motion tells only where the camera did not write time stamps (`clocked`): frames
-    that are missing become gaps, doubled ones are left out.
+    Doubled frames are left out. Times are corrected by what the motion tells only where the camera did not write time
+    stamps (`clocked`): frames that are missing become gaps.
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
     notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
     rows = np.arange(len(track)) if clocked else rows_kept(len(track), slips)
-    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips))), rows
+    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips, len(track)))), rows
 
 
 def _clean(
@@ -46,7 +51,9 @@ def _clean(
     from frictrack.tracking.checks import slips  # noqa: PLC0415
 
     found = slips(_beside(track, reference))
-    if not clocked:
+    if clocked:  # a frame that shows the one before is left out, but no time is changed
+        track = retimed(track, [replace(s, frames=0) for s in found if s.doubled])
+    else:
         track, reference = retimed(track, found), None if reference is None else retimed(reference, found)
     return *steadied(track, reference, least), found
 
@@ -121,16 +128,21 @@ def _doubted(slips: Sequence[Slip]) -> tuple[str, ...]:
     """The same where the camera's own time stamps say otherwise."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
-    return tuple(f"{note}; the camera's time stamps say otherwise and are believed" for note in timing_note(slips))
+    believed = "the camera's time stamps say otherwise and are believed"
+    doubled = timing_note([s for s in slips if s.doubled])
+    missing = timing_note([s for s in slips if not s.doubled])
+    return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
 
 
-def _corrected(slips: Sequence[Slip]) -> tuple[str, ...]:
+def _corrected(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
     """The faults of the time base and what was done about them."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     doubled = timing_note([s for s in slips if s.doubled])
     missing = timing_note([s for s in slips if not s.doubled])
-    return (*(f"{note}; left out" for note in doubled), *(f"{note}; left as gaps in time" for note in missing))
+    stretched = (STRETCHED,) if sum(s.frames < 0 for s in slips) > OFTEN * n else ()
+    left_out = (*(f"{note}; left out" for note in doubled), *stretched)
+    return (*left_out, *(f"{note}; left as gaps in time" for note in missing))
 
 
 def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:

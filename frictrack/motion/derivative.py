@@ -17,6 +17,7 @@ from frictrack.motion.spread import deviations, of_lines, trend
 from frictrack.motion.stencil import NODES, REACH, derived, differences, stencils
 from frictrack.motion.structure import Structure
 from frictrack.motion.system import Data, Factor
+from frictrack.motion.windows import LONGEST
 from frictrack.records import Array, Filtered, Mask, Motion
 
 CHUNK = 256  # columns at once
@@ -220,7 +221,16 @@ def _jumps(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
 
 
 def _guard(sigma_a: Array, period: float) -> int:
-    """Frames not to be trusted at an end; `period` of the cut-off in frames."""
-    good = np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a))
-    ragged = max(good[0], len(sigma_a) - 1 - good[-1])
-    return int(min(max(np.ceil(period / 2.0), ragged), len(sigma_a) // 8))
+    """Frames not to be trusted at an end; `period` of the cut-off in frames.
+
+    The deviations of a long record differ along it: each end is judged against its own eighth.
+    """
+    n = len(sigma_a)
+    own = n if n <= LONGEST else n // 8
+    ragged = max(_ragged(sigma_a, own), _ragged(sigma_a[::-1], own))
+    return int(min(max(np.ceil(period / 2.0), ragged), n // 8))
+
+
+def _ragged(sigma_a: Array, own: int) -> int:
+    """Frames at the beginning whose deviation exceeds twice the usual one of the first `own`."""
+    return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:own]))[0])

@@ -21,7 +21,6 @@ PROBES, SEED = 24, 20261121  # series of random signs by which diagonals are est
 MOST = 4.0  # times what the penalties expect
 FAINT = 0.1  # of the noise in what is taken
 ROUND = 6  # parts of the record over which lost signal is averaged, at the least
-WIDEST = 500  # frames of such a part: what a long record loses at one place is not lost everywhere
 
 
 def deviations(factor: Factor, x: Array, noise: float, interval: float) -> Array:
@@ -71,7 +70,7 @@ def _lost_share(factor: Factor, x: Array, interval: float) -> Array:
     kept, lost = (np.stack([differences(m, k) / interval**k for k in range(3)]) for m in (twice, once - twice))
     noise = np.mean(lost**2, axis=2)
     expected = np.mean(kept * lost, axis=2) - noise
-    window: NDArray[np.float64] = np.ones(min(n // ROUND, WIDEST) | 1)
+    window: NDArray[np.float64] = np.ones(n // ROUND | 1)
     seen, wanted, blur = (_along(m, window) for m in (taken - noise, expected, FAINT * noise))
     wanted = np.maximum(wanted, 0.0) + blur  # what is far below the noise cannot be told from it
     return np.clip((seen + wanted) / (2.0 * wanted), 0.0, MOST)

@@ -1,8 +1,8 @@
 """Build the structure of a long record up in windows: the work grows with its length, not with the square.
 
 Every window is parted into a trend, lines and events as a short record is. Together they make one structure: the
-stiffness runs through the windows, events stay where they are, and a line that windows agree on is one line of the whole
-record, its frequency and its wandering settled anew by the likelihood of all frames.
+stiffness runs through the windows, events stay where they are, and a line that windows agree on is one line of the
+whole record, its frequency and its wandering settled anew by the likelihood of all frames.
 """
 
 from __future__ import annotations
