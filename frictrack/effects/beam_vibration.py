@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, wave
@@ -9,8 +11,8 @@ from frictrack.effects.plausibility import oscillates
 from frictrack.records import Array
 
 HIGHEST = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
-SLOW = 0.25  # cycles over the longest run by which neighbouring mass ratios may differ
-MOST = 40  # mass ratios tried
+MAX_FORMS = 6000  # tried in one scan: frequencies times mass ratios times lengths, a bound on its time
+MIN_RATIOS = 4  # that are tried in any case
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -25,7 +27,30 @@ def shape(x: Array, length: Array) -> tuple[Array, Array]:
 
 
 def _cycles(path: Path, nonlinear: Nonlinear) -> Array:
-    """Cycles (n,) since release, the way before the path included: trapezoids with their end correction, order 4."""
+    """Cycles (n,) since release, the way before the path included.
+
+    They grow in proportion to the frequency: a population along one path that shares ratio and length shares them.
+    """
+    count, n = len(path.starts), len(path.t) // len(path.starts)
+    if count == 1 or not _is_shared(path, n):
+        return _counted(path, nonlinear)
+    frequency, *rest = (np.broadcast_to(nonlinear[name], path.t.shape)[::n] for name in ("frequency", "r"))
+    rest.append(np.broadcast_to(path.beam_length or nonlinear["beam_length"], path.t.shape)[::n])
+    forms, which = np.unique(np.stack(rest, axis=1), axis=0, return_inverse=True)
+    one = replace(path, starts=(0,), **{name: getattr(path, name)[:n] for name in ("t", "x", "v", "s")})
+    own = [{"frequency": 1.0, "r": float(r), "beam_length": float(length)} for r, length in forms]
+    unit = np.stack([_counted(one, form) for form in own])
+    return np.asarray((frequency[:, None] * unit[which.ravel()]).ravel())
+
+
+def _is_shared(path: Path, n: int) -> bool:
+    """Whether all individuals of a population move alike: n samples each."""
+    alike = path.x.reshape(-1, n) if len(path.x) == n * len(path.starts) else np.empty((0, 1))
+    return bool(len(alike)) and path.starts[1] == n and bool(np.all(alike == alike[0]))
+
+
+def _counted(path: Path, nonlinear: Nonlinear) -> Array:
+    """Cycles (n,) since release by trapezoids with their end correction, order 4."""
     assert path.clamp_x is not None
     own = [np.broadcast_to(nonlinear[name], path.t.shape) for name in ("frequency", "r")]
     own.append(np.broadcast_to(path.beam_length or nonlinear["beam_length"], path.t.shape))
@@ -71,8 +96,9 @@ def frequencies(span: Span) -> Array:
 
 
 def ratios(span: Span) -> Array:
-    """Mass ratios worth trying."""
-    return np.geomspace(0.05, 5.0, 13)
+    """Mass ratios worth trying: fewer where a long run asks for very many frequencies."""
+    count = MAX_FORMS // (len(frequencies(span)) * len(lengths(span)))
+    return np.geomspace(0.05, 5.0, int(np.clip(count, MIN_RATIOS, 13)))
 
 
 def lengths(span: Span) -> Array:
@@ -80,7 +106,10 @@ def lengths(span: Span) -> Array:
     if span.beam_length is not None:
         return np.array([span.beam_length])
     clamp = span.x_min if span.clamp_x is None else span.clamp_x
-    return max(abs(span.x_min - clamp), abs(span.x_max - clamp)) * np.array([1.0, 1.4, 2.0])
+    farthest = max(abs(span.x_min - clamp), abs(span.x_max - clamp))
+    # a longer beam is nearly a lighter mass: where time is short one length stands for all, and is refined from there
+    few = len(frequencies(span)) * 3 * 13 > MAX_FORMS
+    return farthest * np.array([1.0, 1.4] if few else [1.0, 1.4, 2.0])
 
 
 beam_vibration = Effect(

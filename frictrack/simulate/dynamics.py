@@ -45,6 +45,10 @@ ALIKE = 1e-12  # share of a direction that must be new
 ACCURATE, ROUGH = 1e-7, 1e-4  # relative residual of a response with memory: of a sensitivity, of a Newton step
 NEARLY = 1e-10  # m, to which a stretch is solved before the next one
 STRETCH = 16  # panels solved at a time where all at once do not settle
+SWEPT, NARROWEST = 64, 4  # panels that are first solved at a time under a law with memory, and fewest
+MOST_TURNS = 25  # of an iteration that shall settle
+SWEEP = 1e-12  # m, to which it shall
+LEAST_MOVED = 2e-11  # m, relative beyond a metre: a law with memory has a kink at every reversal
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
 
@@ -288,6 +292,8 @@ def solve(
     law = _Law(acceleration, panels, start, memory)
     guess = np.array(guess, dtype=float)
     with np.errstate(all="ignore"):  # a wild law runs off to infinity, which is answered below
+        if memory:
+            guess, tolerance = _swept(law, guess), max(tolerance, LEAST_MOVED)
         solved = _newton(law, guess, tolerance)
         if solved is None and memory:
             marched = _marched(law, guess)
@@ -298,6 +304,33 @@ def solve(
             "(positive where the course rises toward +x)"
         )
     return solved
+
+
+def settled(
+    law: Callable[[Array, Array], Array], panels: Panels, start: tuple[float, float], a: Array, within: float
+) -> Motion6 | None:
+    """The motion from a guess of its accelerations (3 p,) by the slopes of the moment; None where that does not settle.
+
+    What a law remembers changes little within a few swings: its slopes at the nodes, taken anew once, are enough for
+    an iteration that settles.
+    """
+    moved, linear = np.inf, None
+    for k in range(MOST_TURNS):
+        x, v, x_edge, v_edge = panels.integrate(a, *start)
+        f = law(x, v)
+        if linear is None or k == 1:
+            ex, ev = 1e-7 * max(float(np.ptp(x)), 1e-3), 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
+            to_and_fro = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2))
+            linear = Linear(panels, (law(x + to_and_fro, v) - f) / to_and_fro, (law(x, v + ev) - f) / ev)
+        step, edges = linear.step(f - a)
+        last, moved = moved, float(np.max(np.abs(edges)))
+        if not moved < min(2 * last, RUNAWAY):
+            return None
+        a = a + step
+        if moved <= within:
+            x, v, x_edge, v_edge = panels.integrate(a, *start)
+            return Motion6(panels, x, v, a, x_edge, v_edge)
+    return None
 
 
 def slopes(
@@ -331,6 +364,30 @@ def _newton(law: _Law, a: Array, tolerance: float) -> tuple[Motion6, Response] |
             x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
             return Motion6(law.panels, x, v, a, x_edge, v_edge), response
     return None
+
+
+def _swept(law: _Law, a: Array) -> Array:
+    """A better guess of node accelerations (3 p,) under a law with memory, window after window as far as they settle."""
+    a, done, window, total = a.copy(), 0, SWEPT, len(law.panels.h)
+    x, v, start, edges = np.empty(0), np.empty(0), law.start, law.panels.edges
+    while done < total:
+        until = min(done + window, total)
+        part, rows = replace(law, panels=Panels(edges[: until + 1])), slice(3 * done, 3 * until)
+
+        def at(
+            x_new: Array, v_new: Array, part: _Law = part, rows: slice = rows, way: tuple[Array, Array] = (x, v)
+        ) -> Array:
+            return part.at(np.append(way[0], x_new), np.append(way[1], v_new))[rows]
+
+        motion = settled(at, Panels(edges[done : until + 1]), start, a[rows], SWEEP)
+        if motion is None:
+            window //= 2
+            if window < NARROWEST:
+                break
+            continue
+        a[rows], start = motion.a, (float(motion.x_edge[-1]), float(motion.v_edge[-1]))
+        x, v, done = np.append(x, motion.x), np.append(v, motion.v), until
+    return a
 
 
 def _marched(law: _Law, a: Array) -> Array | None:

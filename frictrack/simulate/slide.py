@@ -19,7 +19,7 @@ from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import GRAVITY, Array
-from frictrack.simulate.dynamics import NODES, RUNAWAY, Linear, Motion6, Panels, solve
+from frictrack.simulate.dynamics import NODES, Linear, Motion6, Panels, settled, solve
 
 WINDOW = 64  # panels solved at once
 SHORT_WINDOW = 16  # where a reversal soon ends them
@@ -28,7 +28,6 @@ HALVINGS = 6  # of the panels, at most
 FOLLOWED = 3  # likewise, for a long motion
 SETTLED = 1e3  # times better than two cuts of time must agree, a long motion is solved in each
 LONG_WINDOW = 64  # panels of a smooth one solved at once
-MOST_TURNS = 25  # of an iteration that shall settle
 JUMP = 1e-9  # share of a force by which it may change with the direction of motion at rest and still be smooth
 
 
@@ -368,39 +367,12 @@ def _solved(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -
     count = len(panels.h)
     while count:
         some = Panels(panels.edges[: count + 1])
-        motion = _settled(walk.bound(some, s), some, start, foreseen[: 3 * count], walk.within)
+        motion = settled(walk.bound(some, s), some, start, foreseen[: 3 * count], walk.within)
         if motion is not None:
             return motion
         count //= 2
     one = Panels(panels.edges[:2])
     return solve(walk.acceleration(s), one, start, foreseen[:3], memory=walk.model.memory)[0]
-
-
-def _settled(
-    law: Callable[[Array, Array], Array], panels: Panels, start: tuple[float, float], a: Array, within: float
-) -> Motion6 | None:
-    """The motion from a guess of its accelerations (3 p,) by the slopes of the moment; None where that does not settle.
-
-    What a law remembers changes little within a few swings: its slopes at the nodes, taken anew once, are enough for
-    an iteration that settles.
-    """
-    moved, linear = np.inf, None
-    for k in range(MOST_TURNS):
-        x, v, x_edge, v_edge = panels.integrate(a, *start)
-        f = law(x, v)
-        if linear is None or k == 1:
-            ex, ev = 1e-7 * max(float(np.ptp(x)), 1e-3), 1e-7 * max(float(np.max(np.abs(v))), 1e-3)
-            to_and_fro = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2))
-            linear = Linear(panels, (law(x + to_and_fro, v) - f) / to_and_fro, (law(x, v + ev) - f) / ev)
-        step, edges = linear.step(f - a)
-        last, moved = moved, float(np.max(np.abs(edges)))
-        if not moved < min(2 * last, RUNAWAY):
-            return None
-        a = a + step
-        if moved <= within:
-            x, v, x_edge, v_edge = panels.integrate(a, *start)
-            return Motion6(panels, x, v, a, x_edge, v_edge)
-    return None
 
 
 def _foreseen(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -> Array:

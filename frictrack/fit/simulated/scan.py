@@ -154,6 +154,7 @@ def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
 
 def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], list[Array], dict[str, float]]:
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
+    scanned.sort(key=lambda p: p.unit == "Hz")  # neighbours share all but the frequency, which some effects make use of
     rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
     axes = [p.scan(span) for p in scanned if p.scan is not None]
     return tuple(p.name for p in scanned), axes, rest
