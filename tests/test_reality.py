@@ -21,6 +21,7 @@ from frictrack.fit.series.noise import noise_of, strokes
 from frictrack.fit.simulated.swings import joined
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
+from frictrack.samples import screened
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]
 SPAN = Span(duration=0.1, x_min=0.0, x_max=0.4, v_min=1.0, v_max=4.0, fps=4000.0)
@@ -97,8 +98,6 @@ def test_a_law_whose_runs_never_slow_is_undetermined():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rounded_positions_raise_no_alarm(seed):
-    from frictrack.samples import screened
-
     runs = []
     for run in study("tustin", BASE, SIX, sigma=1e-6, rng=np.random.default_rng(seed))[0]:
         x = 1e-3 * np.round(run.displacement.x / 1e-3)

@@ -218,8 +218,8 @@ def _parted(best: Tried, others: Sequence[Tried], own: Sequence[Effect]) -> list
 
 
 def _is_plain(effect: Effect, runs: int) -> bool:
-    """Whether an effect brings few unknowns."""
-    return sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= PLAIN
+    """Whether an effect brings few unknowns, and none that remembers, whose motion takes long to follow."""
+    return not effect.memory and sum(runs if p.per_run else 1 for p in effect.parameters if p.free) <= PLAIN
 
 
 def _simulated_law(tried: Tried) -> Solution:
