@@ -49,6 +49,7 @@ def test_a_slow_misfit_of_one_record_is_no_noise():
     assert found.reduced_chi2 > 100
     assert found.fails_at
     assert any("drifting sensor would have to explain" in line for line in found.remarks)
+    assert any("place, time and speed rise together" in line for line in found.remarks)
 
 
 def test_what_differs_from_stroke_to_stroke_is_noise():
@@ -126,6 +127,8 @@ def test_rounded_positions_raise_no_alarm(seed):
         ("texture", {"amplitude": 1.0, "period": 0.5, "phase": 0.0}, "the record holds 0.8 periods of it"),
         ("patch", {"F": 1.0, "x_c": 0.7, "w": 0.01}, "its centre 0.7 m lies off the course"),
         ("patch", {"F": 1.0, "x_c": 0.2, "w": 0.3}, "it is wider"),
+        ("collision", {"J": 0.1, "time": 0.05, "width": 0.02}, "it would last 0.02 s"),
+        ("collision", {"J": 0.1, "time": 0.05, "width": 0.0005}, ""),
         ("timebase", {"k": 1.0}, "the clock would be off by 5 % at the end"),
         ("peak_locking", {"amplitude": 0.6, "phase": 0.0}, "0.6 px is more than interpolation does"),
         ("load_modulation", {"depth": 1.0, "frequency": 50.0, "phase": 0.0}, "would make the friction push"),

@@ -7,6 +7,8 @@ import numpy as np
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
 from frictrack.records import Array
 
+MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most
+
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Pulse of unit area at `time`, standard deviation `width`, shape (n, 1): N per N s of J."""
@@ -25,6 +27,14 @@ def widths(span: Span) -> Array:
     return np.array([1.0, 3.0]) / span.fps
 
 
+def brief(own: Nonlinear, span: Span) -> str:
+    """Objection to a blow that lasts: then it is a force of time, and no impact."""
+    longest = max(MAX_SHARE * span.duration, MAX_FRAMES / span.fps)
+    if own["width"] <= longest:
+        return ""
+    return f"it would last {own['width']:.2g} s, expected at most {longest:.2g} s of a blow"
+
+
 collision = Effect(
     name="collision",
     acts_on="force",
@@ -40,5 +50,6 @@ collision = Effect(
     mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",
     confirm="Look at the frames round that moment; change the speed: a joint stays at its place.",
     fine=3,
+    plausible=brief,
     source="Hunt & Crossley 1975 for the shape inside; second paper for the cause",
 )

@@ -22,7 +22,7 @@ from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.records import Array
 
 KEPT = 4  # frames kept of those that are alike
-MAX_FRAMES = 2000  # over all runs, beyond which a white series is averaged over short blocks
+MAX_FRAMES = 1500  # over all runs, beyond which a white series is averaged over short blocks
 MIN_STROKES = 3  # over the same places that tell what does not repeat
 MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
 TURN = 0.25  # of the range of a coordinate by which it must go back to turn

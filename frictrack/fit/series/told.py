@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from frictrack.fit.series.law import likeness
 from frictrack.fit.series.noise import Noise
+from frictrack.fit.series.problem import SeriesPiece
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array, Curve, Run
 
+MONOTONE = 0.99  # rank correlation with time from which a series goes one way
 DRIFTING = 1.5  # times the white noise from which slow misfit is worth a remark
 UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
 
@@ -82,6 +85,11 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
 def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
     """Say what a diagnosis on a measured friction rests on: its noise, and what a drifting sensor would explain."""
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
+    if all(_goes_one_way(r) for r in solution.responses):
+        out.append(
+            "place, time and speed rise together in these records: what goes with one of them may go with another; a "
+            "record at another speed, or one that slows down again, tells them apart"
+        )
     left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
     if noise.strokes and noise.alike > 1:
         interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
@@ -97,6 +105,14 @@ def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
             'it; repeat the run, or state the instrument: noise = "0.004 N", drift = "0.01 N"'
         )
     return out
+
+
+def _goes_one_way(response: Response) -> bool:
+    """Whether place and speed of a record rise or fall with time throughout, but for their noise."""
+    piece = response.piece
+    rows = piece.at if isinstance(piece, SeriesPiece) else slice(None)
+    series = piece.path.x[rows], np.abs(piece.path.v[rows])
+    return all(abs(float(spearmanr(piece.t, q).statistic)) > MONOTONE for q in series if np.ptp(q) > 0)
 
 
 def _rms(values: Array) -> float:
