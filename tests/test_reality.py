@@ -142,6 +142,22 @@ def test_every_effect_says_what_of_it_is_not_plausible(name, values, objection):
     assert bool(said) == bool(objection)
 
 
+def test_every_fault_of_the_picture_and_every_oscillation_says_what_is_plausible():
+    for effect in LIBRARY.values():
+        swings = any(p.role == "phase" for p in effect.parameters)
+        assert effect.plausible is not None or not (swings or effect.acts_on == "measurement"), effect.name
+
+
+def test_a_force_that_would_drive_the_mass_is_remarked_on():
+    law = BASE | {"viscous": {"F_v": -0.6}}
+    found = fit(TUSTIN, study("tustin", law, SIX, sigma=1e-5, rng=np.random.default_rng(3))[0])
+    said = [line for line in found.summary()["remarks"] if "viscous.F_v" in line and "is negative" in line]
+    assert len(said) == 1
+    assert "an incline of the wrong sign" in said[0]
+    plain = fit(TUSTIN, study("tustin", BASE, SIX, sigma=1e-5, rng=np.random.default_rng(3))[0])
+    assert not any("is negative" in line for line in plain.summary()["remarks"])
+
+
 def test_a_hidden_effect_is_plausible_as_it_is_found():
     for name in ("texture", "vibration", "patch"):
         runs = study(models.tustin() + name, BASE | {name: HIDDEN[name]}, SIX, sigma=1e-5)[0]

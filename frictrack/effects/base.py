@@ -111,6 +111,7 @@ class Parameter:
     loaded: bool = False  # a coefficient whose column carries the load and the run's friction level
     signed: bool = False  # a place, which may lie on either side of zero; others are positive sizes
     prior: tuple[float, float] | None = None  # what is known beside the runs: mean and standard deviation
+    passive: bool = False  # below zero it would drive the motion
     tie: str | None = None  # what it equals: "vibration.frequency", or a multiple, "2*vibration.frequency"
 
     @property

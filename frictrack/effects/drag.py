@@ -17,7 +17,7 @@ drag = Effect(
     name="drag",
     acts_on="force",
     equation="c v |v|",
-    parameters=(Parameter("c", "N s^2/m^2", linear=True),),
+    parameters=(Parameter("c", "N s^2/m^2", linear=True, passive=True),),
     columns=columns,
     what="Air pushed aside by the moving mass.",
     looks_like="a curve against v that bends upward at the fast end",

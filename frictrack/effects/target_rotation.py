@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
 from frictrack.records import Array
 
 
@@ -12,6 +12,12 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Cos(angle) - 1 and -sin(angle), shape (n, 2): m per m of the arm along the course and across it (upward)."""
     assert path.angle is not None
     return np.column_stack([np.cos(path.angle) - 1, -np.sin(path.angle)])
+
+
+def on_target(own: Nonlinear, span: Span) -> str:
+    """Objection to an arm that is longer than the course: the point would lie off any target."""
+    arm, travel = float(np.hypot(own["along"], own["across"])), span.x_max - span.x_min
+    return "" if arm <= travel else f"its arm of {arm:.2g} m is longer than the course ({travel:.2g} m)"
 
 
 target_rotation = Effect(
@@ -25,5 +31,6 @@ target_rotation = Effect(
     mistaken_for="vibration (when the target rocks at one frequency), camera shake",
     confirm="Follow a second mark at another height of the target: the two move differently when it rocks.",
     source="textbook: motion of a rigid body",
+    plausible=on_target,
     needs=("angle",),
 )

@@ -17,7 +17,7 @@ viscous = Effect(
     name="viscous",
     acts_on="force",
     equation="F_v v",
-    parameters=(Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True),),
+    parameters=(Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True, passive=True),),
     columns=columns,
     what="A lubricant or a guide sheared by the motion.",
     looks_like="a straight line against v",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from frictrack.fit.sure.quoted import gradient_of, quoted, shown
 from frictrack.fit.unknowns.mass import NAME as MASS
 from frictrack.records import Array
 
+NEGATIVE = 3.0  # standard deviations below zero from which a coefficient is clearly negative
 ALIKE = 0.95  # correlation from which two parameters are told to trade places
 
 
@@ -107,7 +109,21 @@ def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Esti
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied(solution, covariance, out)
     alike = correlations(names, shown(layout), covariance)
-    return Estimates(out, covariance, alike, remarks(solution, alike, list(reasons)))
+    said = remarks(solution, alike, list(reasons))
+    return Estimates(out, covariance, alike, [*said, *driving(solution, out)])
+
+
+def driving(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
+    """Say which coefficients of a passive force came out clearly negative, and what does that."""
+    for effect in solution.problem.model.effects:
+        for p in effect.parameters:
+            e = found.get(f"{effect.name}.{p.name}") if p.passive else None
+            if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE * e.std:
+                yield (
+                    f"{effect.name}.{p.name} = {e.value:.3g} {e.unit} is negative: this force would drive the mass. "
+                    "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a drive "
+                    "that was not given"
+                )
 
 
 def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
