@@ -248,3 +248,19 @@ def test_a_blow_that_turns_a_mass_is_no_swing():
     a[995:1005] = 100 * np.max(np.abs(a))
     struck = replace(run, motion=replace(run.motion, v=v, a=a))
     assert len(joined(struck, rows)) == 2
+
+
+def test_a_mass_that_sets_out_from_rest_is_not_taken_for_one_that_stops():
+    t = np.arange(400) / 1000
+    slope, friction = np.deg2rad(20.0), 1.0
+    pull = 9.80665 * np.sin(slope) - friction
+    nan = np.full(len(t), np.nan)
+    runs = []
+    for seed in range(2):
+        x = 0.02 - pull * np.clip(t - 0.02, 0, None) ** 2 / 2 + 1e-4 * np.random.default_rng(seed).standard_normal(400)
+        seen = Displacement(t, x, nan, nan, np.full(400, 1e-4), nan, np.ones(400, bool))
+        motion = differentiate(low_pass(seen))
+        runs.append(Run(seen, motion, mass=1.0, incline=slope, has_incline=True, name=f"r{seed}"))
+    found = fit(["coulomb"], runs)
+    assert min(len(p.t) for p in found.solution.problem.pieces) > 250
+    assert abs(found.parameters["coulomb.F_c"].value - friction) < 4 * found.parameters["coulomb.F_c"].std

@@ -216,7 +216,7 @@ def _sliding(response: Response) -> int:
     if piece.turns:
         return len(piece.t)
     speed = (piece.path.s[0] * motion.v_edge)[piece.at]
-    slowing = np.abs(np.gradient(speed, piece.t))
-    late = np.flatnonzero(speed < STOPPING * slowing * np.gradient(piece.t))
+    slowing = -np.gradient(speed, piece.t)  # a mass that sets out is slow, too, but gathers speed
+    late = np.flatnonzero((slowing > 0) & (speed < STOPPING * slowing * np.gradient(piece.t)))
     after = late[late >= MIN_FRAMES]
     return int(after[0]) if len(after) else len(piece.t)
