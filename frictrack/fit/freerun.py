@@ -65,6 +65,7 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
     -------
     FreeRun or None
         None where the motion under the law cannot be followed to the end of the record.
+
     """
     mine = [r for r in solution.responses if r.piece.run == index]
     if run.drive is None and len(mine) == 1:  # it was fitted as it slid from the release

@@ -162,7 +162,7 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 
 def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """The law of runs that are followed through stops and reversals; that of very many segments on some of them first."""
+    """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
     some = pieces[:: -(-len(pieces) // MOST_TURNING)]
     if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
         return _turned(model, pieces, names, spans)
