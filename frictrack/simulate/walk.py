@@ -109,14 +109,14 @@ class Walk:
         if not len(self.way.rows[0]):
             return path
         way = self.way.until(float(t[0]))
-        known = {"travelled": float(way[3, -1]), "begins": float(way[1, -1])}
+        path = replace(path, travelled=float(way[3, -1]), begins=float(way[1, -1]))
         if not self.model.memory:
-            return replace(path, before=way[:3], **known)
+            return replace(path, before=way[:3])
         if self.smooth:
             path.s[:] = self.directions(v)
         elif self.model.turns and not self.heading and v[0] == 0:  # so far it has only rested
             path.s[:1] = 0.0
-        return replace(path, states=self.states, **known)
+        return replace(path, states=self.states)
 
     def force(self, x: Array, v: Array, t: Array, s: float) -> Array:
         """Friction at places (n,), all of them slid through in direction s from the last state on."""
