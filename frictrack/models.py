@@ -195,7 +195,7 @@ class Model:
         return out
 
     def _formed(self, path: Path, values: Values, states: dict[str, Array] | None) -> dict[str, Array]:
-        """Columns of every force effect; the memories at the end of the path are put into `states` where it is given."""
+        """Columns of every force effect; what is remembered at the end of the path is put into `states`, if given."""
 
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path

@@ -54,12 +54,7 @@ TOLD = {
     "timebase": {"k": 0.02},
     "target_rotation": {"along": 0.03, "across": 0.02},
 }
-REMEMBERED = (
-    "presliding",
-    "friction_lag",
-    "lugre",
-    "bouc_wen",
-)  # held against an integrator of their own in test_memory
+REMEMBERED = ("presliding", "friction_lag", "lugre", "bouc_wen")  # held against integrators of their own elsewhere
 
 
 def drive(t):

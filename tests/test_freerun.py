@@ -92,7 +92,7 @@ def test_a_long_motion_sticks_and_reverses_as_the_exact_one_does(more):
 
 
 def test_the_free_run_of_a_record_that_swings_already_finds_its_first_state():
-    found = fit(LAW, [swinging(3000, lead=400)])
+    found = fit(LAW, [swinging(1500, lead=400)])
     assert found.errors["free_run"] == "fit"
     assert found.errors["free_run_rms_um"] == pytest.approx(2.0, rel=0.05)
 
@@ -125,6 +125,7 @@ def test_without_a_drive_the_free_run_is_the_simulation_from_the_release():
     assert found.errors["free_run_rms_um"] == pytest.approx(found.errors["rms_displacement_um"])
 
 
+@pytest.mark.slow
 def test_forty_thousand_frames_are_followed_in_seconds():
     t = np.arange(40_000) / FS
     begin = time.process_time()

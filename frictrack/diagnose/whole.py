@@ -12,10 +12,10 @@ WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the
 
 
 def uncut(fit: Fit) -> Solution | None:
-    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far,
-    nor where a long record is followed through its reversals: its segments hold many of them.
+    """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far.
 
-    A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not.
+    A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not. A
+    long record that is followed through its reversals stays cut: its segments hold many of them.
     """
     old = fit.solution.problem
     if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):

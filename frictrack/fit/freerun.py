@@ -151,7 +151,7 @@ def _scales(piece: Piece, states: dict[str, Array], frames: int) -> Array:
 def _least_squares(left: Callable[[Array], Array], first: Array, free: Array, scales: Array) -> Array:
     """Gauss-Newton from a first guess (k,) for the numbers that are free; a step that does not help is halved."""
     theta, r = first, left(first)
-    moving = np.flatnonzero(free)
+    moving = np.flatnonzero(free).tolist()
     for _ in range(STEPS):
         jac = np.stack([(left(_moved(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in moving], axis=1)
         step = np.zeros(len(theta))

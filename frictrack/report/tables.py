@@ -281,17 +281,8 @@ def runs(model: ModelResults) -> Table:
         )
         for row in model.summary["per_run"]
     ]
-    heads = (
-        "run",
-        "",
-        "friction level",
-        "noise / µm",
-        "residual / µm",
-        "free run / µm",
-        "force error / %",
-        "segments",
-        *own,
-    )
+    errors = ("residual / µm", "free run / µm", "force error / %")
+    heads = ("run", "", "friction level", "noise / µm", *errors, "segments", *own)
     return table(heads, rows, range(2, len(heads)))
 
 

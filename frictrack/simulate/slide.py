@@ -7,19 +7,21 @@ of starting forward, both of which the model itself gives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from frictrack.effects import Path
-from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
-from frictrack.records import GRAVITY, Array
+from frictrack.records import Array
 from frictrack.simulate.dynamics import NODES, Linear, Motion6, Panels, settled, solve
+from frictrack.simulate.walk import Conditions, Walk, merged, nodes_and_edges
+
+__all__ = ["Conditions", "Slide", "Start", "followed", "is_smooth", "shift", "simulate"]
 
 WINDOW = 64  # panels solved at once
 SHORT_WINDOW = 16  # where a reversal soon ends them
@@ -29,45 +31,6 @@ FOLLOWED = 3  # likewise, for a long motion
 SETTLED = 1e3  # times better than two cuts of time must agree, a long motion is solved in each
 LONG_WINDOW = 64  # panels of a smooth one solved at once
 JUMP = 1e-9  # share of a force by which it may change with the direction of motion at rest and still be smooth
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """What holds in one simulated run: mass kg, load and mass over their references, pitch m, incline rad.
-
-    Drive (N), vertical acceleration (m/s^2, up) and angle of the target (rad) are functions of t (n,), s since release.
-    """
-
-    mass: float
-    load: float = 1.0
-    mass_ratio: float = 1.0
-    pixel_pitch: float | None = None
-    incline: float = 0.0
-    drive: Callable[[Array], Array] | None = None
-    lift: Callable[[Array], Array] | None = None
-    angle: Callable[[Array], Array] | None = None
-    clamp_x: float | None = None  # m
-    beam_length: float | None = None  # m
-
-    def along(self, x: Array, v: Array, t: Array, s: float) -> Path:
-        """The path of a motion under these conditions."""
-        return Path(
-            t=t,
-            x=x,
-            v=v,
-            s=np.full(np.shape(t), s),
-            load=self.load,
-            mass_ratio=self.mass_ratio,
-            mass=self.mass,
-            pixel_pitch=self.pixel_pitch,
-            drive=None if self.drive is None else self.drive(t),
-            drive_at=self.drive,
-            lift=None if self.lift is None else self.lift(t),
-            gravity=GRAVITY * float(np.cos(self.incline)),
-            angle=None if self.angle is None else self.angle(t),
-            clamp_x=self.clamp_x,
-            beam_length=self.beam_length,
-        )
 
 
 @dataclass(frozen=True)
@@ -91,147 +54,13 @@ class Start:
     states: Mapping[str, Array] = field(default_factory=dict)
 
 
-class _Way:
-    """The states collected on the way, in order of time: t, x, v, distance slid, direction and force, (6, k)."""
-
-    def __init__(self) -> None:
-        self._rows, self._count = np.empty((6, 256)), 0
-
-    @property
-    def rows(self) -> Array:
-        """The states so far, (6, k)."""
-        return self._rows[:, : self._count]
-
-    def add(self, t: Array, x: Array, v: Array, s: float, force: Array | float = np.nan) -> None:
-        """Append states (k,); one that is there already at the same time is replaced."""
-        if self._count and t[0] <= self._rows[0, self._count - 1]:
-            self._count -= 1
-        first, self._count = self._count, self._count + len(t)
-        if self._count > self._rows.shape[1]:
-            self._rows = np.concatenate([self._rows, np.empty((6, self._count + len(t)))], axis=1)
-        mine = self._rows[:, first : self._count]
-        mine[0], mine[1], mine[2], mine[4], mine[5] = t, x, v, s, force
-        before = self._rows[:, first - 1] if first else mine[:, 0]
-        start = before[3] if first else 0.0
-        mine[3] = start + np.cumsum(np.abs(np.diff(mine[1], prepend=before[1])))
-
-    def until(self, t: float) -> Array:
-        """The states up to a time, the first one in any case."""
-        return self._rows[:, : max(1, int(np.searchsorted(self.rows[0], t, side="right")))]
-
-
-@dataclass
-class _Walk:
-    """The law bound to its conditions, the states collected on the way, and what the law remembers at the last one.
-
-    A `smooth` law passes a reversal without a jump: it is followed through, in the direction that the motion has.
-    """
-
-    model: Model
-    values: Values
-    conditions: Conditions
-    smooth: bool = False
-    first: Mapping[str, Array] = field(default_factory=dict)  # what it remembers at the start, where that is known
-    within: float | None = None  # m, to which a long motion is solved; None as exactly as numbers go
-    way: _Way = field(default_factory=_Way)
-    states: Mapping[str, Array] = field(default_factory=dict)
-    heading: float = 0.0
-
-    def begin(self, start: tuple[float, float]) -> None:
-        """Forget what was walked before."""
-        self.way, self.states, self.heading = _Way(), self.first, float(np.sign(start[1]))
-
-    def path(self, x: Array, v: Array, t: Array, s: float) -> Path:
-        """The path of a motion in direction s, its past included."""
-        path = self.conditions.along(x, v, t, s)
-        if not len(self.way.rows[0]):
-            return path
-        way = self.way.until(float(t[0]))
-        known = {"travelled": float(way[3, -1]), "begins": float(way[1, -1])}
-        if not self.model.memory:
-            return replace(path, before=way[:3], **known)
-        if self.smooth:
-            path.s[:] = self.directions(v)
-        elif self.model.turns and not self.heading and v[0] == 0:  # so far it has only rested
-            path.s[:1] = 0.0
-        return replace(path, states=self.states, **known)
-
-    def force(self, x: Array, v: Array, t: Array, s: float) -> Array:
-        """Friction at places (n,), all of them slid through in direction s from the last state on."""
-        return self.model.force(self.path(x, v, t, s), self.values)
-
-    def advance(self, motion: Motion6, edges: int, s: float) -> None:
-        """Collect the first so many edges of a motion that begins at the last state, and what is remembered there."""
-        t, x, v = (_merged(*pair)[: 4 * edges - 3] for pair in _nodes_and_edges(motion))
-        force = np.full(edges, np.nan)
-        if self.model.memory:
-            path = self.path(x, v, t, s)
-            force = self.model.force(path, self.values)[::4]
-            self.states = self.model.states(path, self.values)
-        self.way.add(t[::4], x[::4], v[::4], s, force)
-        self.heading = float(np.sign(v[-1])) or self.heading or s
-
-    def rest(self, t: Array, x: Array, until: float) -> None:
-        """Collect a rest at times (k,), and what is remembered at its end; before the first motion that is nothing."""
-        if self.model.memory and self.heading:
-            times, still = np.append(t, until), np.append(x, x[-1])
-            path = self.path(still, np.zeros_like(still), times, self.heading)
-            self.states = self.model.states(path, self.values)
-        self.way.add(t, x, np.zeros_like(t), 0.0)
-
-    def push(self, t: Array) -> Array:
-        """Drive and gravity along the course, N."""
-        c = self.conditions
-        drive = np.zeros_like(t) if c.drive is None else c.drive(t)
-        return drive - c.mass * GRAVITY * np.sin(c.incline)
-
-    def acceleration(self, s: float) -> Callable[[Array, Array, Array], Array]:
-        def law(x: Array, v: Array, t: Array) -> Array:
-            return (self.push(t) - self.force(x, v, t, s)) / self.conditions.mass
-
-        return law
-
-    def bound(self, panels: Panels, s: float) -> Callable[[Array, Array], Array]:
-        """The law at the nodes of panels that begin at the last state: what it is told of the run is read off once."""
-        t = np.append(panels.edges[0], panels.t) if self.model.memory else panels.t
-        held, push = self.path(t, np.zeros_like(t), t, s), self.push(panels.t)
-        first = self.way.rows[1:3, -1]
-
-        def law(x: Array, v: Array) -> Array:
-            if self.model.memory:
-                x, v = np.append(first[0], x), np.append(first[1], v)
-            path = replace(held, x=x, v=v, s=self.directions(v) if self.smooth else held.s)
-            return (push - self.model.force(path, self.values)[-len(push) :]) / self.conditions.mass
-
-        return law
-
-    def directions(self, v: Array) -> Array:
-        """Direction of motion (n,) from the last state on, held at rest."""
-        return headings(np.append(self.heading, v))[1:]
-
-    def excess(self, x: float, t: Array, s: float) -> Array:
-        """Push beyond the friction of starting in direction s from rest at x, N, positive when it starts."""
-        zero = np.zeros_like(t)
-        return s * (self.push(t) - self.force(zero + x, zero, t, s))
-
-
-def _nodes_and_edges(motion: Motion6) -> list[tuple[Array, Array]]:
-    panels = motion.panels
-    return [(panels.t, panels.edges), (motion.x, motion.x_edge), (motion.v, motion.v_edge)]
-
-
-def _merged(nodes: Array, edges: Array) -> Array:
-    """Values at the nodes (3 p,) and the edges (p + 1,) of panels in order, (4 p + 1,)."""
-    return np.append(np.column_stack([edges[:-1], nodes.reshape(-1, 3)]).ravel(), edges[-1])
-
-
 def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
     """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release.
 
     Panels are halved until the displacement stays within 0.1 nm, so that a blow much shorter than a frame is
     followed too. Raises FrictrackError when 1 nm cannot be reached.
     """
-    walk = _Walk(model, values, conditions)
+    walk = Walk(model, values, conditions)
     per_frame = max(2, *(e.fine for e in model.effects))
     slide, change = _collected(walk, t, start, per_frame), np.inf
     for _ in range(HALVINGS):
@@ -262,7 +91,7 @@ def followed(
     a jump at rest is followed through its reversals.
     Raises FrictrackError when the motion under this law cannot be integrated.
     """
-    walk = _Walk(model, values, conditions, is_smooth(model, values, conditions), start.states, within / SETTLED)
+    walk = Walk(model, values, conditions, is_smooth(model, values, conditions), start.states, within / SETTLED)
     per_frame = max(e.fine for e in model.effects)
     seen = _shown(walk, t, start, per_frame)
     for _ in range(FOLLOWED):
@@ -287,7 +116,7 @@ def is_smooth(model: Model, values: Values, conditions: Conditions) -> bool:
     return True
 
 
-def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> Array:
+def _walked(walk: Walk, t: Array, start: tuple[float, float], per_frame: int) -> Array:
     """States (6, k) at the frames and in between, through every stop and release."""
     walk.begin(start)
     edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
@@ -304,7 +133,7 @@ def _walked(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -
     return walk.way.rows
 
 
-def _starts(walk: _Walk, x: float, now: float) -> float:
+def _starts(walk: Walk, x: float, now: float) -> float:
     """Direction in which the mass sets off from rest, 0 when it sticks."""
     for s in (1.0, -1.0):
         if walk.excess(x, np.array([now]), s)[0] > 1e-9:
@@ -312,7 +141,7 @@ def _starts(walk: _Walk, x: float, now: float) -> float:
     return 0.0
 
 
-def _rest(walk: _Walk, ahead: Array, x: float) -> tuple[float, float, float]:
+def _rest(walk: Walk, ahead: Array, x: float) -> tuple[float, float, float]:
     """Stick until the push overcomes friction in either direction, or through the times ahead."""
     gaps = {s: walk.excess(x, ahead, s) - 1e-9 for s in (1.0, -1.0)}
     free = (gaps[1.0] > 0) | (gaps[-1.0] > 0)
@@ -326,7 +155,7 @@ def _rest(walk: _Walk, ahead: Array, x: float) -> tuple[float, float, float]:
     return until, x, 0.0
 
 
-def _release(walk: _Walk, ahead: Array, x: float, s: float) -> float:
+def _release(walk: Walk, ahead: Array, x: float, s: float) -> float:
     """Time within the last of some intervals at which the mass sets off in direction s."""
 
     def gap(t: float) -> float:
@@ -338,7 +167,7 @@ def _release(walk: _Walk, ahead: Array, x: float, s: float) -> float:
     return float(brentq(gap, ahead[-2], ahead[-1])) + 1e-9
 
 
-def _slide(walk: _Walk, ahead: Array, start: tuple[float, float], s: float) -> tuple[float, float, float]:
+def _slide(walk: Walk, ahead: Array, start: tuple[float, float], s: float) -> tuple[float, float, float]:
     """Slide in direction s through at most `WINDOW` panels, or to the stop."""
     panels = Panels(ahead[: (SHORT_WINDOW if walk.model.turns else WINDOW) + 1])
     motion = _solved(walk, panels, start, s)
@@ -352,14 +181,14 @@ def _slide(walk: _Walk, ahead: Array, start: tuple[float, float], s: float) -> t
     return _stop(walk, s, piece, (motion.x_edge[last], motion.v_edge[last]), motion.a[3 * last : 3 * last + 3])
 
 
-def _through(walk: _Walk, ahead: Array, start: tuple[float, float]) -> tuple[float, float, float]:
+def _through(walk: Walk, ahead: Array, start: tuple[float, float]) -> tuple[float, float, float]:
     """Follow a smooth law through the times ahead, reversals included."""
     motion = _solved(walk, Panels(ahead), start, 1.0)
     walk.advance(motion, len(motion.x_edge), 1.0)
     return float(motion.panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
 
 
-def _solved(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -> Motion6:
+def _solved(walk: Walk, panels: Panels, start: tuple[float, float], s: float) -> Motion6:
     """The motion through some panels from a start; the first of them where a long motion does not settle in all."""
     foreseen = _foreseen(walk, panels, start, s)
     if walk.within is None:
@@ -375,7 +204,7 @@ def _solved(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -
     return solve(walk.acceleration(s), one, start, foreseen[:3], memory=walk.model.memory)[0]
 
 
-def _foreseen(walk: _Walk, panels: Panels, start: tuple[float, float], s: float) -> Array:
+def _foreseen(walk: Walk, panels: Panels, start: tuple[float, float], s: float) -> Array:
     """Accelerations (3 p,) of the law linearised about the start, under the push that is to come."""
     law, (x, v), t = walk.acceleration(s), start, np.full(2, panels.edges[0])
     onward = float(np.sign(v)) or s  # back along the way, a memory would be undone
@@ -389,7 +218,7 @@ def _foreseen(walk: _Walk, panels: Panels, start: tuple[float, float], s: float)
     return a[:, 0]
 
 
-def _stop(walk: _Walk, s: float, edges: Array, state: tuple[float, float], a: Array) -> tuple[float, float, float]:
+def _stop(walk: Walk, s: float, edges: Array, state: tuple[float, float], a: Array) -> tuple[float, float, float]:
     """Time and place of the stop inside a panel (2,) that begins in a state and has node accelerations a (3,)."""
     h, begin, law = float(edges[1] - edges[0]), float(edges[0]), walk.acceleration(s)
     curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a, 2)[::-1]).integ(k=float(state[1]))
@@ -400,7 +229,7 @@ def _stop(walk: _Walk, s: float, edges: Array, state: tuple[float, float], a: Ar
         piece = Panels(np.array([begin, begin + tau]))
         where = float(state[0]), float(state[1])
         motion, _ = solve(law, piece, where, np.full(3, float(a[0])), memory=walk.model.memory)
-        x, v, t = (_merged(*pair) for pair in (_nodes_and_edges(motion)[k] for k in (1, 2, 0)))
+        x, v, t = (merged(*pair) for pair in (nodes_and_edges(motion)[k] for k in (1, 2, 0)))
         braking = float(law(x, v, t)[-1])
         late = float(motion.v_edge[-1]) / braking if braking else 0.0
         if abs(late) < 1e-13:
@@ -410,7 +239,7 @@ def _stop(walk: _Walk, s: float, edges: Array, state: tuple[float, float], a: Ar
     return float(piece.edges[-1]), float(motion.x_edge[-1]), 0.0
 
 
-def _collected(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int) -> Slide:
+def _collected(walk: Walk, t: Array, start: tuple[float, float], per_frame: int) -> Slide:
     """The motion at the frames, with the forces."""
     known, x, v, _, s, felt = _walked(walk, t, start, per_frame)
     force = walk.push(known)
@@ -424,7 +253,7 @@ def _collected(walk: _Walk, t: Array, start: tuple[float, float], per_frame: int
     return Slide(t, x, v, a, force, _shown_at(walk, x, v, t) - x)
 
 
-def _shown(walk: _Walk, t: Array, start: Start, per_frame: int) -> Array:
+def _shown(walk: Walk, t: Array, start: Start, per_frame: int) -> Array:
     """What a camera would show of a motion at the frames, (n,)."""
     known, x, v, *_ = _walked(walk, t, (start.x, start.v), per_frame)
     at = _rows_at(known, t)
@@ -435,7 +264,7 @@ def _rows_at(known: Array, t: Array) -> NDArray[np.int_]:
     return np.clip(np.searchsorted(known, t - 1e-10), 0, len(known) - 1)
 
 
-def _shown_at(walk: _Walk, x: Array, v: Array, t: Array) -> Array:
+def _shown_at(walk: Walk, x: Array, v: Array, t: Array) -> Array:
     if all(e.acts_on == "force" for e in walk.model.effects):
         return x
     return x + shift(walk.model, walk.values, walk.path(x, v, t, 1.0))

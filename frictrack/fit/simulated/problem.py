@@ -143,24 +143,28 @@ class Problem:
     def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
         """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
         path = piece.path
-        if not self.model.memory or path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
+        if (
+            not (self.simulates and self.model.memory)
+            or path.before is None
+            or path.before.shape[1] < 2
+            or path.s[0] == 0
+        ):
             return {}
         two = {name: getattr(path, name)[[0, 0]] for name in SERIES if getattr(path, name) is not None}
         states = self.model.states(replace(path, **two), values)
         return {e.name: states[e.name] for e in self.model.effects if e.turns}
 
-    def _along(self, piece: Piece, motion: Motion6, level: float, values: Values) -> Path:
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
         """The path of a solved motion: its nodes, with memory after the start."""
         if not self.model.memory:
             return piece.along(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
-        path = piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
-        return replace(path, states=self._entered(piece, values))
+        return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
     def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
-        path = self._along(piece, motion, level, values)
+        path = replace(self._along(piece, motion, level), states=self._entered(piece, values))
         columns = self.model.force_columns(path, values)
         base = self.model.force(path, values)
         g = np.zeros((len(path.t), len(active)))
@@ -172,7 +176,8 @@ class Problem:
             elif led or not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
-                moved = self.model.force(self._along(piece, motion, level_i, values_i), values_i)
+                path_i = replace(self._along(piece, motion, level_i), states=self._entered(piece, values_i))
+                moved = self.model.force(path_i, values_i)
                 g[:, j] = (moved - base) / step
         return -g[-len(motion.x) :] / piece.mass
 

@@ -27,6 +27,7 @@ from frictrack.records import Array, Mask
 
 STOPPING = 2.0  # frames before the stop that are left out
 EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
+MANY = 400  # pieces of a long record on which a law is settled before it sees all
 MOST_TURNING = 16  # segments of a long record on which a law that passes reversals is settled before it sees all
 SHARES = (0.5, 0.2, 0.0)  # of the coefficients that a start keeps where no motion can be integrated under all
 
@@ -39,6 +40,9 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_turns(model, pieces, names, spans)
+    some = pieces[:: -(-len(pieces) // MANY)]
+    if len(some) < len(pieces) and {p.run for p in some} == {p.run for p in pieces}:
+        return until_stop(_on_all(solve_model(model, some, names, fps), pieces))
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
@@ -162,12 +166,18 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 
 def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
-    """The law of runs that are followed through stops and reversals; that of very many segments on some of them first."""
+    """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
     some = pieces[:: -(-len(pieces) // MOST_TURNING)]
     if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
         return _turned(model, pieces, names, spans)
-    found = _turned(model, some, names, spans)
-    problem = found.problem.over(found.problem.layout, pieces)
+    return _on_all(_turned(model, some, names, spans), pieces)
+
+
+def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
+    """A law that was settled on some pieces, one step on with all of them."""
+    fine = max(e.fine for e in found.problem.model.effects)
+    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
+    problem = found.problem.over(found.problem.layout, ready)
     return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
 
 

@@ -123,7 +123,7 @@ def _solved(problem: Problem, p: Array, columns: Array, right: Array) -> tuple[A
 
 
 def _windowed(problem: Problem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
-    """For windows of every length: displacement (n, K) per unit coefficient and the measured one (n,), starts removed."""
+    """For windows of every length: columns (n, K) per unit coefficient and data (n,), both without their starts."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
     for n in lengths:
