@@ -264,11 +264,11 @@ def test_noise_free_runs_of_one_law_are_no_copies():
 # ---- the fit
 
 
-def measured(x):
+def measured(x, name="run"):
     seen = screened(displaced(x))
     level = max(float(noise_level(seen.x, seen.valid)[0]), rounding_noise(seen.resolution))
     seen = replace(seen, sigma_x=np.full(len(x), level))
-    return Run(seen, differentiate(low_pass(seen)), mass=0.35)
+    return Run(seen, differentiate(low_pass(seen)), mass=0.35, name=name)
 
 
 def law(x0, v0, force, viscous, t):
@@ -293,9 +293,8 @@ def test_deviations_hold_with_bad_samples(fault):
     for seed in range(20):
         rng = np.random.default_rng(seed)
         speeds = (1.2, 2.0, 2.8)
-        runs = [
-            measured(FAULTS[fault](noisy(law(0.0, v, 2.0, 0.4, T), 10 * seed + i), rng)) for i, v in enumerate(speeds)
-        ]
+        slides = [noisy(law(0.0, v, 2.0, 0.4, T), 10 * seed + i) for i, v in enumerate(speeds)]
+        runs = [measured(FAULTS[fault](x, rng), f"v{i}") for i, x in enumerate(slides)]
         found = fit("coulomb,viscous", runs).parameters
         truth = {"coulomb.F_c": 2.0, "viscous.F_v": 0.4}
         away.append([(found[name].value - true) / found[name].std for name, true in truth.items()])

@@ -15,21 +15,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from frictrack import models, store
-from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.events import happenings
 from frictrack.flow.beside import known, sensed
 from frictrack.flow.copies import copy_notes
 from frictrack.flow.films import calibrated, recorded, tracked, tracked_beside
-from frictrack.flow.tables import even_table, own_table
+from frictrack.flow.tables import own_table, tabled
 from frictrack.friction import friction
-from frictrack.motion import differentiate, low_pass, noise_level, trade
+from frictrack.motion import differentiate, low_pass, trade
 from frictrack.plausibility import missing_incline, path_angle
 from frictrack.records import (
-    Array,
     Displacement,
     Filtered,
     Friction,
@@ -41,7 +37,6 @@ from frictrack.records import (
 )
 from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
-from frictrack.samples import rounding_noise, screened
 from frictrack.store import Entry, Stamp
 from frictrack.study import RunTable, Study
 from frictrack.version import __version__
@@ -278,37 +273,7 @@ def _paths(value: Any) -> list[Path | Remote]:
 
 
 def _tabled(work: RunWork) -> Displacement:
-    """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
-    table = even_table(own_table(work.run), work.run.fps)
-    data = table.data
-    assert data.x is not None
-    nan = np.full(len(data.t), np.nan)
-    pitch, relative = parse_scale(work.run.scale) if work.run.scale is not None else (None, 0.0)
-    seen = screened(
-        Displacement(
-            t=data.t,
-            x=data.x + work.run.x_offset,
-            y=nan if data.y is None else data.y,
-            angle=nan,
-            sigma_x=nan if data.sigma is None else data.sigma,
-            sigma_y=nan,
-            valid=table.valid,
-            pixel_pitch=pitch,
-            relative_scale_error=relative,
-            notes=table.notes,
-        ),
-        table.numbers,
-    )
-    return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
-
-
-def _table_sigma(seen: Displacement) -> Array:
-    """White noise of a displacement whose table states none; at least that of its last digit, or of its rounding."""
-    x = seen.x
-    steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
-    rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, seen.valid)[0]), rounding_noise(seen.resolution))
-    return np.full(len(x), sigma if sigma > nothing else rounding)
+    return tabled(own_table(work.run), work.run)
 
 
 def _filtered(work: RunWork, displacement: Displacement, sensors: Sensors) -> Filtered:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.calibration import parse_scale
 from frictrack.motion import noise_level
-from frictrack.records import Array, Mask
+from frictrack.records import Array, Displacement, Mask
 from frictrack.remote import local
-from frictrack.samples import quantum, rounding_noise
+from frictrack.samples import quantum, rounding_noise, screened
 from frictrack.samples.clock import Clock, is_even, jittered_clock, rounded_clock, speed
 from frictrack.samples.screen import frame_numbers, listed
 from frictrack.samples.slips import Course, Slip, corrected, faults
@@ -43,6 +44,40 @@ def own_table(run: RunTable) -> TableData:
     """The table that a run is."""
     assert run.table is not None
     return read_table(local(run.table), run.columns)
+
+
+def tabled(data: TableData, run: RunTable) -> Displacement:
+    """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
+    table = even_table(data, run.fps)
+    data = table.data
+    assert data.x is not None
+    nan = np.full(len(data.t), np.nan)
+    pitch, relative = parse_scale(run.scale) if run.scale is not None else (None, 0.0)
+    seen = screened(
+        Displacement(
+            t=data.t,
+            x=data.x + run.x_offset,
+            y=nan if data.y is None else data.y,
+            angle=nan,
+            sigma_x=nan if data.sigma is None else data.sigma,
+            sigma_y=nan,
+            valid=table.valid,
+            pixel_pitch=pitch,
+            relative_scale_error=relative,
+            notes=table.notes,
+        ),
+        table.numbers,
+    )
+    return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
+
+
+def _table_sigma(seen: Displacement) -> Array:
+    """White noise of a displacement whose table states none; at least that of its last digit, or of its rounding."""
+    x = seen.x
+    steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
+    rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
+    sigma = max(float(noise_level(x, seen.valid)[0]), rounding_noise(seen.resolution))
+    return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
 def even_table(data: TableData, fps: float | None = None) -> EvenTable:
