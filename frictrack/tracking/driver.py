@@ -14,6 +14,7 @@ from frictrack.records import Array, Track
 from frictrack.tracking.checks import key_frames
 from frictrack.tracking.finding import Target, resolve
 from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
+from frictrack.tracking.hidden import measure_hidden
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
@@ -129,6 +130,7 @@ def _measured(
         followed.corner[part] = corner
         if progress:
             progress(at, len(rows), "measure")
+    measure_hidden(film, followed, lesson)
     found = np.flatnonzero(followed.found)
     followed.reason[found] = _reasons(followed, found, room)
     return followed

@@ -24,6 +24,7 @@ AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
 TRUSTED = 2.0  # times the usual noise: what a prediction may be off by
+BORDERS, CHANCE = 6, 2.0  # px of border left out at most, and standard deviations of the misfit that ask for it
 MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
@@ -85,7 +86,30 @@ def without_what_does_not_fit(
         lost = ~better.settled  # what went nowhere is no ground to stand on: the last place is
         better.put(lost, replace(fine[lost], settled=better.settled[lost]))
         fine = better
+    if not np.isnan(usual):
+        fine, share = _without_borders(cuts, fine, template, share, usual)
+        enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
     return replace(fine, settled=fine.settled & enough), share
+
+
+def _without_borders(cuts: Patch, fine: Fine, template: Template, share: Patch, usual: float) -> tuple[Fine, Patch]:
+    """Leave out more round what was left out, as long as what is left misfits by more than chance.
+
+    The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
+    draws the place along.
+    """
+    out = share.copy()
+    for _ in range(BORDERS):
+        hidden = np.any(out < 1, axis=(1, 2))
+        chance = CHANCE * np.sqrt(2 / np.maximum(out.sum(axis=(1, 2)), 1.0))
+        rows = np.flatnonzero(hidden & fine.settled & (fine.misfit > usual * (1 + chance)))
+        if len(rows) == 0:
+            break
+        out[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in out[rows]]
+        start = np.clip(fine[rows].turned_back(), -RANGE, RANGE)
+        better = refine(products(cuts[rows], template, out[rows]), start, template)
+        fine.put(rows, better)
+    return fine, out
 
 
 def _scale(left: Patch, share: Patch) -> Array:
