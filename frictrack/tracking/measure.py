@@ -24,7 +24,10 @@ AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
 TRUSTED = 2.0  # times the usual noise: what a prediction may be off by
-BORDERS, CHANCE = 6, 2.0  # px of border left out at most, and standard deviations of the misfit that ask for it
+BORDERS = 2, 6  # px of border left out in any case, and at most
+CHANCE = 2.0  # standard deviations of the misfit that ask for more
+BORDERLESS = 0.5  # of the least that must still count, without borders
+FEW = 0.02  # of the pixels: fewer that do not fit are noise, and have no border
 MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
@@ -87,22 +90,22 @@ def without_what_does_not_fit(
         better.put(lost, replace(fine[lost], settled=better.settled[lost]))
         fine = better
     if not np.isnan(usual):
-        fine, share = _without_borders(cuts, fine, template, share, usual)
-        enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
+        fine, share = _without_borders(cuts, fine, template, share, given, usual)
+        enough &= share.mean(axis=(1, 2)) > BORDERLESS * LEAST_LEFT * float(counts.mean())
     return replace(fine, settled=fine.settled & enough), share
 
 
-def _without_borders(cuts: Patch, fine: Fine, template: Template, share: Patch, usual: float) -> tuple[Fine, Patch]:
-    """Leave out more round what was left out, as long as what is left misfits by more than chance.
+def _without_borders(cuts: Patch, fine: Fine, template: Template, share: Patch, given: Patch, usual: float) -> tuple[Fine, Patch]:
+    """Leave out what lies round what was left out, and more of it as long as the rest misfits by more than chance.
 
     The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
     draws the place along.
     """
     out = share.copy()
-    for _ in range(BORDERS):
-        hidden = np.any(out < 1, axis=(1, 2))
+    hidden = np.mean(out < 0.5 * given, axis=(1, 2)) > FEW
+    for k in range(BORDERS[1]):
         chance = CHANCE * np.sqrt(2 / np.maximum(out.sum(axis=(1, 2)), 1.0))
-        rows = np.flatnonzero(hidden & fine.settled & (fine.misfit > usual * (1 + chance)))
+        rows = np.flatnonzero(hidden & fine.settled & ((k < BORDERS[0]) | (fine.misfit > usual * (1 + chance))))
         if len(rows) == 0:
             break
         out[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in out[rows]]
