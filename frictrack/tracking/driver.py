@@ -20,6 +20,7 @@ from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.sharp import drawn_to_pixels
+from frictrack.tracking.turned import follow_turning, turns
 
 Progress = Callable[[int, int, str], None]
 
@@ -53,12 +54,12 @@ def track(
     with opened(recording, once=_once(target, template, known)) as film:
         if known is None:
             rectangle, template, followed, lesson = _studied(film, target, template, progress)
-            rows = np.flatnonzero(followed.found)
+            rows = np.flatnonzero(followed.found & ~lesson.turns)
         else:
             rectangle, template, lesson = *_placed(film, target, template, known), known
             followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
             rows = np.flatnonzero(followed.found & (known.view is not None))
-        measured = _measured(film, followed, rows, lesson, progress)
+        measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
     if np.count_nonzero(result.found) < 2:
@@ -97,6 +98,9 @@ def _studied(
         )
     first = first_look(cut)
     followed = Follower(film, first).follow(np.array([x, y]), template, progress)
+    if turns(film, followed, first, np.array([x, y]), template):
+        turned = follow_turning(film, first, np.array([x, y]), template, progress)
+        return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
     return rectangle, template, followed, taught(film, followed, first)
 
 

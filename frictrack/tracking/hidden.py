@@ -54,7 +54,9 @@ def _distance(good: Mask) -> NDArray[np.int64]:
     return np.minimum(np.abs(rows[after] - n), np.abs(rows[np.maximum(after - 1, 0)] - n))
 
 
-def _again(film: Recording, followed: Followed, rows: NDArray[np.int64], good: NDArray[np.int64], lesson: Lesson) -> Mask:
+def _again(
+    film: Recording, followed: Followed, rows: NDArray[np.int64], good: NDArray[np.int64], lesson: Lesson
+) -> Mask:
     """Measure some frames (m,) from predictions by the `good` ones; whether that came out right."""
     template = lesson.template
     size = template.weight.shape

@@ -21,6 +21,7 @@ from frictrack.tracking.view import Sums, View, view_of
 
 FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
 BYTES = 32_000_000  # of cut-outs held at once
+MIN_FRAMES = 12  # fewer make a template whose own noise is larger than that of a single frame's
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
@@ -53,7 +54,7 @@ class _Found:
 def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     """Template, view and noise from frames spread over the path of a first, rougher track."""
     rows = spread(followed, template.weight.size)
-    if len(rows) < 3:
+    if len(rows) < MIN_FRAMES:
         return Lesson(template)
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
@@ -99,8 +100,8 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     """What the rounds have come to, and by how much the noise's deviations are too small."""
     fine, template, share = found.fine, found.template, found.share
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
-    few = np.flatnonzero(found.good)
-    few = few[:: max(1, len(few) // TRUST_FRAMES)]
+    taught_by = np.flatnonzero(found.good)
+    few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
     shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
     return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
 

@@ -39,6 +39,7 @@ class Lesson:
     view: View | None = None
     usual: float = np.nan  # nan: that of the frames at hand
     inflation: Array = field(default_factory=lambda: np.ones(2))  # of the standard deviations, see `trust`
+    turns: bool = False  # the target turns by more than small rotations
 
 
 def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> tuple[Fine, Patch | None]:
@@ -81,7 +82,7 @@ def without_what_does_not_fit(
         left = residual(cuts, fine, template)
         if k or np.isnan(usual):
             scale = _scale(left, share)
-        share = given * _fits(left / scale[:, None, None].astype(np.float32), given)
+        share = given * fits(left / scale[:, None, None].astype(np.float32), given)
         enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
         start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
         share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
@@ -95,7 +96,9 @@ def without_what_does_not_fit(
     return replace(fine, settled=fine.settled & enough), share
 
 
-def _without_borders(cuts: Patch, fine: Fine, template: Template, share: Patch, given: Patch, usual: float) -> tuple[Fine, Patch]:
+def _without_borders(
+    cuts: Patch, fine: Fine, template: Template, share: Patch, given: Patch, usual: float
+) -> tuple[Fine, Patch]:
     """Leave out what lies round what was left out, and more of it as long as the rest misfits by more than chance.
 
     The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
@@ -137,7 +140,7 @@ def modelled(fine: Fine, template: Template) -> Array:
     return np.asarray(weights @ template.pictures.astype(np.float32))
 
 
-def _fits(rated: Patch, given: Patch) -> Patch:
+def fits(rated: Patch, given: Patch) -> Patch:
     """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours; `rated` in standard deviations."""
     fits = np.empty_like(rated)
     for k, picture in enumerate(rated):
