@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.follow import NOISIER, Followed
-from frictrack.tracking.measure import Lesson, without_what_does_not_fit
-from frictrack.tracking.refine import Fine
+from frictrack.tracking.measure import Lesson, unexplained, without_what_does_not_fit
 from frictrack.tracking.waves import RANGE
 
 NEAR = 3  # frames to the nearest good one, over which a prediction is trusted
@@ -40,7 +39,7 @@ def measure_hidden(film: Recording, followed: Followed, lesson: Lesson) -> None:
         tried[rows] = True
         good[rows] = _again(film, followed, rows, np.flatnonzero(good), lesson)
     rest = np.flatnonzero(odd & ~good)
-    hidden = rest[_unexplained(followed.fine[rest], lesson.usual) > HIDDEN_SHARE]
+    hidden = rest[unexplained(followed.fine.score[rest], followed.fine.misfit[rest], lesson.usual) > HIDDEN_SHARE]
     followed.reason[hidden] = HIDDEN
 
 
@@ -88,8 +87,3 @@ def _predicted(at: Array, rows: NDArray[np.int64], good: NDArray[np.int64]) -> t
         powers = np.vander((near - row) / FAR, min(3, 1 + len(near) // 3), increasing=True)
         places[k] = np.linalg.lstsq(powers, at[near], rcond=None)[0][0]
     return places, nearest
-
-
-def _unexplained(fine: Fine, usual: float) -> Array:
-    """Share (n,) of the pictures' variance that neither the target nor the usual noise explains."""
-    return np.asarray((1 - fine.score**2) * (1 - usual / np.maximum(fine.misfit, usual)))

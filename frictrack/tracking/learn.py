@@ -40,10 +40,10 @@ def first_look(cut: Patch) -> Template:
     grid = shifts((cut.shape[0], cut.shape[1]))
     still = grid.design(np.zeros((1, 2)))[0]
     waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
-    return Template(waves, weight * _inside(weight.shape), level)
+    return Template(waves, weight * inside(weight.shape), level)
 
 
-def _inside(shape: tuple[int, ...]) -> Array:
+def inside(shape: tuple[int, ...]) -> Array:
     """1 for pixels (h, w) that one frame shows with what lies round them, 0 at the border.
 
     As the target moves, its border shows what one frame has not seen.

@@ -7,6 +7,7 @@ A frame whose residual picture holds more than noise is measured again with the 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -124,6 +125,11 @@ def _scale(left: Patch, share: Patch) -> Array:
         1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0 for p, s in zip(left, share, strict=True)
     ]
     return np.maximum(scale, 1e-6)
+
+
+def unexplained(score: Any, misfit: Any, usual: float) -> Any:
+    """Share of a picture's variance that neither the target nor the usual noise explains; numbers or arrays."""
+    return (1 - score**2) * (1 - usual / np.maximum(misfit, usual))
 
 
 def residual(cuts: Patch, fine: Fine, template: Template) -> Array:

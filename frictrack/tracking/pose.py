@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
-from frictrack.tracking.measure import MISFITS, fits
+from frictrack.tracking.measure import MISFITS, fits, unexplained
 from frictrack.tracking.template import Template
 from frictrack.tracking.waves import EDGE
 
@@ -26,6 +26,8 @@ SETTLED = 1e-3  # px, the last step
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 LEAST_GAIN = 1e-3
+MARGIN = 6.0  # px round the target that are looked at
+ODD_SHARE = 0.005  # of the picture's variance, left unexplained: less is the error of a picture that was turned
 UNKNOWNS = 5  # gain, offset, x, y, angle
 
 
@@ -118,16 +120,36 @@ def turned_back(places: Array, centre: Array, angle: float) -> Array:
 def refine_pose(frame: Patch, start: Pose, picture: TurnedPicture, usual: float = np.nan) -> Pose:
     """Centre and angle of the target in a frame (H, W) from a start within about two pixels everywhere on it.
 
-    With the `usual` misfit of a frame that holds nothing but target and noise, pixels that do not fit are left out.
+    Pixels that do not fit are left out where the residuals' scatter, or the `usual` misfit of a frame that holds
+    nothing but target and noise, shows that there are some.
     """
-    window = _Window.around(frame, start.centre, picture.radius + 4)
+    window = _Window.around(frame, start.centre, picture.radius + MARGIN)
     if window.pixels.size < UNKNOWNS:
         return start
     pose = _fitted(window, start, picture, None)
-    if np.isnan(usual) or not pose.settled or pose.misfit < MISFITS * usual:
+    if not pose.settled:
         return pose
-    robust = _without_what_does_not_fit(window, start, picture, usual)
-    return robust if robust.settled else pose
+    rated, given = _rated(window, pose, picture)
+    level = max(_scale(rated[given]) ** 2, picture.template.least_misfit)
+    level = level if np.isnan(usual) else min(level, usual)
+    if pose.misfit < MISFITS * level:
+        return pose
+    robust = _without_what_does_not_fit(window, start, picture, level)
+    if not robust.settled:
+        return pose
+    return robust if unexplained(pose.score, pose.misfit, level) > ODD_SHARE else _doubted(pose, robust)
+
+
+def _doubted(pose: Pose, other: Pose) -> Pose:
+    """A pose whose deviations hold how far another one, from some of the pixels, is away."""
+    x, y = other.centre - pose.centre
+    sigma = np.hypot(pose.sigma, (x, y, other.angle - pose.angle))
+    return replace(pose, sigma=(float(sigma[0]), float(sigma[1]), float(sigma[2])))
+
+
+def _scale(rated: Array) -> float:
+    """Standard deviation of residuals, from their median: what hides less than half of the target does not count."""
+    return 1.4826 * float(np.median(np.abs(rated)))
 
 
 def _fitted(window: _Window, start: Pose, picture: TurnedPicture, share: Array | None) -> Pose:
@@ -202,7 +224,7 @@ def _without_what_does_not_fit(window: _Window, start: Pose, picture: TurnedPict
     counts = picture.weight(turned_back(window.places, start.centre, start.angle) + picture.middle[:, None]) > 0
     for k in range(AGAIN):
         rated, given = _rated(window, pose, picture)
-        scale = 2 * np.sqrt(usual) if k == 0 else 1.4826 * np.median(np.abs(rated[(share > 0.5) & given]))
+        scale = 2 * np.sqrt(usual) if k == 0 else _scale(rated[(share > 0.5) & given])
         share = _fit_share(window, rated / max(scale, 1e-6), given)
         if np.sum(share) < LEAST_LEFT * np.count_nonzero(counts):
             return replace(pose, settled=False)
@@ -227,13 +249,19 @@ def _fit_share(window: _Window, rated: Array, given: Mask) -> Array:
 
 
 def derotated(frame: Patch, pose: Pose, picture: TurnedPicture) -> NDArray[np.float32]:
-    """The frame as the target's picture (h, w) would show it without its turn; to learn from, not to measure."""
-    h, w = picture.template.weight.shape
+    """The frame as the target's picture (h, w) would show it without its turn; to learn from, not to measure.
+
+    Only what the picture known so far does not explain is interpolated: it is small, and so is the error of that.
+    """
+    window = _Window.around(frame, pose.centre, picture.radius + MARGIN)
+    at = turned_back(window.places, pose.centre, pose.angle) + picture.middle[:, None]
+    template = picture.template
+    h, w = template.weight.shape
+    shown = np.all((at > -EDGE) & (at < np.array([[w], [h]]) - 1 + EDGE), axis=0)
+    left = window.pixels.ravel() - pose.offset - pose.gain * picture.read(at)[0]
+    left = np.where(shown, left, 0.0).reshape(window.pixels.shape)
     y, x = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
     seen = np.stack([x, y]) - picture.middle[:, None]
-    at = turned_back(seen, np.zeros(2), -pose.angle) + pose.centre[:, None]
-    low = np.floor(at.min(axis=1)).astype(int) - 8
-    low = low.clip(0)
-    high = np.ceil(at.max(axis=1)).astype(int) + 9
-    part = frame[low[1] : high[1], low[0] : high[0]].astype(np.float64)
-    return map_coordinates(part, (at - low[:, None])[::-1], order=5, mode="nearest").reshape(h, w).astype(np.float32)
+    back = turned_back(seen, np.zeros(2), -pose.angle) + pose.centre[:, None] - window.places[:, :1]
+    rest = map_coordinates(left, back[::-1], order=5, mode="nearest").reshape(h, w)
+    return np.asarray(pose.offset + pose.gain * (template.image - template.level) + rest, dtype=np.float32)

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array
-from frictrack.tracking.follow import FLAT, LEAST_SCORE, LEAVES, SHARE, UNREAD, Followed, nowhere
-from frictrack.tracking.learn import learn
+from frictrack.tracking.follow import FLAT, LEAST_SCORE, LEAVES, NOISIER, SHARE, UNREAD, Followed, nowhere
+from frictrack.tracking.hidden import HIDDEN, HIDDEN_SHARE
+from frictrack.tracking.learn import inside, learn
 from frictrack.tracking.match import Patch
-from frictrack.tracking.measure import MISFITS
+from frictrack.tracking.measure import MISFITS, unexplained
 from frictrack.tracking.pose import Pose, TurnedPicture, derotated, refine_pose, turned_back
 from frictrack.tracking.refine import Fine
 from frictrack.tracking.template import Template
@@ -32,10 +33,9 @@ REACH = 24  # px searched round the prediction
 NEAR = 0.8  # of the usual score: a match near the prediction that is as good ends the search
 SMALL, LARGE = 20, 400_000  # px of a target's shorter side, and of a picture, to which they are reduced for searching
 FORGOTTEN = 8  # frames without a find after which the whole picture is searched in every eighth frame only
-MIN_FRAMES, TEACHING = 24, 120  # frames that teach the picture, at least and at most
-JUDGED, BETTER_HALF = 24, 0.3  # frames whose misfit is the usual one: this quantile of it, as some may be hidden
-HIDDEN = 4.0  # times the usual misfit: more than the target is in the frame
-HIDDEN_SHARE = 0.03  # of the picture's variance, unexplained beyond the noise
+MIN_FRAMES, TEACHING = 24, 60  # frames that teach the picture, at least and at most
+ROUNDS = 2  # of learning the picture and measuring those frames again
+JUDGED, CLEAR = 24, 0.1  # frames whose misfit is the usual one: this quantile of it, as many may be partly hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +149,9 @@ class _Turning:
 
     def _trusted(self, pose: Pose) -> str:
         """"" where the pose can be trusted, else why not."""
-        if np.isnan(self.misfit) or pose.misfit < HIDDEN * self.misfit:
+        if np.isnan(self.misfit) or pose.misfit < NOISIER * self.misfit:
             return ""
-        unexplained = (1 - pose.score**2) * (1 - self.misfit / pose.misfit)
-        return "too much of the target is hidden" if unexplained > HIDDEN_SHARE else ""
+        return HIDDEN if unexplained(pose.score, pose.misfit, self.misfit) > HIDDEN_SHARE else ""
 
     def _outside(self, pose: Pose, frame: Patch) -> bool:
         """Whether the target's rectangle sticks out of the picture."""
@@ -272,23 +271,31 @@ def _usual_misfit(film: Recording, rough: TurnedTrack, template: Template, first
     picture = TurnedPicture(template)
     poses = [refine_pose(film.frame(i), pose, picture) for i in rows if (pose := rough.poses[i]) is not None]
     misfit = [pose.misfit for pose in poses if pose.settled]
-    return max(float(np.quantile(misfit, BETTER_HALF)), template.least_misfit) if misfit else np.nan
+    return max(float(np.quantile(misfit, CLEAR)), template.least_misfit) if misfit else np.nan
 
 
 def _taught(film: Recording, rough: TurnedTrack, first: int) -> Template | None:
     """The template learnt from frames spread over the film; None where these are too few to teach."""
-    found = [i for i, pose in enumerate(rough.poses) if pose is not None]
-    rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, TEACHING).astype(int))] if found else []
-    misfit = np.array([rough.poses[i].misfit for i in rows if i != first])  # type: ignore[union-attr]
-    if len(misfit) < MIN_FRAMES:
+    found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
+    if len(found) < MIN_FRAMES:
         return None
-    limit = MISFITS * float(np.median(misfit))
-    poses = [(i, pose) for i in rows if (pose := rough.poses[i]) is not None and pose.misfit <= limit]
-    picture = TurnedPicture(rough.template)
-    cuts = np.stack([derotated(film.frame(i), pose, picture) for i, pose in poses])
-    n = len(poses)
-    still = np.zeros((n, 2))
-    gain, offset = np.array([p.gain for _, p in poses]), np.array([p.offset for _, p in poses])
-    fine = Fine(still, np.zeros(n), still, np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
-    return learn(cuts, fine, rough.template)
+    rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, TEACHING).astype(int))]
+    frames = [film.frame(i) for i in rows]
+    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], rough.template
+    for _ in range(ROUNDS):
+        template = _learnt(frames, poses, TurnedPicture(template))
+        poses = [refine_pose(frame, pose, TurnedPicture(template)) for frame, pose in zip(frames, poses, strict=True)]
+    return template
 
+
+def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> Template:
+    """The template that fits the frames best in which no more than the target is seen."""
+    limit = MISFITS * float(np.median([pose.misfit for pose in poses]))
+    chosen = [(f, p) for f, p in zip(frames, poses, strict=True) if p.settled and p.misfit <= limit]
+    cuts = np.stack([derotated(frame, pose, picture) for frame, pose in chosen])
+    n = len(chosen)
+    gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
+    still = np.zeros((n, 2))
+    fine = Fine(still, np.zeros(n), still, np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
+    learnt = learn(cuts, fine, picture.template)
+    return replace(learnt, weight=learnt.weight * inside(learnt.weight.shape))
