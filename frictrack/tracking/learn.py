@@ -40,18 +40,16 @@ def first_look(cut: Patch) -> Template:
     grid = shifts((cut.shape[0], cut.shape[1]))
     still = grid.design(np.zeros((1, 2)))[0]
     waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
-    return Template(waves, weight * inside(weight.shape), level)
+    return Template(waves, weight, level)
 
 
-def inside(shape: tuple[int, ...]) -> Array:
-    """1 for pixels (h, w) that one frame shows with what lies round them, 0 at the border.
-
-    As the target moves, its border shows what one frame has not seen.
-    """
-    inside = np.zeros(shape)
+def without_border(template: Template) -> Template:
+    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen."""
+    shape = template.weight.shape
     rim = [RIM if side >= LARGE else 1 for side in shape]
-    inside[rim[0] : shape[0] - rim[0], rim[1] : shape[1] - rim[1]] = 1.0
-    return inside
+    counts = np.zeros(shape)
+    counts[rim[0] : shape[0] - rim[0], rim[1] : shape[1] - rim[1]] = 1.0
+    return replace(template, weight=template.weight * counts)
 
 
 def learn(

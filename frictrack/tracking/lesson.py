@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Followed
-from frictrack.tracking.learn import learn
+from frictrack.tracking.learn import learn, without_border
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
@@ -55,12 +55,12 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     """Template, view and noise from frames spread over the path of a first, rougher track."""
     rows = spread(followed, template.weight.size)
     if len(rows) < MIN_FRAMES:
-        return Lesson(template)
+        return Lesson(without_border(template))
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
     seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(template)))
+    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template))))
     view, path = None, _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < 3:

@@ -65,7 +65,9 @@ class TurnedPicture:
     @cached_property
     def _tables(self) -> list[Array]:
         """Spline coefficients of the picture and of its slopes along x and y."""
-        (y, dy), (x, dx) = (_sampled(n, count) for n, count in zip(self.template.weight.shape, self._waves, strict=True))
+        (y, dy), (x, dx) = (
+            _sampled(n, count) for n, count in zip(self.template.weight.shape, self._waves, strict=True)
+        )
         waves = self.template.waves
         return [spline_filter(rows @ waves @ columns.T) for rows, columns in ((y, x), (y, dx), (dy, x))]
 

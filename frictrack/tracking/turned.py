@@ -17,7 +17,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array
 from frictrack.tracking.follow import FLAT, LEAST_SCORE, LEAVES, NOISIER, SHARE, UNREAD, Followed, nowhere
 from frictrack.tracking.hidden import HIDDEN, HIDDEN_SHARE
-from frictrack.tracking.learn import inside, learn
+from frictrack.tracking.learn import learn, without_border
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import MISFITS, unexplained
 from frictrack.tracking.pose import Pose, TurnedPicture, derotated, refine_pose, turned_back
@@ -81,9 +81,7 @@ def _lost_first(followed: Followed, first: int) -> list[int]:
     return [*after[:1].tolist(), *before[-1:].tolist()]
 
 
-def _has_turned(
-    film: Recording, followed: Followed, picture: TurnedPicture, i: int, first: int, start: Array
-) -> bool:
+def _has_turned(film: Recording, followed: Followed, picture: TurnedPicture, i: int, first: int, start: Array) -> bool:
     """Whether a turned picture matches frame `i` clearly better than the upright one."""
     near = i - 1 if i > first else i + 1
     at = followed.at[near] if followed.found[near] else np.asarray(start, dtype=np.float64)
@@ -148,7 +146,7 @@ class _Turning:
         return pose.settled and pose.score >= self._least
 
     def _trusted(self, pose: Pose) -> str:
-        """"" where the pose can be trusted, else why not."""
+        """ "" where the pose can be trusted, else why not."""
         if np.isnan(self.misfit) or pose.misfit < NOISIER * self.misfit:
             return ""
         return HIDDEN if unexplained(pose.score, pose.misfit, self.misfit) > HIDDEN_SHARE else ""
@@ -173,7 +171,9 @@ def _predicted(i: int, known: list[tuple[int, Pose]]) -> Pose:
     ahead = (i - frame) / (frame - known[-2][0])
     before = known[-2][1]
     return replace(
-        last, centre=last.centre + ahead * (last.centre - before.centre), angle=last.angle + ahead * (last.angle - before.angle)
+        last,
+        centre=last.centre + ahead * (last.centre - before.centre),
+        angle=last.angle + ahead * (last.angle - before.angle),
     )
 
 
@@ -181,7 +181,13 @@ def _predicted(i: int, known: list[tuple[int, Pose]]) -> Pose:
 
 
 def _searched(
-    frame: Patch, predicted: Pose, picture: TurnedPicture, usual_score: float, *, everywhere: bool = True, usual: float = np.nan
+    frame: Patch,
+    predicted: Pose,
+    picture: TurnedPicture,
+    usual_score: float,
+    *,
+    everywhere: bool = True,
+    usual: float = np.nan,
 ) -> Pose | None:
     """The best pose near a prediction; anywhere in the picture where none is good; at any angle where that fails too."""
     step = 2.0 / picture.radius
@@ -258,8 +264,8 @@ def follow_turning(
 ) -> TurnedTrack:
     """Track of a target whose rectangle's corner is at `start` (2,) in frame `first`; its picture is learnt from it."""
     begin = Pose(np.asarray(start, dtype=np.float64) + TurnedPicture(template).middle, 0.0, offset=template.level)
-    rough = _Turning(film, template).follow(begin, first, progress)
-    learnt = _taught(film, rough, first) or template
+    rough = _Turning(film, without_border(template)).follow(begin, first, progress)
+    learnt = _taught(film, rough, template, first) or without_border(template)
     usual = _usual_misfit(film, rough, learnt, first)
     return _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
 
@@ -274,18 +280,19 @@ def _usual_misfit(film: Recording, rough: TurnedTrack, template: Template, first
     return max(float(np.quantile(misfit, CLEAR)), template.least_misfit) if misfit else np.nan
 
 
-def _taught(film: Recording, rough: TurnedTrack, first: int) -> Template | None:
+def _taught(film: Recording, rough: TurnedTrack, template: Template, first: int) -> Template | None:
     """The template learnt from frames spread over the film; None where these are too few to teach."""
     found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
     if len(found) < MIN_FRAMES:
         return None
     rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, TEACHING).astype(int))]
     frames = [film.frame(i) for i in rows]
-    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], rough.template
+    poses = [pose for i in rows if (pose := rough.poses[i]) is not None]
     for _ in range(ROUNDS):
         template = _learnt(frames, poses, TurnedPicture(template))
-        poses = [refine_pose(frame, pose, TurnedPicture(template)) for frame, pose in zip(frames, poses, strict=True)]
-    return template
+        picture = TurnedPicture(without_border(template))
+        poses = [refine_pose(frame, pose, picture) for frame, pose in zip(frames, poses, strict=True)]
+    return without_border(template)
 
 
 def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> Template:
@@ -297,5 +304,4 @@ def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> T
     gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
     still = np.zeros((n, 2))
     fine = Fine(still, np.zeros(n), still, np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
-    learnt = learn(cuts, fine, picture.template)
-    return replace(learnt, weight=learnt.weight * inside(learnt.weight.shape))
+    return learn(cuts, fine, picture.template)
