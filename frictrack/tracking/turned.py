@@ -32,6 +32,7 @@ BETTER = 0.15  # by this much must a turned picture match better than the uprigh
 REACH = 24  # px searched round the prediction
 NEAR = 0.8  # of the usual score: a match near the prediction that is as good ends the search
 SMALL, LARGE = 20, 400_000  # px of a target's shorter side, and of a picture, to which they are reduced for searching
+LEAST_SHOWN = 0.8  # of the target's rectangle that must lie within the picture
 FORGOTTEN = 8  # frames without a find after which the whole picture is searched in every eighth frame only
 MIN_FRAMES, TEACHING = 24, 60  # frames that teach the picture, at least and at most
 ROUNDS = 2  # of learning the picture and measuring those frames again
@@ -132,10 +133,10 @@ class _Turning:
             everywhere = age <= FORGOTTEN or i % FORGOTTEN == 0
             searched = _searched(frame, predicted, self.picture, self.score, everywhere=everywhere, usual=self.misfit)
             pose = searched if searched is not None and searched.score > pose.score - 0.02 else pose
+        if self._shown(pose if self._good(pose) else predicted, frame) < LEAST_SHOWN:
+            return None, LEAVES
         if self._good(pose):
             return pose, self._trusted(pose)
-        if self._outside(predicted, frame):
-            return None, LEAVES
         return None, f"match score {pose.score:.2f} below {self._least:.2f}"
 
     @property
@@ -146,15 +147,17 @@ class _Turning:
         return pose.settled and pose.score >= self._least
 
     def _trusted(self, pose: Pose) -> str:
-        """ "" where the pose can be trusted, else why not."""
+        """Why the pose cannot be trusted; empty where it can."""
         if np.isnan(self.misfit) or pose.misfit < NOISIER * self.misfit:
             return ""
         return HIDDEN if unexplained(pose.score, pose.misfit, self.misfit) > HIDDEN_SHARE else ""
 
-    def _outside(self, pose: Pose, frame: Patch) -> bool:
-        """Whether the target's rectangle sticks out of the picture."""
-        corners = _corners(self.picture, pose)
-        return bool(np.any(corners < -0.5) or np.any(corners > np.array(frame.shape[::-1])[:, None] - 0.5))
+    def _shown(self, pose: Pose, frame: Patch) -> float:
+        """Share of the target's rectangle that lies within the picture."""
+        x, y = self.picture.middle
+        grid = np.stack(np.meshgrid(np.linspace(-x, x, 9), np.linspace(-y, y, 9))).reshape(2, -1)
+        at = turned_back(grid, np.zeros(2), -pose.angle) + pose.centre[:, None]
+        return float(np.mean(np.all((at > -0.5) & (at < np.array(frame.shape[::-1])[:, None] - 0.5), axis=0)))
 
 
 def _corners(picture: TurnedPicture, pose: Pose) -> Array:
@@ -189,7 +192,7 @@ def _searched(
     everywhere: bool = True,
     usual: float = np.nan,
 ) -> Pose | None:
-    """The best pose near a prediction; anywhere in the picture where none is good; at any angle where that fails too."""
+    """The best pose near a prediction; anywhere where none is good; at any angle where that fails too."""
     step = 2.0 / picture.radius
     slow = predicted.angle + np.arange(-FASTEST, FASTEST + step / 2, step)
     rounds = [(slow, REACH), (slow, 0), (predicted.angle + np.arange(0, 2 * np.pi, step), 0)]
