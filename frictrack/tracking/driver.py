@@ -20,7 +20,8 @@ from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.sharp import drawn_to_pixels
-from frictrack.tracking.turned import follow_turning, turns
+from frictrack.tracking.template import Template
+from frictrack.tracking.turned import follow_known, follow_turning, turns
 
 Progress = Callable[[int, int, str], None]
 
@@ -57,7 +58,8 @@ def track(
             rows = np.flatnonzero(followed.found & ~lesson.turns)
         else:
             rectangle, template, lesson = *_placed(film, target, template, known), known
-            followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
+            follow = follow_known if known.turns else _followed
+            followed = follow(film, known.template, np.array(rectangle[:2]), template, progress)
             rows = np.flatnonzero(followed.found & (known.view is not None))
         measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
@@ -67,6 +69,7 @@ def track(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
+    result = _with_own_noise(result, template)
     coded = () if change is None else key_frames(change, result.x_px, result.y_px)
     return replace(result, template=template, picture=lesson.template.image, notes=(*result.notes, *coded))
 
@@ -102,6 +105,11 @@ def _studied(
         turned = follow_turning(film, first, np.array([x, y]), template, progress)
         return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
     return rectangle, template, followed, taught(film, followed, first)
+
+
+def _followed(film: Recording, known: Template, start: Array, template: int, progress: Progress | None) -> Followed:
+    """Track of a target that does not turn, from its corner `start` (2,) in frame `template`."""
+    return Follower(film, known).follow(start, template, progress)
 
 
 def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tuple[Rectangle, int]:
@@ -177,6 +185,14 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         systematic=_slow(fine.sigma[found, 0]),
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
+
+
+def _with_own_noise(track: Track, template: int) -> Track:
+    """The track in which frame `template`, which few frames were compared with, is no better known than these."""
+    sigma = {name: np.array(getattr(track, name)) for name in ("sigma_px", "sigma_y_px")}
+    for values in sigma.values():
+        values[template] = max(values[template], np.nanmedian(values))
+    return replace(track, **sigma)
 
 
 def _slow(sigma: Array) -> float:

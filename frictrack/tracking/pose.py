@@ -119,27 +119,35 @@ def turned_back(places: Array, centre: Array, angle: float) -> Array:
     return np.asarray(np.array([[c, s], [-s, c]]) @ (places - centre[:, None]))
 
 
-def refine_pose(frame: Patch, start: Pose, picture: TurnedPicture, usual: float = np.nan) -> Pose:
+def refine_pose(
+    frame: Patch, start: Pose, picture: TurnedPicture, usual: float = np.nan, *, trusted: bool = False
+) -> Pose:
     """Centre and angle of the target in a frame (H, W) from a start within about two pixels everywhere on it.
 
     Pixels that do not fit are left out where the residuals' scatter, or the `usual` misfit of a frame that holds
-    nothing but target and noise, shows that there are some.
+    nothing but target and noise, shows that there are some. A start that is `trusted` may speak against most pixels.
     """
     window = _Window.around(frame, start.centre, picture.radius + MARGIN)
     if window.pixels.size < UNKNOWNS:
         return start
     pose = _fitted(window, start, picture, None)
-    if not pose.settled:
+    if not (pose.settled or trusted):
         return pose
-    rated, given = _rated(window, pose, picture)
-    level = max(_scale(rated[given]) ** 2, picture.template.least_misfit)
-    level = level if np.isnan(usual) else min(level, usual)
-    if pose.misfit < MISFITS * level:
+    level = _noise(window, pose if pose.settled else start, picture, usual)
+    if pose.settled and pose.misfit < MISFITS * level:
         return pose
     robust = _without_what_does_not_fit(window, start, picture, level)
     if not robust.settled:
         return pose
-    return robust if unexplained(pose.score, pose.misfit, level) > ODD_SHARE else _doubted(pose, robust)
+    agrees = pose.settled and unexplained(pose.score, pose.misfit, level) < ODD_SHARE
+    return _doubted(pose, robust) if agrees else robust
+
+
+def _noise(window: _Window, pose: Pose, picture: TurnedPicture, usual: float) -> float:
+    """Misfit of pixels that show nothing but target and noise, as the better half of them have it."""
+    rated, given = _rated(window, pose, picture)
+    level = max(_scale(rated[given]) ** 2 if given.any() else 0.0, picture.template.least_misfit)
+    return level if np.isnan(usual) else min(level, usual)
 
 
 def _doubted(pose: Pose, other: Pose) -> Pose:

@@ -23,6 +23,7 @@ from frictrack.tracking.measure import MISFITS, unexplained
 from frictrack.tracking.pose import Pose, TurnedPicture, derotated, refine_pose, turned_back
 from frictrack.tracking.refine import Fine
 from frictrack.tracking.template import Template
+from frictrack.tracking.waves import EDGE
 
 Progress = Callable[[int, int, str], None]
 
@@ -32,10 +33,12 @@ BETTER = 0.15  # by this much must a turned picture match better than the uprigh
 REACH = 24  # px searched round the prediction
 NEAR = 0.8  # of the usual score: a match near the prediction that is as good ends the search
 SMALL, LARGE = 20, 400_000  # px of a target's shorter side, and of a picture, to which they are reduced for searching
+NEARBY = 3  # frames from the last find, over which a prediction is trusted
 LEAST_SHOWN = 0.8  # of the target's rectangle that must lie within the picture
 FORGOTTEN = 8  # frames without a find after which the whole picture is searched in every eighth frame only
 MIN_FRAMES, TEACHING = 24, 60  # frames that teach the picture, at least and at most
-ROUNDS = 2  # of learning the picture and measuring those frames again
+SMOOTH = 0.25  # cycles/px, beyond which a single frame does not tell the picture
+ROUNDS = 3  # of learning the picture and measuring those frames again
 JUDGED, CLEAR = 24, 0.1  # frames whose misfit is the usual one: this quantile of it, as many may be partly hidden
 
 
@@ -116,7 +119,9 @@ class _Turning:
                 frame = self.film.frame(i)
             except FrictrackError:
                 continue
-            pose, track.reason[i] = self._found(frame, i, known)
+            pose, reason = self._found(frame, i, known)
+            gone = pose is None and i != frames.start and track.reason[i - frames.step] == LEAVES
+            track.reason[i] = LEAVES if gone else reason
             if pose is not None:
                 track.poses[i] = pose
                 known = [*known[-1:], (i, pose)]
@@ -127,7 +132,8 @@ class _Turning:
         if frame.min() == frame.max():
             return None, FLAT
         predicted = _predicted(i, known)
-        pose = refine_pose(frame, predicted, self.picture, self.misfit)
+        trusted = len(known) > 1 and abs(i - known[-1][0]) <= NEARBY
+        pose = refine_pose(frame, predicted, self.picture, self.misfit, trusted=trusted)
         if not self._good(pose):
             age = abs(i - known[-1][0])
             everywhere = age <= FORGOTTEN or i % FORGOTTEN == 0
@@ -273,6 +279,16 @@ def follow_turning(
     return _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
 
 
+def follow_known(
+    film: Recording, template: Template, start: Array, first: int, progress: Progress | None = None
+) -> Followed:
+    """The same with a picture that another film has taught."""
+    begin = Pose(np.asarray(start, dtype=np.float64) + TurnedPicture(template).middle, 0.0, offset=template.level)
+    rough = _Turning(film, template).follow(begin, first, progress)
+    usual = _usual_misfit(film, rough, template, first)
+    return _Turning(film, template, usual).follow(rough.poses[first] or begin, first, progress).as_followed()
+
+
 def _usual_misfit(film: Recording, rough: TurnedTrack, template: Template, first: int) -> float:
     """Misfit of frames that show nothing but target and noise: that of the better ones."""
     found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
@@ -290,12 +306,22 @@ def _taught(film: Recording, rough: TurnedTrack, template: Template, first: int)
         return None
     rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, TEACHING).astype(int))]
     frames = [film.frame(i) for i in rows]
-    poses = [pose for i in rows if (pose := rough.poses[i]) is not None]
+    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], _smooth(template)
     for _ in range(ROUNDS):
         template = _learnt(frames, poses, TurnedPicture(template))
         picture = TurnedPicture(without_border(template))
         poses = [refine_pose(frame, pose, picture) for frame, pose in zip(frames, poses, strict=True)]
     return without_border(template)
+
+
+def _smooth(template: Template) -> Template:
+    """The picture without its shortest waves: of a single frame these are mostly noise, which learning would keep."""
+    frequency = [
+        np.arange(n) / (2 * (side - 1 + 2 * EDGE))
+        for n, side in zip(template.waves.shape, template.weight.shape, strict=True)
+    ]
+    passed = np.exp(-((np.hypot(frequency[0][:, None], frequency[1]) / SMOOTH) ** 4))
+    return replace(template, waves=template.waves * passed)
 
 
 def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> Template:
