@@ -189,10 +189,9 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
 
 def _with_own_noise(track: Track, template: int) -> Track:
     """The track in which frame `template`, which few frames were compared with, is no better known than these."""
-    sigma = {name: np.array(getattr(track, name)) for name in ("sigma_px", "sigma_y_px")}
-    for values in sigma.values():
-        values[template] = max(values[template], np.nanmedian(values))
-    return replace(track, **sigma)
+    sigma = np.stack([track.sigma_px, track.sigma_y_px])
+    sigma[:, template] = np.maximum(sigma[:, template], np.nanmedian(sigma, axis=1))
+    return replace(track, sigma_px=sigma[0], sigma_y_px=sigma[1])
 
 
 def _slow(sigma: Array) -> float:

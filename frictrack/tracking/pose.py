@@ -91,9 +91,9 @@ class TurnedPicture:
 def _sampled(n: int, count: int) -> tuple[Array, Array]:
     """Cosines of one axis and their slopes (m, count) at the points of the finer grid, which begins at -EDGE."""
     length = n - 1 + 2 * EDGE
-    q = np.pi * np.arange(count) / length
-    phase = q * (np.arange(int(length * FINE) + 1)[:, None] / FINE)
-    return np.cos(phase), -q * np.sin(phase)
+    q: Array = np.pi * np.arange(count, dtype=np.float64) / length
+    phase: Array = q * (np.arange(int(length * FINE) + 1)[:, None] / FINE)
+    return np.asarray(np.cos(phase)), np.asarray(-q * np.sin(phase))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,26 +183,26 @@ def _step(window: _Window, pose: Pose, picture: TurnedPicture, share: Array | No
     if np.count_nonzero(use) < 4 * UNKNOWNS:
         return pose, np.inf
     design, values, rate = columns[:, use], window.pixels.ravel()[use] - picture.template.level, weight[use]
-    normal = (design * rate) @ design.T
-    right = (design * rate) @ values
+    normal, right, power = (design * rate) @ design.T, (design * rate) @ values, float(values**2 @ rate)
     inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(UNKNOWNS))
     found = inverse @ right
     gain = max(float(found[0]), LEAST_GAIN)
     move = found[2:] / gain
-    limited = move / max(1.0, float(np.max(np.abs(move[:2]))), abs(float(move[2])) * picture.radius / 2)
-    left = max(float(values**2 @ rate - right @ found), 0.0)
-    misfit = left / max(np.count_nonzero(use) - UNKNOWNS, 1)
-    sigma = np.sqrt(misfit * np.diag(inverse)[2:].clip(0)) / gain
-    far = float(np.max(np.abs(move[:2])) + abs(move[2]) * picture.radius)
-    return Pose(
+    shift, turn = float(np.max(np.abs(move[:2]))), abs(float(move[2])) * picture.radius
+    limited = move / max(1.0, shift, turn / 2)
+    count = int(np.count_nonzero(use)) - UNKNOWNS  # positive, see above
+    misfit = max(power - float(right @ found), 0.0) / count
+    x, y, angle = (np.sqrt(misfit * np.diag(inverse)[2:].clip(0)) / gain).tolist()
+    better = Pose(
         centre=pose.centre + limited[:2],
         angle=pose.angle + float(limited[2]),
         gain=float(found[0]),
         offset=float(found[1]) + picture.template.level,
-        sigma=(float(sigma[0]), float(sigma[1]), float(sigma[2])),
-        score=_score(normal, right, float(values**2 @ rate)),
+        sigma=(x, y, angle),
+        score=_score(normal, right, power),
         misfit=misfit,
-    ), far
+    )
+    return better, shift + turn
 
 
 def _columns(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array, Array]:
