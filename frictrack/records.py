@@ -8,8 +8,8 @@ the numbers. A column is checked by its metadata: ``nan=True`` lets NaN mean "no
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,11 @@ class Table:
     def __len__(self) -> int:
         return len(self.t)  # type: ignore[attr-defined]
 
+    def rows(self, part: slice) -> Self:
+        """The same record with some of its rows."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata.get("column")}  # type: ignore[arg-type]
+        return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]
+
 
 @dataclass(frozen=True, eq=False)
 class Track(Table):
@@ -124,6 +129,17 @@ class Displacement(Table):
     shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, where it exceeds the noise
+
+    @property
+    def known(self) -> Mask:
+        """Frames (n,) in which x was measured."""
+        return np.asarray(self.valid & np.isfinite(self.x))
+
+    @property
+    def span(self) -> slice:
+        """From the first to the last frame in which x was measured; all frames where these are fewer than two."""
+        frames = np.flatnonzero(self.known)
+        return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) > 1 else slice(0, len(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +241,7 @@ GRAVITY = 9.80665  # m/s^2, standard
 class Run:
     """One recorded slide: its motion and what is known of the slider.
 
+    The run covers the frames of `motion`: what the displacement, `drive` and `friction_N` hold beyond them is cut off.
     `drive` and `friction_N` are given at the frames of `displacement`. `free` overrides the free section.
     `pixel_pitch` (m) belongs to the displacement. Without `mass`, it is fitted
     where the drive is measured; otherwise only measured friction can be identified.
@@ -250,6 +267,7 @@ class Run:
 
     def __post_init__(self) -> None:
         faults = []
+        self._cut_to_motion()
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
             faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
         if self.mass is None and self.friction_N is None and self.drive is None:
@@ -266,6 +284,18 @@ class Run:
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
         gather(faults, f'run "{self.name}"')
+
+    def _cut_to_motion(self) -> None:
+        """Leave out the frames before the first and after the last one that the motion covers."""
+        n, first = len(self.displacement), int(np.searchsorted(self.displacement.t, self.motion.t[0]))
+        part = slice(first, first + len(self.motion))
+        if len(self.motion) == n or not np.array_equal(self.displacement.t[part], self.motion.t):
+            return
+        object.__setattr__(self, "displacement", self.displacement.rows(part))
+        for name in ("drive", "friction_N"):
+            value = getattr(self, name)
+            if np.shape(value) == (n,):
+                object.__setattr__(self, name, np.asarray(value)[part])
 
     @property
     def pixel_pitch(self) -> float | None:

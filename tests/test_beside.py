@@ -15,9 +15,10 @@ from runs import BASE, FPS, HIDDEN, Spec, measured, study
 from frictrack import effects, models
 from frictrack.fit import fit
 from frictrack.fit.heldout import UNSEEN, heldout_rms
+from frictrack.fit.simulated.begin import reference_of
 from frictrack.fit.simulated.beside import beside
 from frictrack.fit.simulated.growth import grow, simulated
-from frictrack.fit.simulated.pieces import pieces_of, reference_of
+from frictrack.fit.simulated.pieces import pieces_of
 from frictrack.fit.simulated.scan import families, one_series, scan
 from frictrack.fit.simulated.solve import refine
 from frictrack.fit.simulated.traced import traced

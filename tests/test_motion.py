@@ -184,13 +184,12 @@ def test_missing_rows_and_invalid_rows_mean_the_same(rng):
     assert np.all(low_pass(displacement(t, x, valid=valid)).sigma_x[~valid] == MISSING)
 
 
-def test_lost_target_at_the_ends_widens_the_deviation(rng):
+def test_lost_target_at_the_ends_has_no_motion_there(rng):
     t = np.arange(600) / FPS
     valid = (np.arange(600) > 40) & (np.arange(600) < 500)
     x = 3 * t - 10 * t**2 + rng.normal(size=600) * NOISE
     motion = differentiate(low_pass(displacement(t, x, valid=valid)))
-    assert motion.sigma_x[-1] > 2 * motion.sigma_x[450]
-    assert motion.sigma_x[0] > 1.1 * motion.sigma_x[45]
+    np.testing.assert_array_equal(motion.t, t[valid])
 
 
 def test_better_frames_count_more_and_the_level_comes_from_the_data(rng):

@@ -26,8 +26,9 @@ from frictrack.fit.series import (
     solve_series,
     spans_of_series,
 )
+from frictrack.fit.simulated.begin import Reference, reference_of
 from frictrack.fit.simulated.growth import grow, without
-from frictrack.fit.simulated.pieces import Piece, Reference, reference_of, sections_of, spans_of
+from frictrack.fit.simulated.pieces import Piece, sections_of, spans_of
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.segments import divided, segment_frames
 from frictrack.fit.simulated.solve import refine

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.pieces import Piece, Reference, whole_piece
+from frictrack.fit.simulated.begin import Reference
+from frictrack.fit.simulated.pieces import Piece, whole_piece
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.unknowns.mass import friction_law
 from frictrack.models import Model, Values

@@ -16,7 +16,7 @@ from frictrack.fit.freerun import FreeRun, free_errors, free_run
 from frictrack.fit.heldout import heldout_rms
 from frictrack.fit.modelled import bands, modelled
 from frictrack.fit.routes import Found, Route
-from frictrack.fit.simulated.pieces import Reference
+from frictrack.fit.simulated.begin import Reference
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.sure.certainty import Certainty

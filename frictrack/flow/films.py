@@ -159,7 +159,7 @@ def early_plane(work: RunWork) -> PlaneMap | None:
 
 
 def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
-    """The displacement, without camera shake and on a true time base."""
+    """The displacement from the first to the last frame that shows the target, without shake, on a true time base."""
     from frictrack.tracking import aligned  # noqa: PLC0415
 
     run, anchor = work.run, work.anchor
@@ -176,6 +176,7 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
         x_offset=run.x_offset,
     )
     made = screened(made, numbers)
+    made = made.rows(made.span)
     left = left_of_shake(tracks.get(REFERENCE), least)
     if left is None or made.pixel_pitch is None:
         return made

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.flow.films import BACKWARD
 from frictrack.flow.stages import RunWork
 from frictrack.records import Array, Run, Track
 
+SAME_TIME = 1e-9  # s
 FEWEST = 8  # frames from which it is told what rides on the mass
 HALF = 0.5  # of the way of the mass: what goes farther with it rides on it
 ALIKE = 0.02  # of its motion that may be another one
@@ -39,15 +41,23 @@ def seen_beside(works: Sequence[RunWork]) -> dict[str, dict[str, Array]]:
 
 def _of_target(name: str, track: Track, record: Run) -> dict[str, Array]:
     """Both directions of a target's picture, m (px where no scale is known); nothing of what rides on the mass."""
-    if len(track) != len(record.displacement) or not np.any(track.found):
+    rows = _frames(track, record)
+    if rows is None or not np.any(track.found[rows]):
         return {}
     pitch = record.pixel_pitch or 1.0
-    if _rides(np.stack([pitch * track.x_px, pitch * track.y_px], axis=1), record.displacement.x):
+    x, y = pitch * track.x_px[rows], pitch * track.y_px[rows]
+    if _rides(np.stack([x, y], axis=1), record.displacement.x):
         return {}
-    return {
-        f"the {name}, right": pitch * (track.x_px - np.nanmean(track.x_px)),
-        f"the {name}, up": -pitch * (track.y_px - np.nanmean(track.y_px)),
-    }
+    return {f"the {name}, right": x - np.nanmean(x), f"the {name}, up": -(y - np.nanmean(y))}
+
+
+def _frames(track: Track, record: Run) -> NDArray[np.int64] | None:
+    """Rows of a track that are the frames of a run; None where the run's times are others."""
+    t = record.displacement.t
+    if len(track) == len(t):
+        return np.arange(len(t))
+    rows = np.searchsorted(track.t, t - SAME_TIME).clip(0, len(track) - 1)
+    return rows if np.allclose(track.t[rows], t, rtol=0, atol=SAME_TIME) else None
 
 
 def _rides(place: Array, x: Array) -> bool:

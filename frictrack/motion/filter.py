@@ -60,7 +60,7 @@ def low_pass(
     method: str = STRUCTURAL,
     acceleration: KnownAcceleration | None = None,
 ) -> Filtered:
-    """Low-pass a displacement and bridge its missing frames.
+    """Low-pass a displacement and bridge its missing frames, from the first to the last frame that was measured.
 
     By default x and y are each parted into a trend, lines and events of the highest restricted likelihood, and the
     noise level is estimated along with them; the standard deviations that come with the displacement count
@@ -72,9 +72,12 @@ def low_pass(
     Raises FrictrackError for too few valid frames, a position that never changes, uneven time stamps, an unknown
     method, and a cut-off that is not between 0 and half the frame rate.
     """
-    grid = frame_grid(displacement.t)
-    known = displacement.valid & np.isfinite(displacement.x)
+    known = displacement.known
     _check_position(displacement.x[known], len(known))
+    span = displacement.span
+    displacement, known = displacement.rows(span), known[span]
+    acceleration = acceleration and acceleration.rows(span)
+    grid = frame_grid(displacement.t)
     _check_cutoff(cutoff, grid)
     _check_method(method, cutoff)
     along = _Coordinate(displacement.x, displacement.sigma_x, known, grid)

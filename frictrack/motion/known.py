@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from frictrack.records import Array
 
 
@@ -16,3 +18,8 @@ class KnownAcceleration:
 
     a: Array
     sigma: float | Array
+
+    def rows(self, part: slice) -> KnownAcceleration:
+        """The same at some of the frames."""
+        sigma = self.sigma if np.ndim(self.sigma) == 0 else np.asarray(self.sigma)[part]
+        return KnownAcceleration(self.a[part], sigma)

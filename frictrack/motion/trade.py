@@ -30,8 +30,8 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
     The one that was used is marked: the one given, else that of the highest likelihood for a plain low-pass, which the
     force domain uses. Warnings name vibrations and events that lie above it.
     """
-    grid = frame_grid(displacement.t)
-    known = displacement.valid & np.isfinite(displacement.x)
+    displacement = displacement.rows(displacement.span)
+    grid, known = frame_grid(displacement.t), displacement.known
     w = grid.spread(weights(displacement.sigma_x, known))
     best = low_pass(displacement) if filtered.asked else filtered
     y, signal = grid.spread(np.where(known, displacement.x, 0.0)), grid.spread(best.x)

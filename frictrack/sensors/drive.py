@@ -27,7 +27,7 @@ def align_drive(
     of the parts of the record. Frames at rest, where friction is whatever holds, and those after `until` (s) do not
     count. `offset` (s) is kept where it is given.
     """
-    frames = second_differences(displacement)
+    frames = second_differences(displacement.rows(displacement.span))
     moving = _moving(frames, motion) & (frames.ends()[1] <= until)
     frames = frames.take(moving)
     return align(Problem(frames, series, _friction(frames, motion)), offset)

@@ -14,11 +14,14 @@ from frictrack.records import Array, Track
 from frictrack.tracking.checks import key_frames
 from frictrack.tracking.finding import Target, resolve
 from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
+from frictrack.tracking.hidden import measure_hidden
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.sharp import drawn_to_pixels
+from frictrack.tracking.template import Template
+from frictrack.tracking.turned import follow_known, follow_turning, turns
 
 Progress = Callable[[int, int, str], None]
 
@@ -52,12 +55,13 @@ def track(
     with opened(recording, once=_once(target, template, known)) as film:
         if known is None:
             rectangle, template, followed, lesson = _studied(film, target, template, progress)
-            rows = np.flatnonzero(followed.found)
+            rows = np.flatnonzero(followed.found & ~lesson.turns)
         else:
             rectangle, template, lesson = *_placed(film, target, template, known), known
-            followed = Follower(film, known.template).follow(np.array(rectangle[:2]), template, progress)
+            follow = follow_known if known.turns else _followed
+            followed = follow(film, known.template, np.array(rectangle[:2]), template, progress)
             rows = np.flatnonzero(followed.found & (known.view is not None))
-        measured = _measured(film, followed, rows, lesson, progress)
+        measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
     if np.count_nonzero(result.found) < 2:
@@ -65,6 +69,7 @@ def track(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
+    result = _with_own_noise(result, template)
     coded = () if change is None else key_frames(change, result.x_px, result.y_px)
     return replace(result, template=template, picture=lesson.template.image, notes=(*result.notes, *coded))
 
@@ -96,7 +101,15 @@ def _studied(
         )
     first = first_look(cut)
     followed = Follower(film, first).follow(np.array([x, y]), template, progress)
+    if turns(film, followed, first, np.array([x, y]), template):
+        turned = follow_turning(film, first, np.array([x, y]), template, progress)
+        return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
     return rectangle, template, followed, taught(film, followed, first)
+
+
+def _followed(film: Recording, known: Template, start: Array, template: int, progress: Progress | None) -> Followed:
+    """Track of a target that does not turn, from its corner `start` (2,) in frame `template`."""
+    return Follower(film, known).follow(start, template, progress)
 
 
 def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tuple[Rectangle, int]:
@@ -129,6 +142,7 @@ def _measured(
         followed.corner[part] = corner
         if progress:
             progress(at, len(rows), "measure")
+    measure_hidden(film, followed, lesson)
     found = np.flatnonzero(followed.found)
     followed.reason[found] = _reasons(followed, found, room)
     return followed
@@ -171,6 +185,13 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         systematic=_slow(fine.sigma[found, 0]),
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
+
+
+def _with_own_noise(track: Track, template: int) -> Track:
+    """The track in which frame `template`, which few frames were compared with, is no better known than these."""
+    sigma = np.stack([track.sigma_px, track.sigma_y_px])
+    sigma[:, template] = np.maximum(sigma[:, template], np.nanmedian(sigma, axis=1))
+    return replace(track, sigma_px=sigma[0], sigma_y_px=sigma[1])
 
 
 def _slow(sigma: Array) -> float:

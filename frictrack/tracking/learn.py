@@ -19,6 +19,7 @@ from frictrack.tracking.template import Template
 from frictrack.tracking.waves import BAND, Shifts, shifts
 
 CONJUGATE_STEPS = 15
+RIM, LARGE = 2, 16  # px of a single frame's border that do not count, in targets of this side; else one
 ALIKE = 16  # neighbouring waves along either axis that share what is expected of them
 LARGEST_DOUBT = 10.0  # over what the frames show of a wave: more would only slow the conjugate gradients
 CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
@@ -40,6 +41,15 @@ def first_look(cut: Patch) -> Template:
     still = grid.design(np.zeros((1, 2)))[0]
     waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
     return Template(waves, weight, level)
+
+
+def without_border(template: Template) -> Template:
+    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen."""
+    shape = template.weight.shape
+    rim = [RIM if side >= LARGE else 1 for side in shape]
+    counts = np.zeros(shape)
+    counts[rim[0] : shape[0] - rim[0], rim[1] : shape[1] - rim[1]] = 1.0
+    return replace(template, weight=template.weight * counts)
 
 
 def learn(

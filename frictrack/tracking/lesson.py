@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Followed
-from frictrack.tracking.learn import learn
+from frictrack.tracking.learn import learn, without_border
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
@@ -21,6 +21,7 @@ from frictrack.tracking.view import Sums, View, view_of
 
 FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
 BYTES = 32_000_000  # of cut-outs held at once
+MIN_FRAMES = 12  # fewer make a template whose own noise is larger than that of a single frame's
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
@@ -53,13 +54,13 @@ class _Found:
 def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     """Template, view and noise from frames spread over the path of a first, rougher track."""
     rows = spread(followed, template.weight.size)
-    if len(rows) < 3:
-        return Lesson(template)
+    if len(rows) < MIN_FRAMES:
+        return Lesson(without_border(template))
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
     seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(template)))
+    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template))))
     view, path = None, _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < 3:
@@ -99,8 +100,8 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     """What the rounds have come to, and by how much the noise's deviations are too small."""
     fine, template, share = found.fine, found.template, found.share
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
-    few = np.flatnonzero(found.good)
-    few = few[:: max(1, len(few) // TRUST_FRAMES)]
+    taught_by = np.flatnonzero(found.good)
+    few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
     shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
     return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
 

@@ -7,6 +7,7 @@ A frame whose residual picture holds more than noise is measured again with the 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,10 @@ AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
 TRUSTED = 2.0  # times the usual noise: what a prediction may be off by
+BORDERS = 2, 6  # px of border left out in any case, and at most
+CHANCE = 2.0  # standard deviations of the misfit that ask for more
+BORDERLESS = 0.5  # of the least that must still count, without borders
+FEW = 0.02  # of the pixels: fewer that do not fit are noise, and have no border
 MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
@@ -35,6 +40,7 @@ class Lesson:
     view: View | None = None
     usual: float = np.nan  # nan: that of the frames at hand
     inflation: Array = field(default_factory=lambda: np.ones(2))  # of the standard deviations, see `trust`
+    turns: bool = False  # the target turns by more than small rotations
 
 
 def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> tuple[Fine, Patch | None]:
@@ -77,7 +83,7 @@ def without_what_does_not_fit(
         left = residual(cuts, fine, template)
         if k or np.isnan(usual):
             scale = _scale(left, share)
-        share = given * _fits(left / scale[:, None, None].astype(np.float32), given)
+        share = given * fits(left / scale[:, None, None].astype(np.float32), given)
         enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
         start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
         share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
@@ -85,7 +91,32 @@ def without_what_does_not_fit(
         lost = ~better.settled  # what went nowhere is no ground to stand on: the last place is
         better.put(lost, replace(fine[lost], settled=better.settled[lost]))
         fine = better
+    if not np.isnan(usual):
+        fine, share = _without_borders(cuts, fine, template, share, given, usual)
+        enough &= share.mean(axis=(1, 2)) > BORDERLESS * LEAST_LEFT * float(counts.mean())
     return replace(fine, settled=fine.settled & enough), share
+
+
+def _without_borders(
+    cuts: Patch, fine: Fine, template: Template, share: Patch, given: Patch, usual: float
+) -> tuple[Fine, Patch]:
+    """Leave out what lies round what was left out, and more of it as long as the rest misfits by more than chance.
+
+    The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
+    draws the place along.
+    """
+    out = share.copy()
+    hidden = np.mean(out < 0.5 * given, axis=(1, 2)) > FEW
+    for k in range(BORDERS[1]):
+        chance = CHANCE * np.sqrt(2 / np.maximum(out.sum(axis=(1, 2)), 1.0))
+        rows = np.flatnonzero(hidden & fine.settled & ((k < BORDERS[0]) | (fine.misfit > usual * (1 + chance))))
+        if len(rows) == 0:
+            break
+        out[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in out[rows]]
+        start = np.clip(fine[rows].turned_back(), -RANGE, RANGE)
+        better = refine(products(cuts[rows], template, out[rows]), start, template)
+        fine.put(rows, better)
+    return fine, out
 
 
 def _scale(left: Patch, share: Patch) -> Array:
@@ -94,6 +125,11 @@ def _scale(left: Patch, share: Patch) -> Array:
         1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0 for p, s in zip(left, share, strict=True)
     ]
     return np.maximum(scale, 1e-6)
+
+
+def unexplained(score: Any, misfit: Any, usual: float) -> Any:
+    """Share of a picture's variance that neither the target nor the usual noise explains; numbers or arrays."""
+    return (1 - score**2) * (1 - usual / np.maximum(misfit, usual))
 
 
 def residual(cuts: Patch, fine: Fine, template: Template) -> Array:
@@ -110,7 +146,7 @@ def modelled(fine: Fine, template: Template) -> Array:
     return np.asarray(weights @ template.pictures.astype(np.float32))
 
 
-def _fits(rated: Patch, given: Patch) -> Patch:
+def fits(rated: Patch, given: Patch) -> Patch:
     """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours; `rated` in standard deviations."""
     fits = np.empty_like(rated)
     for k, picture in enumerate(rated):

@@ -74,11 +74,12 @@ class Bench(Generic[Shown]):
         """What lies over the picture: tracks, and what the study file says of target, reference and ruler."""
         results = self.desk.results.runs if self.desk.results else ()
         measured = next((r for r in results if r.name == run.name), None)
-        first = next((r["first"] for r in self.scene.runs if r["name"] == run.name), 0)
+        rows = next((r for r in self.scene.runs if r["name"] == run.name), {"first": 0, "frame": 0})
         ruler = run.scale.get("points") if isinstance(run.scale, dict) and "length" in run.scale else None
         drawn = {"target": run.target, "reference": run.reference, "ruler": ruler}
         shapes = {key: [*shape] for key, shape in drawn.items() if isinstance(shape, tuple | list)}
-        return {"first": first, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
+        where = {key: rows[key] for key in ("first", "frame")}
+        return {**where, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
 
     def _selected(self, chosen: dict[str, Any]) -> None:
         if chosen.get("middle") is not None:

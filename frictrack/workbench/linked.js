@@ -3,7 +3,7 @@
 //
 // In:  scene  what is drawn: {rows, columns: {key: [offset, length]}, runs: [{name, first, count, colour}], plots: [...]}
 //      data   the columns, Float32 little endian, one after the other; those of `rows` values are linked
-//      film   {frames, width, height, first, label, tracks: [{name, x, y, w, h, colour}], shapes: {tool: [...]}} or {}
+//      film   {frames, width, height, first, frame, label, tracks: [{name, x, y, w, h, colour}], shapes: {tool: [...]}} or {}
 //      frame  4 bytes number of the frame (little endian), then its JPEG
 //      tool   what a drag on the film draws: "", "target", "reference", "ruler"
 // Out: selection {count, middle, per_run}, want {frame}, drawn {tool, shape}, moved {handle, span}; each with `seq`
@@ -477,7 +477,8 @@ class Film {
     const xs = this.bench.columns[track.x], ys = this.bench.columns[track.y], { mask } = this.bench.chosen || {};
     if (!xs) return;
     pen.fillStyle = CHOSEN;
-    for (let i = 0; mask && i < xs.length; i++) if (mask[this.film.first + i]) pen.fillRect(xs[i] - 1 / k, ys[i] - 1 / k, 2 / k, 2 / k);
+    const { first, frame } = this.film;
+    for (let i = frame; mask && i < xs.length; i++) if (mask[first + i - frame]) pen.fillRect(xs[i] - 1 / k, ys[i] - 1 / k, 2 / k, 2 / k);
     const x = xs[this.number], y = ys[this.number];
     if (Number.isNaN(x)) return;
     pen.strokeStyle = track.colour;
@@ -609,7 +610,7 @@ class Bench {
         words.push(`${label}: ${Number(column[this.cursor]).toPrecision(4)}`);
       }
     }
-    this.status.textContent = `${run ? `${run.name}, frame ${this.cursor - run.first} \u00b7 ` : ""}${words.join(" \u00b7 ")}`;
+    this.status.textContent = `${run ? `${run.name}, frame ${this.cursor - run.first + run.frame} \u00b7 ` : ""}${words.join(" \u00b7 ")}`;
   }
 }
 

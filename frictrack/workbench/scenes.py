@@ -42,7 +42,7 @@ class Scene:
     def place(self, row: int) -> tuple[str, int]:
         """Run and frame of a row."""
         run = next(r for r in self.runs if r["first"] <= row < r["first"] + r["count"])
-        return run["name"], row - run["first"]
+        return run["name"], row - run["first"] + run["frame"]
 
 
 def plot(title: str, x: tuple[str, str], y: str, *layers: Mapping[str, Any], **more: Any) -> dict[str, Any]:
@@ -120,6 +120,13 @@ def places(run: RunResults) -> dict[str, Array]:
     return {on_film(name, axis, run): q for name, place in found.items() for axis, q in place.items()}
 
 
+def first_frame(run: RunResults) -> int:
+    """Number of the film's frame with which the motion of a run begins."""
+    if run.track is None:
+        return 0
+    return int(np.searchsorted(run.track.t, run.motion.t[0] - 0.5 * np.median(np.diff(run.track.t))))
+
+
 def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scene:
     """Displacement, velocity, acceleration and friction of one run with their bands; the free section has handles.
 
@@ -158,7 +165,7 @@ def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scen
         columns["F"] = f.F
         layer = _around(columns, "F", f.F, f.sigma_F)
         shown.insert(3, plot("Friction force", time, "F / N", *shade, layer, line("F", MEASURED), brush="x", **near))
-    return Scene(len(m), columns, shown, [_run(run, 0, len(m))])
+    return Scene(len(m), columns, shown, [_run(run, 0, len(m), frame=first_frame(run))])
 
 
 def _free(run: RunResults) -> tuple[float, float] | None:
@@ -184,7 +191,10 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
     now = dots("left", by_run=True, main=True)
     behind = [dots("ghost", "#bbbbbb", label=_called(ghost))] if ghost is not None else []
     noise = band("noise_low", "noise_high", label="noise")
-    looks = [_run(run, int(firsts[i]), len(run.motion), RUNS[i % len(RUNS)]["color"]) for i, run in enumerate(runs)]
+    looks = [
+        _run(run, int(firsts[i]), len(run.motion), RUNS[i % len(RUNS)]["color"], frame=first_frame(run))
+        for i, run in enumerate(runs)
+    ]
     order = {look["name"]: (i, look["colour"]) for i, look in enumerate(looks)}
     marks = [
         span(1e3 * s["t"][0], 1e3 * s["t"][1], order[s["run"]][1], foot=order[s["run"]][0])
@@ -252,5 +262,6 @@ def _at(t: Array, some: Array) -> Any:
     return np.clip(np.searchsorted(t, some - 1e-9), 0, len(t) - 1)
 
 
-def _run(run: RunResults, first: int, count: int, colour: str = MEASURED) -> dict[str, Any]:
-    return {"name": run.name, "first": first, "count": count, "colour": colour}
+def _run(run: RunResults, first: int, count: int, colour: str = MEASURED, frame: int = 0) -> dict[str, Any]:
+    """What the page is given of a run: its rows, and the number of the film's frame that the first of them is."""
+    return {"name": run.name, "first": first, "count": count, "colour": colour, "frame": frame}

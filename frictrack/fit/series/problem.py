@@ -15,11 +15,12 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.pieces import Begin, Piece, Reference, _path, begin_of
+from frictrack.fit.simulated.begin import Begin, Reference, begin_of
+from frictrack.fit.simulated.pieces import Piece, _path
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section, is_moving
-from frictrack.models import Model, Values
+from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
 from frictrack.simulate.dynamics import Linear, Motion6, Panels
@@ -82,7 +83,7 @@ class SeriesProblem(Problem):
         """None has a start that could be unknown."""
         return [np.zeros(0) for _ in self.pieces]
 
-    def _along(self, piece: Piece, motion: Motion6, level: float, values: Values) -> Path:
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
         """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
         return piece.along(motion.x, motion.v, level)
 

@@ -10,21 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from frictrack.calibration.shake import above_noise
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
+from frictrack.fit.simulated.begin import Begin, Reference, begin_of
 from frictrack.fit.simulated.swings import joined
-from frictrack.friction import CERTAIN, MOVING, free_section, is_moving, moving_sections, release_time
+from frictrack.friction import free_section, is_moving, moving_sections
 from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
 Rows = NDArray[np.int_]
 
-KNOWN = 0.5  # share of frames in which a series must be known to count
 MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
-RESTS = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
 
 
 @dataclass(frozen=True)
@@ -135,24 +133,6 @@ class Piece:
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
 
-@dataclass(frozen=True)
-class Reference:
-    """Mass and normal load at which newtons are quoted."""
-
-    mass: float
-    load: float
-
-
-def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
-    """The reference: the study's mass, else the first run's, and the load that goes with it."""
-    first = runs[0]
-    if first.mass is None:
-        return Reference(mass or 1.0, 1.0)
-    mass = mass or first.mass
-    load = first.normal_load or mass * GRAVITY * float(np.cos(first.incline))
-    return Reference(mass, load)
-
-
 def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning: bool = False) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
@@ -241,58 +221,6 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
     return relative
 
 
-@dataclass(frozen=True)
-class Begin:
-    """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
-
-    reference: Reference
-    release: float
-    way: Array  # t, x, v (3, k)
-    slid: Array  # m since release, (k,)
-    per_frame: int
-    angle: Array | None  # rad in every frame of the run, as far as it stands out of its noise
-
-
-def begin_of(run: Run, reference: Reference) -> Begin:
-    """What the pieces of a run share."""
-    return Begin(reference, *_way(run), 1, _turned(run.motion.t, run.displacement.angle))
-
-
-def _way(run: Run) -> tuple[float, Array, Array]:
-    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,).
-
-    A run that was seen to rest before begins with that rest: what remembers knows that nothing had moved.
-    """
-    release, motion = release_time(run), run.motion
-    moves, since = is_moving(run), motion.t >= release
-    way = np.stack([motion.t - release, motion.x, motion.v])
-    if rest := _rest(run):
-        way[1:, :rest] = np.array([[np.mean(motion.x[:rest])], [0.0]])
-        since[:rest] = True
-    way = way[:, since]
-    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
-    if rest:  # it rested before the record, too
-        earlier = np.array([2 * way[0, 0] - way[0, 1], way[1, 0], 0.0])
-        way, slid = np.column_stack([earlier, way]), np.append(0.0, slid)
-    return release, way, slid
-
-
-def _rest(run: Run) -> int:
-    """Frames at the beginning of a record in which a free mass rests; none where it slides from the first one.
-
-    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain. What a load
-    cell holds may rest under any force.
-    """
-    if run.friction_N is not None:
-        return 0
-    motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
-    still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
-    rows = still if len(still) else np.array([0])
-    v, sigma = motion.v[rows], motion.sigma_v[rows]
-    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
-    return int(rows[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
-
-
 def _until(way: Array, t: float) -> Array:
     """The part of a motion (3, k) up to a time."""
     return way[:, : int(np.searchsorted(way[0], t, side="right"))]
@@ -378,21 +306,6 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
         return np.asarray(series(np.clip(t, times[0], times[-1])))
 
     return at
-
-
-def _turned(times: Array, angle: Array) -> Array | None:
-    """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
-
-    One frame's pixels give place and angle together: with its noise the angle would follow that of the place. Where
-    nothing stands out the target rests, at whatever angle: that is no angle at all.
-    """
-    known = np.isfinite(angle)
-    if np.mean(known) <= KNOWN:
-        return None
-    bridged = np.interp(times, times[known], angle[known])
-    middle = float(np.mean(bridged))
-    turned = above_noise(bridged - middle, times)[0]
-    return middle + turned if turned.any() else turned
 
 
 def _read(times: Array, series: Array | None, t: Array) -> Array | None:

@@ -121,8 +121,8 @@ def driving(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
             if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE * e.std:
                 yield (
                     f"{effect.name}.{p.name} = {e.value:.3g} {e.unit} is negative: this force would drive the mass. "
-                    "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a drive "
-                    "that was not given"
+                    "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a "
+                    "drive that was not given"
                 )
 
 

@@ -1,0 +1,100 @@
+"""Collect what the pieces of one run share: units of reference, release, and the motion since then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.calibration.shake import above_noise
+from frictrack.friction import CERTAIN, MOVING, is_moving, release_time
+from frictrack.records import GRAVITY, Array, Run
+
+KNOWN = 0.5  # share of frames in which a series must be known to count
+RESTS = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Mass and normal load at which newtons are quoted."""
+
+    mass: float
+    load: float
+
+
+def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
+    """The reference: the study's mass, else the first run's, and the load that goes with it."""
+    first = runs[0]
+    if first.mass is None:
+        return Reference(mass or 1.0, 1.0)
+    mass = mass or first.mass
+    load = first.normal_load or mass * GRAVITY * float(np.cos(first.incline))
+    return Reference(mass, load)
+
+
+@dataclass(frozen=True)
+class Begin:
+    """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
+
+    reference: Reference
+    release: float
+    way: Array  # t, x, v (3, k)
+    slid: Array  # m since release, (k,)
+    per_frame: int
+    angle: Array | None  # rad in every frame of the run, as far as it stands out of its noise
+
+
+def begin_of(run: Run, reference: Reference) -> Begin:
+    """What the pieces of a run share."""
+    return Begin(reference, *_way(run), 1, _turned(run.motion.t, run.displacement.angle))
+
+
+def _way(run: Run) -> tuple[float, Array, Array]:
+    """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,).
+
+    A run that was seen to rest before begins with that rest: what remembers knows that nothing had moved.
+    """
+    release, motion = release_time(run), run.motion
+    moves, since = is_moving(run), motion.t >= release
+    way = np.stack([motion.t - release, motion.x, motion.v])
+    if rest := _rest(run):
+        way[1:, :rest] = np.array([[np.mean(motion.x[:rest])], [0.0]])
+        since[:rest] = True
+    way = way[:, since]
+    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way[1])) * moves[since][1:])])
+    if rest:  # it rested before the record, too
+        earlier = np.array([2 * way[0, 0] - way[0, 1], way[1, 0], 0.0])
+        way, slid = np.column_stack([earlier, way]), np.append(0.0, slid)
+    return release, way, slid
+
+
+def _rest(run: Run) -> int:
+    """Frames at the beginning of a record in which a free mass rests; none where it slides from the first one.
+
+    The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain. What a load
+    cell holds may rest under any force.
+    """
+    if run.friction_N is not None:
+        return 0
+    motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
+    still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
+    rows = still if len(still) else np.array([0])
+    v, sigma = motion.v[rows], motion.sigma_v[rows]
+    at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
+    return int(rows[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
+
+
+def _turned(times: Array, angle: Array) -> Array | None:
+    """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
+
+    One frame's pixels give place and angle together: with its noise the angle would follow that of the place. Where
+    nothing stands out the target rests, at whatever angle: that is no angle at all.
+    """
+    known = np.isfinite(angle)
+    if np.mean(known) <= KNOWN:
+        return None
+    bridged = np.interp(times, times[known], angle[known])
+    middle = float(np.mean(bridged))
+    turned = above_noise(bridged - middle, times)[0]
+    return middle + turned if turned.any() else turned
