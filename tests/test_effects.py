@@ -234,8 +234,8 @@ def test_get_finds_kinds_instances_and_orders():
         ("textur", 'expected the name of an effect but got "textur"; did you mean "texture"?'),
         ("atm3", 'did you mean "atm2"?'),
         ("zzz", "known are coulomb, stribeck, viscous"),
-        ("vibration:x", 'expected a number after the colon but got "vibration:x"'),
-        ("vibration:0", "expected a number after the colon"),
+        ("vibration:x", 'expected a number up to 99 after the colon but got "vibration:x"'),
+        ("vibration:0", "expected a number up to 99 after the colon"),
     ],
 )
 def test_a_wrong_name_is_answered_with_the_nearest_right_one(name, said):
