@@ -107,10 +107,10 @@ class _Turning:
         n = self.film.n_frames
         track = TurnedTrack([None] * n, np.full(n, UNREAD, dtype=object), self.picture.template)
         for frames in (range(first, n), range(first - 1, -1, -1)):
-            self._along(frames, start, track, progress)
+            self._follow_frames(frames, start, track, progress)
         return track
 
-    def _along(self, frames: range, start: Pose, track: TurnedTrack, progress: Progress | None) -> None:
+    def _follow_frames(self, frames: range, start: Pose, track: TurnedTrack, progress: Progress | None) -> None:
         known: list[tuple[int, Pose]] = [(frames.start - frames.step, start)] if len(frames) else []
         for done, i in enumerate(frames):
             if progress and done % 16 == 0:
