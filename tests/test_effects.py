@@ -474,3 +474,29 @@ def test_an_effect_says_what_its_runs_lack(name, said):
 
 def test_only_those_effects_need_something():
     assert {e.name for e in ALL if e.needs} == {*KNOWN, "peak_locking"}
+
+
+def test_the_scan_of_a_beam_is_bounded_for_long_runs_and_whole_for_short_ones():
+    beam = LIBRARY["beam_vibration"]
+    counts = []
+    for duration in (0.15, 1.0, 5.0):
+        span = replace(SPAN, duration=duration, clamp_x=-0.1)
+        counts.append([len(p.scan(span)) for p in beam.nonlinear if p.scan is not None])
+    (_, *short), middle, long = counts
+    assert short == [13, 3]
+    assert np.prod(middle) <= 6000
+    assert long[1:] == [4, 2]
+
+
+def test_beams_that_differ_in_frequency_share_their_way():
+    beam, one = LIBRARY["beam_vibration"], path_of()
+    n, forms = len(one.t), [(40.0, 0.8, 0.9), (55.0, 0.8, 0.9), (40.0, 0.2, 1.4)]
+    names = ("frequency", "r", "beam_length")
+    series = {name: np.tile(getattr(one, name), 3) for name in ("t", "x", "v", "s")}
+    before = np.stack([[-0.02, -0.01], [-0.03, -0.025], [0.1, 0.2]])
+    long = replace(one, **series, before=before, starts=(0, n, 2 * n))
+    values = {name: np.repeat([form[k] for form in forms], n) for k, name in enumerate(names)}
+    made = beam.columns(long, values | {"phase": 0.3})
+    single = replace(one, before=before)
+    each = [beam.columns(single, dict(zip(names, form, strict=True)) | {"phase": 0.3}) for form in forms]
+    np.testing.assert_allclose(made, np.concatenate(each), atol=1e-11)

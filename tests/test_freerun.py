@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack import models
 from frictrack.compare import compare
+from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.simulate.slide import Conditions, Start, followed, is_smooth, simulate
 
@@ -133,3 +134,10 @@ def test_forty_thousand_frames_are_followed_in_seconds():
     assert time.process_time() - begin < 60  # 10 s on a processor of 2024
     n = 3000
     np.testing.assert_allclose(made[:n], oscillator(t[:n])[0], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_what_a_swinging_spring_lacks_is_named_as_hysteresis():
+    found = diagnose(fit("viscous,spring", [swinging(1500, sigma=8e-6)]))
+    assert found.missing[0] == "bouc_wen"
+    assert found.best.parameters["alpha"]["value"] == pytest.approx(ALPHA, rel=0.1)

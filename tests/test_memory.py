@@ -65,6 +65,53 @@ def test_without_an_exponent_a_contact_is_elastic_up_to_slip():
     np.testing.assert_allclose(w, np.array(truth)[::50], atol=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("gamma", "ratio"),
+    [(800.0, -1.375), (8e3, 0.0), (3e4, 0.5), (3e4, -0.9), (5e3, -2.0), (1e4, 1.0)],
+    ids=["benchmark", "dahl", "harder", "softer", "grows", "elastic"],
+)
+def test_boucs_and_wens_state_is_the_one_that_scipy_integrates(gamma, ratio):
+    path = to_and_fro()
+
+    def rate(t, w):
+        v = speed(t)
+        return v - gamma * (abs(v) * w + ratio * v * np.abs(w))
+
+    w = state(rate, path.t, 0.0)
+    made = get("bouc_wen").columns(path, {"gamma": gamma, "delta": ratio})[:, 0]
+    np.testing.assert_allclose(made, w, atol=1e-6 * np.max(np.abs(w)))
+
+
+def test_without_delta_boucs_and_wens_spring_is_dahls_contact():
+    path = to_and_fro()
+    rest = replace(path, s=np.append(0.0, path.s[1:]))
+    dry = path.s * bending(rest, LENGTH, 1.0) * path.s
+    made = get("bouc_wen").columns(rest, {"gamma": 1 / LENGTH, "delta": 0.0})[:, 0]
+    np.testing.assert_allclose(made / LENGTH, dry, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "q"),
+    [
+        ("presliding", {"stiffness": LENGTH, "exponent": 1.0}),
+        ("bouc_wen", {"gamma": 800.0, "delta": -1.375}),
+        ("lugre", {name: value for name, value in LUGRE.items() if name not in ("F_c", "sigma_1")}),
+        ("friction_lag", {"tau": LAG}),
+    ],
+)
+def test_a_path_goes_on_from_what_was_remembered(name, q):
+    whole, effect, cut = to_and_fro(3200), get(name), 700
+    dry = [np.column_stack([whole.s * np.exp(-np.abs(whole.v) / 0.01)])] if effect.modifies else []
+    first, rest = (
+        replace(whole, **{key: getattr(whole, key)[rows] for key in ("t", "x", "v", "s")})
+        for rows in (slice(None, cut + 1), slice(cut, None))
+    )
+    kept = effect.state(first, q, *(c[: cut + 1] for c in dry))[-1:]
+    made = effect.columns(replace(rest, begin=kept), q, *(c[cut:] for c in dry))
+    truth = effect.columns(whole, q, *dry)[cut:]
+    np.testing.assert_allclose(made, truth, atol=2e-5 * np.max(np.abs(truth)))
+
+
 def test_lugres_columns_sum_to_the_published_force():
     path = to_and_fro(3200)
     q = LUGRE | {"v_s": 0.004}
@@ -137,6 +184,7 @@ def test_a_path_begins_as_the_motion_before_it_has_left_the_contact():
     [
         ("presliding", {"stiffness": (2e-5, 1e-4, 7e-5), "exponent": (1.0, 0.3, 1.0)}),
         ("friction_lag", {"tau": (1e-3, 1e-2, 4e-3)}),
+        ("bouc_wen", {"gamma": (800.0, 3e4, 5e3), "delta": (-1.375, 0.5, 0.0)}),
         (
             "lugre",
             {"sigma_0": (2e-5, 1e-4, 7e-5), "F_s": (1.2, 2.0, 1.5), "v_s": (0.01, 3e-3, 0.02), "delta": (2, 2, 2)},
@@ -169,6 +217,8 @@ def test_stiffness_is_quoted_from_the_level_of_dry_friction():
     assert quote["stiffness"] == pytest.approx(3e4)
     quote = get("lugre").quote({"F_c": 2.0, "F_s": 1.5, "sigma_0": 1e-4}, {})
     assert quote == pytest.approx({"F_s": 3.0, "sigma_0": 2e4})
+    quote = get("bouc_wen").quote({"alpha": 5e4, "gamma": 800.0, "delta": -1.375}, {})
+    assert quote == pytest.approx({"delta": -1100.0})
 
 
 def _dahl_rate(t, z):

@@ -24,7 +24,7 @@ PAGE = Path(store.__file__).parent / "SCHEMA.md"
 MODEL = {
     "current": ("bool", "the model in force"),
     "equation": ("text", "the printed model"),
-    "summary": ("JSON text", "what `frictrack fit --json` prints: parameters, deviations, errors"),
+    "summary": ("JSON text", "what `frictrack fit --json` prints: parameters, deviations, errors, free runs"),
     "state": ("group", "what rebuilds the fit without searching"),
     "curves": ("group", "a group per run, `<number>_<run>`: measurement and model, table below"),
     "motion": ("group", "a group per run: the motion that the model itself tells, table below"),

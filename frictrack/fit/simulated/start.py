@@ -27,7 +27,6 @@ from frictrack.records import Array, Mask
 
 STOPPING = 2.0  # frames before the stop that are left out
 EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
-MANY = 400  # pieces of a long record on which a law is settled before it sees all
 MOST_TURNING = 16  # segments of a long record on which a law that passes reversals is settled before it sees all
 SHARES = (0.5, 0.2, 0.0)  # of the coefficients that a start keeps where no motion can be integrated under all
 
@@ -40,9 +39,6 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_turns(model, pieces, names, spans)
-    some = pieces[:: -(-len(pieces) // MANY)]
-    if len(some) < len(pieces) and {p.run for p in some} == {p.run for p in pieces}:
-        return until_stop(_on_all(solve_model(model, some, names, fps), pieces))
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_along(model, pieces, names, spans))
