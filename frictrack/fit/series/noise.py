@@ -27,8 +27,9 @@ MIN_STROKES = 3  # over the same places that tell what does not repeat
 MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
 TURN = 0.25  # of the range of a coordinate by which it must go back to turn
 ALIKE_SPEED = 0.1  # relative difference of the median speeds of strokes that are compared
+END = 0.005  # of a stroke at either end, where a frame more or less decides on which side of a reversal it is
 GRID = 128  # places at which strokes are compared
-SLOW = 1.1  # times the white noise beyond which what does not repeat is more than that
+SLOW = 1.3  # times the white noise beyond which what does not repeat is more: means of few strokes scatter, too
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ def _differences(group: Sequence[Rows], coordinate: Array, left: Array) -> Array
     """A residual less its mean over all strokes at the same place, unbiased, end to end in time."""
     low = max(float(coordinate[s].min()) for s in group)
     high = min(float(coordinate[s].max()) for s in group)
+    low, high = low + END * (high - low), high - END * (high - low)
     at = np.linspace(low, high, GRID)
     each = [_at_places(coordinate[s], left[s], at) for s in group]
     mean = np.mean(each, axis=0)
