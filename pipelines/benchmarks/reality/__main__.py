@@ -39,7 +39,7 @@ from frictrack.results import plain  # noqa: E402
 from frictrack.threads import processors  # noqa: E402
 from frictrack.version import __version__  # noqa: E402
 from reality.faults import KINDS  # noqa: E402 - found only now
-from reality.judge import CPU_LIMIT, Outcome, judge, read_outcome  # noqa: E402
+from reality.judge import CPU_LIMIT, Outcome, judge, judged, read_outcome  # noqa: E402
 from reality.studies import draw_case, planned  # noqa: E402
 from reality.tally import table, tally  # noqa: E402
 
@@ -94,12 +94,12 @@ def one(folder: Path, name: str, plan: Plan, limit: float) -> Outcome:
 
 
 def _kept(folder: Path, name: str, plan: Plan, limit: float) -> Outcome | None:
-    """The outcome of this very study, if there is one."""
+    """The outcome of this very study, if there is one, judged as it is judged now."""
     path = folder / f"{name}.json"
     if not path.is_file():
         return None
     held: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return read_outcome(held["outcome"]) if (held["plan"], held["limit"]) == (list(plan), limit) else None
+    return judged(read_outcome(held["outcome"])) if (held["plan"], held["limit"]) == (list(plan), limit) else None
 
 
 def _short(row: Outcome) -> str:

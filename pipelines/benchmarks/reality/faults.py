@@ -67,7 +67,7 @@ KINDS = {
         effects=("timebase",),
     ),
     "coloured": Kind(1, 0.3, 0.95, "AR(1)", r"colou?red|correlated|not white", in_all=1.0),
-    "mass": Kind(2, 1.0, 1.0, "factor", r"\bmass\b", ("10", "0.1", "1000", "0.001"), in_all=0.4),
+    "mass": Kind(2, 1.0, 1.0, "factor", r"\bmass (= |of )", ("10", "0.1", "1000", "0.001"), in_all=0.4),
     "unit": Kind(
         1, 1000.0, 1000.0, "factor", r"x_m holds|t_s holds|\bscale\b|unit of (length|time)", ("x", "t", "scale"), 0.5
     ),
@@ -84,7 +84,10 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a study: what, how, how large, in which runs, and by run which frames."""
+    """One fault of a study: what, how, how large, in which runs, and by run which frames.
+
+    `louder` is the noise with the fault over the noise without: what is seen above it is so much larger.
+    """
 
     kind: str = NONE
     variant: str = ""
@@ -92,6 +95,7 @@ class Fault:
     runs: tuple[str, ...] = ()
     in_all: bool = False
     frames: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    louder: float = 1.0
 
     @property
     def effects(self) -> tuple[str, ...]:

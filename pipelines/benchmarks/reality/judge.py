@@ -23,7 +23,9 @@ from reality.studies import Case, write_case
 TWICE = 2.0  # times the detection limit: a hidden effect of that size has to be seen
 FAR = 5.0  # quoted deviations
 CPU_LIMIT = 120.0  # s
-ALWAYS = ("is absorbed exactly", "one run alone", "on an incline Coulomb", "not tried:")  # remarks on any study
+ALWAYS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
+    *("is absorbed exactly", "one run alone", "on an incline Coulomb", "not tried:", "trade places", "go together"),
+)
 STOPPED, OUT_OF_TIME, BROKEN = "stopped", "out of time", "broken"
 
 
@@ -83,10 +85,15 @@ def judge(case: Case, folder: Path, limit: float = CPU_LIMIT, seed: int = 0) -> 
     case = write_case(case, folder)
     truth = case.truth
     said = diagnosed(case, folder / "study.toml", limit, seed)
-    said = replace(said, allowed=_allowed(case, said))
-    named = case.fault.is_named(said.findings, said.missing)
-    said = replace(said, named=named, noted=tuple(noted(said.findings)), hidden=truth.hidden, size=truth.size)
-    return replace(said, film=truth.film, wrong=wrong(said))
+    said = replace(said, allowed=_allowed(case, said), hidden=truth.hidden, size=truth.size, film=truth.film)
+    return judged(said)
+
+
+def judged(said: Outcome) -> Outcome:
+    """The outcome with what follows from what was said: whether the fault is named, and whether it is wrong."""
+    named = said.fault.is_named(said.findings, said.missing)
+    said = replace(said, named=named, noted=tuple(noted(said.findings)))
+    return replace(said, wrong=wrong(said))
 
 
 def wrong(said: Outcome) -> str:
@@ -96,8 +103,9 @@ def wrong(said: Outcome) -> str:
             if not set(group) & set(said.allowed):
                 return f"names {' / '.join(group)}"
     seen = [h for h in said.hidden if NOTED.get(h, "\0") in " ".join(said.findings)]
-    if said.verdict == "complete" and not said.named and not seen and max(said.size, default=0.0) >= TWICE:
-        return f"complete, while {said.hidden[0]} of {max(said.size):.1f} limits is hidden"
+    size = max(said.size, default=0.0) / said.fault.louder
+    if said.verdict == "complete" and not said.named and not seen and size >= TWICE:
+        return f"complete, while {said.hidden[0]} of {size:.1f} limits is hidden"
     address, z = said.worst
     if said.verdict in ("complete", "missing") and abs(z) > FAR and not _warned(said):
         return f"{address} {z:+.1f} deviations off, without a finding"

@@ -46,7 +46,17 @@ def spoilt(run: Recorded, name: str, fault: Fault, rng: np.random.Generator) -> 
     if name not in fault.runs or fault.kind not in TABLES:
         return run.data, fault
     data, rows = TABLES[fault.kind](run, fault, rng)
-    return data, replace(fault, frames=fault.frames | {name: tuple(int(i) for i in rows)})
+    louder = max(fault.louder, _louder(data, run, fault))
+    return data, replace(fault, louder=louder, frames=fault.frames | {name: tuple(int(i) for i in rows)})
+
+
+def _louder(data: pd.DataFrame, run: Recorded, fault: Fault) -> float:
+    """Noise of a table over what it should be: of coloured noise at low frequencies, where slow effects are seen."""
+    if fault.kind == "coloured":
+        return float(np.sqrt((1 + fault.size) / (1 - fault.size)))
+    if fault.kind == "quantised" or fault.variant == "samples on even stamps":
+        return float(np.sqrt(np.mean((data["x_m"].to_numpy() - run.clean) ** 2))) / run.noise
+    return 1.0
 
 
 # --- tables
