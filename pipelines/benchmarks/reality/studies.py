@@ -170,7 +170,15 @@ def filmed(case: Case, run: RunTruth, path: Path, rng: np.random.Generator) -> N
         place = along(t), np.full(np.shape(t), height / 2 - 3)
         return (*place, run.phase + rate * np.asarray(t)) if turns else place
 
-    camera = Camera(truth.fps, FILM_WIDTH, height, truth.pitch, full_well=FULL_WELL, read_noise=READ_NOISE)
+    camera = Camera(
+        fps=truth.fps,
+        width=FILM_WIDTH,
+        height=height,
+        scale=truth.pitch,
+        exposure=0.0 if turns else 0.1,  # a flash: of a turned block every instant takes as long as a whole frame
+        full_well=FULL_WELL,
+        read_noise=READ_NOISE,
+    )
     target = Target(*BLOCK, background=WALL, rod=_rod(case), course=not turns)
     write_film(render(position, camera, target, rng, n_frames=run.frames), path, truth.fps)
 
