@@ -237,7 +237,7 @@ def test_work_that_takes_too_long_is_ended():
 def test_figures_count_what_is_wrong_and_what_is_not_named():
     good = Outcome("a", Fault("outliers", runs=("r1",)), verdict="complete", named=True, seconds=3.0)
     bad = Outcome("b", Fault(), verdict="missing", groups=(("lens",),), wrong="names lens", seconds=5.0)
-    late = Outcome("c", Fault("mass", "10", runs=("r1",), in_all=True), verdict=OUT_OF_TIME, seconds=120.5)
+    late = Outcome("c", Fault("mass", "10", in_all=True, visible=False), verdict=OUT_OF_TIME, seconds=120.5)
     counts = tally([good, bad, late])
     assert (counts["confidently_wrong"]["hits"], counts["confidently_wrong"]["of"]) == (1, 3)
     assert (counts["fault_named"]["hits"], counts["fault_named"]["of"]) == (1, 1)  # that of `late` leaves no trace

@@ -1,7 +1,7 @@
 """How right frictrack is on records that have faults: confidently wrong verdicts, faults named, processor time.
 
     python pipelines/benchmarks/reality [--n 200] [--seed 0] [--workers 1] [--only KIND] [--limit 120]
-        [--folder FOLDER] [--json FILE]
+        [--minutes M] [--folder FOLDER] [--json FILE]
 
 Every study is a blind one (a law, five to eight runs, one effect or none hidden in it) with one fault: outliers,
 doubled or missing frames, quantised positions, a jittered or a wrong clock, coloured noise, a wrong mass, unit or
@@ -11,18 +11,21 @@ A verdict is confidently wrong where it names an effect that is neither hidden n
 the fault itself), where it is `complete` although an effect of twice the detection limit is hidden and the fault was
 not named, or where a parameter is more than five quoted deviations off and nothing was remarked.
 
-Outcomes are kept in the folder as they come: run it again to go on, with a larger --n to add more. The figures are put
-into the file (default: results.json beside this one); a run of one kind only prints them.
+Outcomes are kept in the folder as they come: run it again to go on, with a larger --n to add more. Tables come first,
+films last. The figures, also of a part of the studies, are put into the file (default: results.json beside this one);
+a run of one kind only prints them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import sys
 import tempfile
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +41,7 @@ from frictrack.files import replace_text  # noqa: E402
 from frictrack.results import plain  # noqa: E402
 from frictrack.threads import processors  # noqa: E402
 from frictrack.version import __version__  # noqa: E402
-from reality.faults import KINDS  # noqa: E402 - found only now
+from reality.faults import FILMED, KINDS  # noqa: E402 - found only now
 from reality.judge import CPU_LIMIT, Outcome, judge, judged, read_outcome  # noqa: E402
 from reality.studies import draw_case, planned  # noqa: E402
 from reality.tally import table, tally  # noqa: E402
@@ -52,11 +55,15 @@ def main() -> None:
     folder = args.folder or Path(tempfile.gettempdir()) / f"frictrack_reality_{__version__}_{args.seed}"
     plans = {_name_of(i, args.only): plan for i, plan in enumerate(planned(args.n, args.seed, args.only))}
     rows = {name: row for name, plan in plans.items() if (row := _kept(folder, name, plan, args.limit))}
-    work = {n: partial(one, folder, n, plan, args.limit) for n, plan in plans.items() if n not in rows}
+    left = sorted((n for n in plans if n not in rows), key=lambda n: plans[n][1] in FILMED)  # films take longest
+    work = {name: partial(one, folder, name, plans[name], args.limit) for name in left}
+    end = time.monotonic() + 60 * args.minutes
     for name, row in spread(work, args.workers):
         rows[name] = row
         print(f"{len(rows)}/{len(plans)} {_short(row)}", file=sys.stderr, flush=True)
-    counts = tally([rows[name] for name in plans])
+        if time.monotonic() > end:
+            break
+    counts = tally([rows[name] for name in plans if name in rows])
     print("\n".join(table(counts)))
     if not args.only:
         about = described("numpy", "scipy", "opencv-python-headless") | {"cores": processors()}
@@ -72,6 +79,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=None, help="processes (default: as many as processors)")
     parser.add_argument("--only", default="", choices=["", *KINDS], help="one kind of fault")
     parser.add_argument("--limit", type=float, default=CPU_LIMIT, help="processor time of a study, s")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="after these no further study is begun")
     parser.add_argument("--folder", type=Path, default=None, help="where studies and outcomes are kept")
     parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")
     return parser.parse_args()

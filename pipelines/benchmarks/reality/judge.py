@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from frictrack.blind.alike import alike
@@ -23,6 +24,7 @@ from reality.studies import Case, write_case
 TWICE = 2.0  # times the detection limit: a hidden effect of that size has to be seen
 FAR = 5.0  # quoted deviations
 CPU_LIMIT = 120.0  # s
+PLACES = 12  # functions that say where a study ran out of time
 ALWAYS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
     *("is absorbed exactly", "one run alone", "on an incline Coulomb", "not tried:", "trade places", "go together"),
 )
@@ -124,8 +126,8 @@ def diagnosed(case: Case, path: Path, limit: float, seed: int) -> Outcome:
         with cpu_limit(limit):
             session = Session(open_study(path))
             out = _said(session, case, seed, out)
-    except OutOfTime:
-        out = replace(out, verdict=OUT_OF_TIME)
+    except OutOfTime as e:
+        out = replace(out, verdict=OUT_OF_TIME, error=str(e))
     except FrictrackError as e:
         out = replace(out, verdict=STOPPED, error=str(e), findings=(str(e),))
     except Exception as e:  # noqa: BLE001 - a fault of ours is an outcome of this study, and no end of the others
@@ -154,12 +156,12 @@ def _rivals(said: dict[str, Any], name: str) -> list[str]:
 def _deviations(session: Session, case: Case, missing: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
     """Parameters of the law off the truth, in quoted deviations, where the law that is left is the true one.
 
-    Masses that are all wrong by one factor, which nothing can show, are taken for the true ones.
+    None are known where the fault leaves no trace: then the law is off by it, and nobody could tell.
     """
     truth = case.truth
     if set(missing) != set(truth.hidden) and missing:
         return {}
-    if not case.fault.shows and case.fault.kind == "mass":
+    if not case.fault.visible:
         return {}
     for name in missing:
         parameters = session.add(name)["parameters"]
@@ -227,5 +229,12 @@ def cpu_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _expired(signum: int, frame: object) -> None:
-    raise OutOfTime
+def _expired(signum: int, frame: FrameType | None) -> None:
+    """Say where the work was, from the innermost function of frictrack outward."""
+    places: list[str] = []
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if "frictrack" in path.parts:
+            places.append(f"{path.parent.name}/{path.name}: {frame.f_code.co_name}")
+        frame = frame.f_back
+    raise OutOfTime(", ".join(places[:PLACES]))

@@ -81,12 +81,17 @@ def draw_case(name: str, seed: int, fault: str, hidden: str, turn: int) -> Case:
 
 
 def _placed(fault: Fault, truth: Truth, rng: np.random.Generator) -> Fault:
-    """The fault in runs of the truth; a scale is that of all films."""
+    """The fault in runs of the truth; a scale is that of all films.
+
+    Masses that are all ten times off leave no trace where no force is known; a thousand times no laboratory has.
+    """
     names = [run.name for run in truth.runs]
     if fault.kind == NONE:
         return fault
     in_all = fault.in_all or fault.variant == "scale"
-    return replace(fault, in_all=in_all, runs=tuple(names) if in_all else (str(rng.choice(names)),))
+    silent = fault.kind == "mass" and in_all and fault.variant in ("10", "0.1") and not truth.push
+    runs = tuple(names) if in_all else (str(rng.choice(names)),)
+    return replace(fault, in_all=in_all, runs=runs, visible=not silent)
 
 
 def sloped(flat: Truth, degrees: float, rng: np.random.Generator) -> Sloped:
