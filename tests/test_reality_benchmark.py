@@ -226,6 +226,7 @@ def test_a_fault_is_named_by_its_words_in_its_run(fault: Fault, finding: str, na
 
 def test_an_effect_that_is_the_fault_names_it():
     assert Fault("missing", runs=("r1",)).is_named([], ["dropped_frame"])
+    assert not Fault("incline", runs=("r1",)).is_named([], ["slope"])  # it may be named, but says nothing of the angle
     assert noted(['run "r1": 1 sample lies 1 mm off its course']) == ["outliers"]
 
 

@@ -22,6 +22,7 @@ class Kind:
     """How often a fault is drawn in 20 studies, its range and variants, and how it is recognised.
 
     `words` is a regular expression on one finding, `effects` are effects of the library that are this very fault.
+    `stand_ins` do the same to the motion without naming it: a force of gravity that is not accounted for is a slope.
     """
 
     often: int
@@ -32,6 +33,7 @@ class Kind:
     variants: tuple[str, ...] = ("",)
     in_all: float = 0.0  # share of the studies in which all runs have it
     effects: tuple[str, ...] = ()
+    stand_ins: tuple[str, ...] = ()
 
 
 KINDS = {
@@ -72,7 +74,7 @@ KINDS = {
         1, 1000.0, 1000.0, "factor", r"x_m holds|t_s holds|\bscale\b|unit of (length|time)", ("x", "t", "scale"), 0.5
     ),
     "incline": Kind(
-        1, 5.0, 35.0, "deg", r"\bincline\b", ("sign", "not stated"), in_all=1.0, effects=("slope", "asymmetry")
+        1, 5.0, 35.0, "deg", r"\bincline\b", ("sign", "not stated"), in_all=1.0, stand_ins=("slope", "asymmetry")
     ),
     "copy": Kind(1, 0.1, 0.3, "cut", r"the same recording as", ("whole", "cut", "shifted", "fewer digits")),
     "rotation": Kind(
@@ -100,9 +102,9 @@ class Fault:
     visible: bool = True
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Effects of the library that are this fault."""
-        return KINDS[self.kind].effects
+    def allowed(self) -> tuple[str, ...]:
+        """Effects of the library that may be named for this fault."""
+        return KINDS[self.kind].effects + KINDS[self.kind].stand_ins
 
     @property
     def shows(self) -> bool:
@@ -111,7 +113,7 @@ class Fault:
 
     def is_named(self, findings: Sequence[str], missing: Sequence[str] = ()) -> bool:
         """Whether one finding has the words of the fault, and the run where it lies in one; or its effect is named."""
-        if set(missing) & set(self.effects):
+        if set(missing) & set(KINDS[self.kind].effects):
             return True
         return any(self._named_by(line) for line in findings)
 

@@ -27,6 +27,7 @@ CPU_LIMIT = 120.0  # s
 PLACES = 12  # functions that say where a study ran out of time
 ALWAYS = (  # parts of remarks that speak of no fault: on any study, or on how parameters go together
     *("is absorbed exactly", "one run alone", "on an incline Coulomb", "not tried:", "trade places", "go together"),
+    "a long record:",
 )
 STOPPED, OUT_OF_TIME, BROKEN = "stopped", "out of time", "broken"
 
@@ -93,8 +94,9 @@ def judge(case: Case, folder: Path, limit: float = CPU_LIMIT, seed: int = 0) -> 
 
 def judged(said: Outcome) -> Outcome:
     """The outcome with what follows from what was said: whether the fault is named, and whether it is wrong."""
-    named = said.fault.is_named(said.findings, said.missing)
-    said = replace(said, named=named, noted=tuple(noted(said.findings)))
+    findings = tuple(line for line in said.findings if not any(part in line for part in ALWAYS))
+    named = said.fault.is_named(findings, said.missing)
+    said = replace(said, findings=findings, named=named, noted=tuple(noted(findings)))
     return replace(said, wrong=wrong(said))
 
 
@@ -143,8 +145,7 @@ def _said(session: Session, case: Case, seed: int, out: Outcome) -> Outcome:
     remarks = [*fit["remarks"], *said["remarks"]]
     missing = tuple(said["missing"])
     groups = tuple((name, *_rivals(said, name)) for name in missing)
-    kept = tuple(line for line in remarks if not any(part in line for part in ALWAYS))
-    out = replace(out, verdict=said["verdict"], groups=groups, findings=kept)
+    out = replace(out, verdict=said["verdict"], groups=groups, findings=tuple(remarks))
     return replace(out, z=_deviations(session, case, missing, fit["parameters"]))
 
 
@@ -196,7 +197,7 @@ def _allowed(case: Case, said: Outcome) -> tuple[str, ...]:
 
     That is looked for only where something else is named, in the study without its fault.
     """
-    allowed = {*case.truth.hidden, *case.fault.effects}
+    allowed = {*case.truth.hidden, *case.fault.allowed}
     if case.truth.hidden and any(not set(group) & allowed for group in said.groups):
         with suppress(FrictrackError):
             allowed |= {name for names in indistinguishable(case).values() for name in names}

@@ -73,7 +73,7 @@ def draw_case(name: str, seed: int, fault: str, hidden: str, turn: int) -> Case:
     film = fault in FILMED or drawn.variant == "scale"
     for again in range(40):
         truth = draw(seed, hidden, turn + again, film=film)
-        if not set(truth.hidden) & set(KINDS[fault].effects):
+        if not set(truth.hidden) & set(drawn.allowed):
             break
     if fault == "incline":
         truth = sloped(truth, drawn.size, rng)
