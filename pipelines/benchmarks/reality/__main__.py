@@ -56,7 +56,7 @@ def main() -> None:
     plans = {_name_of(i, args.only): plan for i, plan in enumerate(planned(args.n, args.seed, args.only))}
     rows = {name: row for name, plan in plans.items() if (row := _kept(folder, name, plan, args.limit))}
     left = sorted((n for n in plans if n not in rows), key=lambda n: plans[n][1] in FILMED)  # films take longest
-    work = {name: partial(one, folder, name, plans[name], args.limit) for name in left}
+    work = {name: partial(one, folder, name, plans[name], args.limit) for name in left if args.minutes > 0}
     end = time.monotonic() + 60 * args.minutes
     for name, row in spread(work, args.workers):
         rows[name] = row
@@ -79,7 +79,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=None, help="processes (default: as many as processors)")
     parser.add_argument("--only", default="", choices=["", *KINDS], help="one kind of fault")
     parser.add_argument("--limit", type=float, default=CPU_LIMIT, help="processor time of a study, s")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="after these no further study is begun")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="after these no study is begun; 0: count")
     parser.add_argument("--folder", type=Path, default=None, help="where studies and outcomes are kept")
     parser.add_argument("--json", type=Path, default=RESULTS, help="file for all figures")
     return parser.parse_args()
