@@ -86,7 +86,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def _name_of(i: int, only: str) -> str:
-    """Name of a study, which tells nothing of what is in it."""
+    """Name of a study, which does not show what is in it."""
     return f"{only[:2]}{'_' if only else ''}study_{i + 1:03d}"
 
 

@@ -118,9 +118,9 @@ class Fault:
         return any(self._named_by(line) for line in findings)
 
     def _named_by(self, line: str) -> bool:
-        told = re.search(KINDS[self.kind].words, line, re.IGNORECASE) is not None
+        matches = re.search(KINDS[self.kind].words, line, re.IGNORECASE) is not None
         here = self.in_all or not self.runs or any(f'run "{name}"' in line for name in self.runs)
-        return told and (here or 'run "' not in line)
+        return matches and (here or 'run "' not in line)
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of the JSON, with the unit of the size."""

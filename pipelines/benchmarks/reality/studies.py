@@ -1,4 +1,4 @@
-"""Draw a blind study, put one fault into it, and write it: tables or films, and a study file that tells nothing."""
+"""Draw a blind study, put one fault into it, and write it: tables or films, and a study file without the truth."""
 
 from __future__ import annotations
 
