@@ -100,7 +100,7 @@ class Model:
             found = estimates.get(address)
             symbol = f"{name}_{number}" if number and name in own and effect.kind != effect.name else name
             if found is not None and found.value is not None:
-                symbol = _number(found.value, found.honest_std)
+                symbol = _number(found.value, found.std)
             text = re.sub(rf"\b{name}\b", symbol, text)
         return text
 

@@ -183,7 +183,7 @@ def test_a_film_that_vanishes(tmp_path: Path) -> None:
     (folder / "day_1" / "fast.avi").unlink()
     with pytest.raises(FrictrackError, match=r"fast.avi: expected a recording but there is no such file"):
         Session(study).bring_up_to("friction")
-    assert RunWork(study, study.runs[0]).is_current("friction")
+    assert RunWork(study, study.runs[0]).is_current("motion")  # forces wait until the motion of all runs is checked
     shutil.copy(SAMPLE, folder / "day_1")
     work = RunWork(study, study.runs[1])
     assert work.recording.n_frames > 0

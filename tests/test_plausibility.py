@@ -23,6 +23,7 @@ from frictrack.plausibility import (
     ERROR,
     Typed,
     implausible,
+    implausible_clocks,
     implausible_masses,
     implausible_slide,
     missing_incline,
@@ -499,3 +500,21 @@ def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
     assert "study.toml is written" in desk.said
     assert "to be checked: mass = 350 has no unit" in desk.said
     assert desk.wrong
+
+
+def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
+    def timed(name, fps):
+        t, nan = np.arange(400) / fps, np.full(400, np.nan)
+        seen = Displacement(t, 2 * t - t**2, nan, nan, np.full(400, 1e-5), nan, np.ones(400, bool))
+        return Run(seen, differentiate(low_pass(seen)), mass=1.0, name=name)
+
+    rates = {"a": 4000.0, "b": 4000.0, "c": 3156.0, "d": 4000.0, "e": 1000.0}
+    runs = {name: timed(name, fps) for name, fps in rates.items()}
+    found = {f.run: f for f in implausible_clocks(runs, dict.fromkeys(rates))}
+    assert set(found) == {"c"}  # another setting, such as 1000 Hz, is no wrong clock
+    assert "the time stamps say 3156 Hz where the other runs have 4000 Hz" in str(found["c"])
+    stated = {"a": 4000.0, "b": None, "c": 4000.0, "d": 4010.0, "e": 1000.0}
+    found = {f.run: f for f in implausible_clocks(runs, stated)}
+    assert set(found) == {"c"}
+    assert "but fps = 4000 is given: one of the two is wrong" in str(found["c"])
+    assert found["c"].correction == "fps = 3156"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -74,7 +74,7 @@ class Fit:
     @property
     def equation(self) -> str:
         """The law with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
-        return self.model.equation(self.parameters)
+        return self.model.equation({name: replace(e, std=e.honest_std) for name, e in self.parameters.items()})
 
     @property
     def weighed(self) -> tuple[Run, ...]:

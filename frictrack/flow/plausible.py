@@ -20,6 +20,7 @@ from frictrack.plausibility import (
     Finding,
     Typed,
     implausible,
+    implausible_clocks,
     implausible_masses,
     implausible_slide,
     missing_incline,
@@ -69,7 +70,10 @@ class Findings:
 
     def of_all(self, works: Sequence[RunWork]) -> None:
         """What the runs show together, those that the user has checked among them."""
+        tables = [work for work in works if work.run.table]  # the clock of a film is judged with its header
+        stated = {work.run.name: work.run.fps for work in tables}
         self._look("all", lambda: implausible_masses([work.record() for work in works]))
+        self._look("clocks", lambda: implausible_clocks({w.run.name: w.record() for w in tables}, stated))
 
     def _look(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:
         """Check one thing, once."""

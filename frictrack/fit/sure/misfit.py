@@ -35,6 +35,7 @@ SIZES = np.geomspace(1e-4, 1e4, 81)  # of the process, over what a unit of chi-s
 LIKELY = 0.5  # of the best evidence that a force over another axis must reach to have a say
 CLEAR = 10.0  # twice the rise of the log likelihood from which a misfit is told
 JITTER = 1e-8
+NARROW = 1e-6  # of an axis' largest value: a narrower one holds no knots
 REJECTED = (
     "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
     "holds for a missing force of the size that the residual shows"
@@ -137,7 +138,7 @@ def _forces(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]
     yield "t", wide, [np.asarray(np.kron(np.eye(len(at)), matern(one, length))) for length in LENGTHS]
     for axis, values in (("x", [q[1] for q in at]), ("v", [np.abs(q[2]) for q in at])):
         low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-        if high <= low:
+        if not high - low > NARROW * max(abs(low), abs(high)):
             continue
         knots = np.linspace(low, high, KNOTS[axis])
         alike = [matern((knots - low) / (high - low), length) for length in LENGTHS]
