@@ -38,6 +38,7 @@ from frictrack.threads import one_thread
 
 MOST_EFFECTS = 4  # effects looked for one after the other
 MOST_ROUNDS = 6  # of adding and looking again
+WORTH_LISTING, MAX_OTHERS = 0.01, 6  # share of the misfit, and number, of further effects in the table of importance
 WORTH_ADDING = 0.99  # times the held-out error before, that an effect must reach for the list to go on past it
 DECISIVE = 0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
 LISTED = 3  # candidates whose held-out error and rivals are computed
@@ -234,8 +235,10 @@ def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence
         out.append(
             Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=held is not None and worth)
         )
-    others = [c for c in listed if c.p < ALPHA / 2 and c.effect not in {t.effect.name for t in found}]
-    return out + [Importance(c.effect, alone.get(c.effect), None, None, unit) for c in others if not c.implausible]
+    names = {t.effect.name for t in found}
+    others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
+    worth = [name for name in others if alone.get(name, 0.0) > WORTH_LISTING][:MAX_OTHERS]
+    return out + [Importance(name, alone[name], None, None, unit) for name in worth]
 
 
 def _stopped(rows: Sequence[Importance]) -> list[Importance]:
