@@ -237,8 +237,8 @@ def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence
         )
     names = {t.effect.name for t in found}
     others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
-    worth = [name for name in others if alone.get(name, 0.0) > WORTH_LISTING][:MAX_OTHERS]
-    return out + [Importance(name, alone[name], None, None, unit) for name in worth]
+    shown = [name for name in others if alone.get(name, 0.0) > WORTH_LISTING][:MAX_OTHERS]
+    return out + [Importance(name, alone[name], None, None, unit) for name in shown]
 
 
 def _stopped(rows: Sequence[Importance]) -> list[Importance]:

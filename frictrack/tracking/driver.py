@@ -21,7 +21,7 @@ from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.sharp import drawn_to_pixels
 from frictrack.tracking.template import Template
-from frictrack.tracking.turned import follow_known, follow_turning, turns
+from frictrack.tracking.turned import follow_known, follow_turning, frames_to_beat
 
 Progress = Callable[[int, int, str], None]
 
@@ -101,9 +101,11 @@ def _studied(
         )
     first = first_look(cut)
     followed = Follower(film, first).follow(np.array([x, y]), template, progress)
-    if turns(film, followed, first, np.array([x, y]), template):
-        turned = follow_turning(film, first, np.array([x, y]), template, progress)
-        return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
+    least = frames_to_beat(film, followed, first, np.array([x, y]), template)
+    if least is not None:
+        turned = follow_turning(film, first, np.array([x, y]), template, least, progress)
+        if turned is not None:
+            return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
     return rectangle, template, followed, taught(film, followed, first)
 
 

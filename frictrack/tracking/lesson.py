@@ -22,6 +22,7 @@ from frictrack.tracking.view import Sums, View, view_of
 FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
 BYTES = 32_000_000  # of cut-outs held at once
 MIN_FRAMES = 12  # fewer make a template whose own noise is larger than that of a single frame's
+MIN_TAUGHT = 3  # frames that a template can be learnt from
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
@@ -63,7 +64,7 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
     found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template))))
     view, path = None, _path(followed, rows)
     for k in range(MOST_ROUNDS):
-        if np.count_nonzero(found.good) < 3:
+        if np.count_nonzero(found.good) < MIN_TAUGHT:
             break
         found = _round(seen, found, path, view)
         if k == 1:
@@ -91,6 +92,8 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
         return found, path
     path = path.again(seen.corner + found.fine.at)
     sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
+    if np.count_nonzero(sharper.good) < MIN_TAUGHT:
+        return found, path
     better = path.again(seen.corner + sharper.fine.at)
     sharper = _round(seen, sharper, better, None)
     return (sharper, better) if matters(sharper.fine, found.fine, path.axes) else (found, path)

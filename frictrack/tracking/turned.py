@@ -27,6 +27,8 @@ from frictrack.tracking.waves import EDGE
 
 Progress = Callable[[int, int, str], None]
 
+AS_MANY, CLEARLY_MORE = 0.98, 1.1  # times the frames of a target that does not turn
+OFTEN = 0.1  # of the frames, in which small rotations are no longer linear
 LARGEST_SWING = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
 FASTEST = np.radians(25.0)  # rad a frame
 BETTER = 0.15  # by this much must a turned picture match better than the upright one, for the target to have turned
@@ -50,6 +52,11 @@ class TurnedTrack:
     reason: NDArray[np.object_]
     template: Template
 
+    @property
+    def count(self) -> int:
+        """Frames in which the target was found."""
+        return sum(pose is not None for pose in self.poses)
+
     def as_followed(self) -> Followed:
         """The same as a track of the rectangle's upper left corner; the rectangle itself does not turn."""
         out = nowhere(len(self.poses))
@@ -68,12 +75,22 @@ class TurnedTrack:
         return out
 
 
-def turns(film: Recording, followed: Followed, template: Template, start: Array, first: int) -> bool:
-    """Whether the target turns farther than small rotations tell: seen in the angles, or in the frames lost first."""
+def frames_to_beat(film: Recording, followed: Followed, template: Template, start: Array, first: int) -> float | None:
+    """In how many frames a turning target must be seen to be followed as one; None where it does not turn.
+
+    It turns farther than small rotations tell: seen in the angles, or in the frames lost first. What is seen only after
+    it was lost must bring back clearly more frames: what happens to a target after its slide must not cost the slide.
+    """
     radius = TurnedPicture(template).radius
     angle = followed.fine.angle[followed.found]
-    if np.any(np.abs(angle - np.median(angle)) * radius > LARGEST_SWING):
-        return True
+    found = float(np.sum(followed.found))
+    if np.mean(np.abs(angle - np.median(angle)) * radius > LARGEST_SWING) > OFTEN:
+        return AS_MANY * found
+    return CLEARLY_MORE * found if _turns_where_lost(film, followed, template, start, first) else None
+
+
+def _turns_where_lost(film: Recording, followed: Followed, template: Template, start: Array, first: int) -> bool:
+    """Whether a turned picture matches clearly better where the target was lost first."""
     lost = [i for i in _lost_first(followed, first) if followed.reason[i] not in (LEAVES, UNREAD, FLAT)]
     return any(_has_turned(film, followed, TurnedPicture(template), i, first, start) for i in lost)
 
@@ -269,14 +286,20 @@ def _turned_patch(picture: TurnedPicture, angle: float, scale: float) -> tuple[P
 
 
 def follow_turning(
-    film: Recording, template: Template, start: Array, first: int, progress: Progress | None = None
-) -> TurnedTrack:
-    """Track of a target whose rectangle's corner is at `start` (2,) in frame `first`; its picture is learnt from it."""
+    film: Recording, template: Template, start: Array, first: int, least: float, progress: Progress | None = None
+) -> TurnedTrack | None:
+    """Track of a target whose rectangle's corner is at `start` (2,) in frame `first`; its picture is learnt from it.
+
+    None where it is seen in fewer frames than `least`, see `frames_to_beat`.
+    """
     begin = Pose(np.asarray(start, dtype=np.float64) + TurnedPicture(template).middle, 0.0, offset=template.level)
     rough = _Turning(film, without_border(template)).follow(begin, first, progress)
+    if rough.count < least:
+        return None
     learnt = _taught(film, rough, template, first) or without_border(template)
     usual = _usual_misfit(film, rough, learnt, first)
-    return _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
+    track = _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
+    return track if track.count >= least else None
 
 
 def follow_known(
