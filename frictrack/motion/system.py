@@ -250,13 +250,13 @@ class Factor:
         for k in range(1, len(pairs)):
             one = pairs[k - 1, :block, :block].copy()
             one[:b, :b] += before[k - 1]
-            before[k] = -links[k - 1] @ np.linalg.inv(one)[-b:, -b:] @ links[k - 1].T
+            before[k] = -links[k - 1] @ _inverse(one)[-b:, -b:] @ links[k - 1].T
             one = pairs[-k, block:, block:].copy()
             one[-b:, -b:] += after[-k]
-            after[-k - 1] = -links[-k].T @ np.linalg.inv(one)[:b, :b] @ links[-k]
+            after[-k - 1] = -links[-k].T @ _inverse(one)[:b, :b] @ links[-k]
         pairs[:, :b, :b] += before
         pairs[:, -b:, -b:] += after
-        return np.asarray(np.linalg.inv(pairs))
+        return _inverse(pairs)
 
     def _pairs(self, block: int) -> Array:
         """Equations (m, 2 block, 2 block) of each two neighbouring blocks of unknowns, the last one padded."""
@@ -271,6 +271,14 @@ class Factor:
         offset = row - column
         values = padded[np.clip(s.band + offset, 0, 2 * s.band), block * np.arange(m - 1)[:, None, None] + column]
         return np.where(np.abs(offset) <= s.band, values, 0.0)
+
+
+def _inverse(a: Array) -> Array:
+    """Inverse of symmetric equations (..., n, n); pseudo-inverse where frames without weight leave them singular."""
+    try:
+        return np.asarray(np.linalg.inv(a))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(a, hermitian=True))
 
 
 def _strengths(lam: Array, lines: Lines, worth: Array | None) -> list[Array]:

@@ -91,7 +91,8 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
     if not path.axes.any():
         return found, path
     path = path.again(seen.corner + found.fine.at)
-    sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
+    with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
+        sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
     if np.count_nonzero(sharper.good) < MIN_TAUGHT:
         return found, path
     better = path.again(seen.corner + sharper.fine.at)
