@@ -12,7 +12,7 @@ from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.unknowns.layout import Layout
 
 MOST = 32  # pieces that are looked at, unless there are more runs
-FASTEST = 0.2  # of the frame rate: lines that are sought, see `effects.base.frequencies`
+FASTEST = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
 MAX_FRAMES = 6000  # over all pieces; the search takes time in proportion
 
 
@@ -47,7 +47,7 @@ def thinned(solution: Solution) -> tuple[Solution, str]:
     some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
     return some, (
         f"a long record: the search looked at every {every}th of its frames, so a line above "
-        f"{FASTEST * layout.span.fps / every:.3g} Hz is not sought; the fit uses all of them"
+        f"{FASTEST * layout.span.fps / every:.3g} Hz is not looked for; the fit uses all of them"
     )
 
 

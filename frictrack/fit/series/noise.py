@@ -146,7 +146,7 @@ def _at_places(coordinate: Array, left: Array, at: Array) -> Array:
 
 
 def _over(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
-    """The same law over other frames, all of one noise, N; lines faster than averaged frames show are not sought."""
+    """The same law over other frames, all of one noise, N; faster lines than averaged frames show are left out."""
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     layout = solution.problem.layout
     spans = tuple(replace(s, fps=s.fps / block) for s in layout.spans)
