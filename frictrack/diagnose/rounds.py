@@ -63,6 +63,11 @@ class Round:
     barred: dict[str, str]  # effects that could not be tried, and why
 
     @property
+    def leaves_misfit(self) -> bool:
+        """Whether the law leaves more than noise."""
+        return self.tests.p_lack_of_fit < ALPHA / 2
+
+    @property
     def passing(self) -> list[Tried]:
         """Plausible candidates that pass by themselves, simulated, best first."""
         return [t for t in self.tried if t.p < ALPHA / 2 and t.delta_bic > 0 and t.solution and not t.objection]

@@ -69,7 +69,7 @@ def diagnose(
     if whole is not None:
         whole, coarse = thinned(whole)
         found = _search(fit, whole, (own, beside), (np.random.default_rng(seed), tell))
-        said = None if found.leaves_misfit else _concluded(fit, found, beside)
+        said = None if found.last.leaves_misfit else _concluded(fit, found, beside)
         if said is not None and said.verdict != "unexplained":
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
@@ -89,11 +89,6 @@ class _Search:
     last: Round
     found: list[Tried]
     again: list[np.random.Generator]
-
-    @property
-    def leaves_misfit(self) -> bool:
-        """Whether what was found leaves more than noise."""
-        return self.last.tests.p_lack_of_fit < ALPHA / 2
 
 
 def _search(
@@ -176,12 +171,12 @@ def _preferred(last: Round, felt: Evidence | None) -> Tried:
 
 
 def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
-    listed = _listed(first, found)
-    leftover = last.tests.p_lack_of_fit < ALPHA / 2
-    clean = first.tests.p_lack_of_fit >= ALPHA / 2 and not first.passing
+    hold = _Held(first.solution)
+    listed = _listed(first, found, hold)
+    clean = not first.leaves_misfit and not first.passing
     if clean:
         verdict = "complete"
-    elif leftover or not found or not listed[0].helps:
+    elif last.leaves_misfit or not found or not listed[0].helps:
         verdict = "unexplained"
     else:
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
@@ -204,7 +199,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         unexplained=unexplained_force(first.solution, last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
         undetermined=gaps if verdict in ("complete", "undetermined") else [],
-        importance=_importance(fit, first, found, listed),
+        importance=_importance(first, found, listed, hold),
         remarks=_remarks(fit, first.barred),
         figures=curves,
     )
@@ -217,11 +212,10 @@ def _is_decisive(best: Candidate, gaps: Sequence[Undetermined]) -> bool:
     return best.heldout_after < DECISIVE * best.heldout_before
 
 
-def _importance(fit: Fit, first: Round, found: Sequence[Tried], listed: Sequence[Candidate]) -> list[Importance]:
+def _importance(first: Round, found: Sequence[Tried], listed: Sequence[Candidate], hold: _Held) -> list[Importance]:
     """What every effect that was added, and the plausible others that passed, explain of the misfit."""
     alone = explained_alone(first, first.tried)
-    hold = _Held(first.solution)
-    unit = "N" if fit.measured else "um"
+    unit = "um" if first.solution.problem.simulates else "N"
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
     out: list[Importance] = []
     chi2, error = first.solution.chi2, None
@@ -256,12 +250,11 @@ def _noise(fit: Fit) -> tuple[float, float]:
     return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
 
-def _listed(first: Round, found: list[Tried]) -> list[Candidate]:
+def _listed(first: Round, found: list[Tried], hold: _Held) -> list[Candidate]:
     """Every candidate with its evidence: those found first, then the others of the first round, best first."""
     chosen = {t.effect.name: t for t in found}
     alike = {t.effect.name: rivals(t, first.tried) for t in first.passing[:LISTED] if t.effect.name not in chosen}
     there = {t.effect.name: t for t in first.tried if t.solution is not None}
-    hold = _Held(first.solution)
     out = []
     for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
         name = t.effect.name

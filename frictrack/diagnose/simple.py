@@ -66,7 +66,6 @@ def _member(last: Round, effect: Effect, trial: Trial, p: float) -> Tried | None
     there = next((t for t in last.tried if t.effect.name == effect.name and t.solution is not None), None)
     if there is not None:
         return replace(there, p=min(there.p, p))
-    law: Solution | None = None
     try:
         law = simulated(last.draws.law, trial)
     except FrictrackError:

@@ -156,7 +156,7 @@ class Walk:
         return law
 
     def bound(self, panels: Panels, s: float) -> Callable[[Array, Array], Array]:
-        """The law at the nodes of panels that begin at the last state: what it is told of the run is read off once."""
+        """The law at the nodes of panels that begin at the last state; drive, lift and angle are read off once."""
         t = np.append(panels.edges[0], panels.t) if self.model.memory else panels.t
         held, push = self.path(t, np.zeros_like(t), t, s), self.push(panels.t)
         first = self.way.rows[1:3, -1]
