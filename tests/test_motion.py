@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
-from frictrack.motion import KnownAcceleration, covariance, differentiate, lag1, low_pass, noise_level
+from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, noise_level
 from frictrack.motion.filter import ALL, MISSING
 from frictrack.motion.structure import Growth, Structure
 from frictrack.motion.system import Data, Lines, cutoff_of, factored, penalty
@@ -489,18 +489,6 @@ def test_noise_level_sees_neither_jerks_nor_a_ripple(rng):
 
 def test_noise_level_needs_four_neighbours():
     assert np.isnan(noise_level(np.arange(9.0), np.arange(9) % 2 == 0)[0])
-
-
-def test_lag1_sees_correlated_noise_and_passes_white_noise(rng):
-    valid = np.ones(4000, bool)
-    z = []
-    for _ in range(60):
-        r, spread = lag1(rng.normal(size=4000), valid)
-        z.append(r / spread)
-    assert rms(z) == pytest.approx(1.0, abs=0.3)
-    white = rng.normal(size=20_001)
-    r, spread = lag1(white[1:] + 0.5 * white[:-1], np.ones(20_000, bool))
-    assert r == pytest.approx(0.4, abs=5 * spread)
 
 
 # -- bad input --------------------------------------------------------------------------------------------

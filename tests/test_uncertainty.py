@@ -253,10 +253,33 @@ def red(rng, n, rho=0.9, sigma=2e-5):
     return out
 
 
+def test_correlated_noise_is_found_and_widens_the_deviations():
+    fits = []
+    for seed in range(20):
+        runs = [slide(4 * seed + i, n=400, noise=red, name=f"r{i}") for i in range(4)]
+        fits.append(fit("coulomb", runs))
+    each = [f.parameters["coulomb.F_c"] for f in fits]
+    z = [(e.value - 8.0) / e.std for e in each]
+    assert np.std(z) == pytest.approx(1.0, abs=0.4)
+    assert abs(np.mean(z)) < 0.6
+    noise = np.mean([f.solution.problem.pieces[0].noise[0] for f in fits])
+    assert noise == pytest.approx(2e-5, rel=0.2)
+    said = [line for line in fits[0].summary()["remarks"] if "not white" in line]
+    assert len(said) == 1
+    assert "frames" in said[0]
+
+
+def waves(rng, n):
+    """White noise and what a law misses: waves of a few periods, of another size and phase every time."""
+    turns = np.outer([1.0, 2.0, 3.0], np.linspace(0.0, 2 * np.pi, n))
+    size = 4e-5 * rng.standard_normal((2, 3))
+    return size[0] @ np.cos(turns) + size[1] @ np.sin(turns) + 1e-5 * rng.standard_normal(n)
+
+
 def test_a_correlated_residual_is_drawn_in_blocks():
     values, told, white = [], [], []
     for seed in range(30):
-        fitted = fit("coulomb", [slide(seed, noise=red)])
+        fitted = fit("coulomb", [slide(seed, noise=waves)])
         values.append(fitted.parameters["coulomb.F_c"].value)
         if seed < 5:
             found = ft.bootstrap(fitted, 60, seed=seed)

@@ -33,9 +33,9 @@ def residual_force(response: Response, scale: float | None = None) -> ResidualFo
     piece = response.piece
     if isinstance(piece, SeriesPiece):
         x, v = piece.path.x[piece.at], piece.path.v[piece.at]
-        return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.sigma)
-    left = response.r_full * piece.sigma
-    tried = [curvature(left, piece.sigma, piece.t, s) for s in ([scale] if scale else _scales(piece.t))]
+        return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.noise)
+    left = piece.coloured(response.r_full)
+    tried = [curvature(left, piece.noise, piece.t, s) for s in ([scale] if scale else _scales(piece.t))]
     a, sigma = max(tried, key=lambda pair: float(np.max(np.abs(pair[0]) / pair[1])))
     return ResidualForce(
         t=piece.t,

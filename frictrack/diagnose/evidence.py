@@ -173,7 +173,7 @@ def _curve(left: Reduced, solution: Solution, told: Array) -> tuple[int, dict[st
     parts = np.split(told, ends)
     k = int(np.argmax([float(part @ part) for part in parts]))
     piece = solution.responses[k].piece
-    back = (left.shifts[k] * piece.sigma).T * piece.sigma[:, None]
+    back = left.curves[k]
     return k, {"t": piece.t, "left": back @ np.split(left.left, ends)[k], "told": back @ parts[k]}
 
 
@@ -261,8 +261,8 @@ def sensed(solution: Solution, runs: Sequence[Run], beside: Beside) -> Evidence 
         parts.append(_by_frequency(r, a, noise))
         columns = _felt(r, a[r.piece.frames])
         rest = columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], columns[:, 0] - r.r, rcond=None)[0]
-        felt_there = (columns[:, 0] - rest) * r.piece.sigma
-        curves.append((run.name, {"t": r.piece.t, "left": r.r * r.piece.sigma, "told": felt_there}))
+        felt_there = r.piece.coloured(columns[:, 0] - rest)
+        curves.append((run.name, {"t": r.piece.t, "left": r.piece.coloured(r.r), "told": felt_there}))
         chi2 += float(r.r @ r.r) - len(r.r)
     if not parts:
         return None
@@ -290,7 +290,7 @@ def _by_frequency(response: Response, a: Array, noise: float) -> tuple[Array, Ar
     t = response.piece.t
     omega = np.pi * np.maximum(np.arange(len(t)), 1) / (t[-1] - t[0])
     clear = np.convolve(seen**2, np.ones(3) / 3, mode="same") > CLEAR
-    return felt[clear], seen[clear], ((noise / omega**2 / np.median(response.piece.sigma)) ** 2)[clear]
+    return felt[clear], seen[clear], ((noise / omega**2 / np.median(response.piece.noise)) ** 2)[clear]
 
 
 def _felt(response: Response, a: Array) -> Array:
@@ -299,7 +299,7 @@ def _felt(response: Response, a: Array) -> Array:
     own = CubicSpline(piece.panels.t, response.motion.a)(piece.t)
     inputs = np.stack([a - own, own, np.ones_like(own)], axis=1)
     speed = cumulative_trapezoid(inputs, piece.t, axis=0, initial=0)
-    moved = cumulative_trapezoid(speed, piece.t, axis=0, initial=0) / piece.sigma[:, None]
+    moved = piece.whitened(cumulative_trapezoid(speed, piece.t, axis=0, initial=0))
     return np.asarray(moved - response.q @ (response.q.T @ moved))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import idct
 
 from frictrack.fit.simulated.beside import Beside, beside
-from frictrack.fit.simulated.pieces import Rows
+from frictrack.fit.simulated.pieces import Piece, Rows
 from frictrack.fit.simulated.scan import Series, Short
 from frictrack.fit.simulated.solve import Solution
 from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
@@ -95,14 +95,18 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             if piece.step:
                 share = min(piece.step**2 / 12.0 / float(np.mean(piece.sigma**2)), 1.0)
                 e *= np.float32(np.sqrt(1 - share))
-                e += rounding(law.strips[i].response.model_y, piece.step, e.shape[1], rng) / piece.sigma[:, None]
+                e += _whitened(piece, rounding(law.strips[i].response.model_y, piece.step, e.shape[1], rng))
             if piece.systematic:
-                e += slow_errors(e.shape, rng) * (piece.systematic / piece.sigma)[:, None]
+                e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
             if piece.shake:
                 frequency, rms = piece.shake
-                e += tones(piece.t * frequency, e.shape[1], rng) * (rms / piece.sigma)[:, None]
+                e += _whitened(piece, rms * tones(piece.t * frequency, e.shape[1], rng))
             q = law.strips[i].response.q.astype(np.float32)
             e -= q @ (q.T @ e)
+
+
+def _whitened(piece: Piece, errors: Short) -> Short:
+    return piece.whitened(errors.astype(np.float64)).astype(np.float32)
 
 
 def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:

@@ -35,13 +35,15 @@ class Reduced:
     """The residual (M,) beside the law, and for every piece how a force at its points becomes such numbers.
 
     `paths` and `maps` (m_i, n_i) by piece; `rows` its points among its frames, `shifts` (m_i, frames) the same for a
-    shift of the picture, m; `runs` its run; `taken` (M, P) and `share` (P,) take the law out.
+    shift of the picture, m, `curves` (frames, m_i) the displacements, m, that are one such number each; `runs` its run;
+    `taken` (M, P) and `share` (P,) take the law out.
     """
 
     paths: list[Path]
     maps: list[Array]
     rows: list[Rows]
     shifts: list[Array]
+    curves: list[Array]
     runs: list[int]
     taken: Array
     share: Array
@@ -93,7 +95,8 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
         paths=[path for _, path, *_ in parts],
         maps=[m for _, _, m, _ in parts],
         rows=[rows for *_, rows in parts],
-        shifts=[q.T / r.piece.sigma for (q, *_), r in zip(parts, responses, strict=True)],
+        shifts=[r.piece.whitened_transposed(q).T for (q, *_), r in zip(parts, responses, strict=True)],
+        curves=[r.piece.coloured(q) for (q, *_), r in zip(parts, responses, strict=True)],
         runs=[r.piece.run for r in responses],
         taken=taken,
         share=share,
@@ -133,7 +136,7 @@ def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, 
     knots = _knots(piece.t[0], piece.t[-1], count)
     nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, CUBIC).toarray()
     _, edges = response.linear.respond(-nodes / piece.mass, np.zeros((2, count)))
-    moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0] / piece.sigma[:, None]
+    moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     moved -= response.q @ (response.q.T @ moved)
     scale = np.linalg.norm(moved, axis=0)
     u, s, vt = np.linalg.svd(moved / np.where(scale > 0, scale, 1.0), full_matrices=False)

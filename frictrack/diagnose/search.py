@@ -243,10 +243,10 @@ def _stopped(rows: Sequence[Importance]) -> list[Importance]:
 def _noise(fit: Fit) -> tuple[float, float]:
     """Noise of a frame, m, or N where friction was measured; and the reduced chi-squared beside it."""
     if not fit.measured:
-        noise = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in fit.solution.responses]) ** 2)))
+        noise = float(np.sqrt(np.mean(np.concatenate([r.piece.noise for r in fit.solution.responses]) ** 2)))
         return noise, fit.reduced_chi2
     noise = series.weighed(fit.solution)[1].rms
-    left = np.concatenate([r.r * r.piece.sigma for r in fit.solution.responses])
+    left = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
     return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
 

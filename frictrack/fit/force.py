@@ -107,7 +107,7 @@ class ForceProblem(Problem):
 
     def _respond(self, i: int, p: Array, start: Array) -> Response:
         plain = super()._respond(i, p, start)
-        both = np.column_stack([plain.jac, plain.r]) * plain.piece.sigma[:, None]
+        both = plain.piece.coloured(np.column_stack([plain.jac, plain.r]))
         seen = self.chains[i].apply(both) / self.noise
         known = {name: getattr(plain, name) for name in Response.__dataclass_fields__}
         return ForceResponse(**known | {"jac": seen[:, :-1], "r": seen[:, -1], "r_full": seen[:, -1]}, plain=plain)
@@ -121,7 +121,7 @@ class ForceProblem(Problem):
         for chain, response in zip(self.chains, responses, strict=True):
             mine = columns[at : at + len(response.r)]
             at += len(response.r)
-            back = response.piece.sigma[:, None] * chain.transposed(mine) / self.noise
+            back = response.piece.coloured_transposed(chain.transposed(mine)) / self.noise
             out.append(back - response.q @ (response.q.T @ back))
         return np.concatenate(out)
 

@@ -124,6 +124,7 @@ class _Bound:
         piece = self.piece
         frames = int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES))
         frames = min(frames, len(piece.t))
+        begun = piece.first(frames)
         rests = piece.path.s[0] == 0
         states = {} if rests else self.remembered(level)
         names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
@@ -137,7 +138,7 @@ class _Bound:
             return Start(float(theta[0]), float(theta[1]), own)
 
         def left(theta: Array) -> Array:
-            return np.asarray((piece.y[:frames] - self.follow(start(theta), frames)) / piece.sigma[:frames])
+            return begun.whitened(begun.y - self.follow(start(theta), frames))
 
         return start(_least_squares(left, first, free, _scales(piece, states, frames)))
 

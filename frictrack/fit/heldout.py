@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.unknowns.scatter import restraint, restraint_rows
@@ -27,13 +28,19 @@ LEAST = 1e-7  # singular value, over the largest, of a direction that is left as
 
 @dataclass(frozen=True)
 class _Linear:
-    """One run about the fitted law: whitened residual (n,), sensitivities (n, P) and starts (n, 2 s), sigma (n,)."""
+    """One run about the fitted law: whitened residual (n,), sensitivities (n, P), starts (n, 2 s), and its pieces."""
 
     residual: Array
     jac: Array
     starts: Array
-    sigma: Array
+    pieces: list[Piece]
     odd: Mask
+
+    def unseen(self, left: Array) -> Array:
+        """What a whitened residual (n,) comes to at the odd frames, m."""
+        ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
+        errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(left, ends), strict=True)]
+        return np.asarray(np.concatenate(errors)[self.odd])
 
 
 def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
@@ -68,7 +75,7 @@ def _joined(pieces: Sequence[Response], unknowns: int) -> _Linear:
         residual=np.concatenate([r.r for r in pieces]),
         jac=jac,
         starts=starts,
-        sigma=np.concatenate([r.piece.sigma for r in pieces]),
+        pieces=[r.piece for r in pieces],
         odd=np.concatenate([np.arange(len(r.r)) % 2 == 1 for r in pieces]),
     )
 
@@ -89,7 +96,7 @@ def _left_out(solution: Solution, runs: dict[int, _Linear], run: int) -> Array:
     left = here.residual - here.jac @ step
     mine = np.concatenate([here.jac[:, own], here.starts], axis=1)
     left = left - mine @ _solved(mine[~here.odd], left[~here.odd], mine)
-    return np.asarray((left * here.sigma)[here.odd])
+    return here.unseen(left)
 
 
 def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
@@ -107,7 +114,7 @@ def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
     for r in runs.values():
         left = r.residual - r.jac @ step
         left = left - r.starts @ _solved(r.starts[~r.odd], left[~r.odd], r.starts)
-        out.append(np.asarray((left * r.sigma)[r.odd]))
+        out.append(r.unseen(left))
     return out
 
 

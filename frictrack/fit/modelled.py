@@ -182,7 +182,7 @@ def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
     """
     piece = response.piece
     n = len(piece.t)
-    z = dct((piece.y - response.model_y) / piece.sigma, norm="ortho")
+    z = dct(piece.whitened(piece.y - response.model_y), norm="ortho")
     seen = np.abs(z) > ndtri(1 - alarms / (2 * n))
     power = float(np.mean(z**2))
     level = noise_level(run.displacement.x, run.displacement.valid)[1]
@@ -190,7 +190,7 @@ def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
     if not (clear or np.any(seen)):
         return Lack()
     omega = np.pi * np.arange(n) / (piece.t[-1] - piece.t[0]) * (n - 1) / n
-    size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.sigma**2)
+    size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.noise**2)
     x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
     most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
     rest = float(np.mean(z[~seen] ** 2)) if clear and not np.all(seen) else 1.0

@@ -251,7 +251,7 @@ def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[C
         "run": run.name,
         "role": role,
         "level": level,
-        "noise_um": float(np.sqrt(np.mean(np.concatenate([p.sigma for p in pieces]) ** 2)) * 1e6),
+        "noise_um": float(np.sqrt(np.mean(np.concatenate([p.noise for p in pieces]) ** 2)) * 1e6),
         "segments": len(pieces),
         "segment_s": float(max(p.t[-1] - p.t[0] for p in pieces)),
         "errors": errors_of([c for c in curves if c.run == run.name and c.role == role], [run]),
@@ -299,7 +299,7 @@ def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve
     return Curve(
         t=run.displacement.t[piece.frames],
         x=piece.y,
-        sigma_x=piece.sigma,
+        sigma_x=piece.noise,
         x_model=response.model_y,
         v_model=v,
         a_model=piece.known_at_frames - total / piece.mass,

@@ -1,17 +1,19 @@
 """Displacement -> low-pass -> displacement, velocity and acceleration with their standard deviations."""
 
+from frictrack.motion.correlated import CorrelatedNoise, correlated_noise
 from frictrack.motion.derivative import covariance, derivatives, differentiate
 from frictrack.motion.filter import low_pass
 from frictrack.motion.known import KnownAcceleration
-from frictrack.motion.noise import lag1, noise_level
+from frictrack.motion.noise import noise_level
 from frictrack.motion.trade import trade
 
 __all__ = [
+    "CorrelatedNoise",
     "KnownAcceleration",
+    "correlated_noise",
     "covariance",
     "derivatives",
     "differentiate",
-    "lag1",
     "low_pass",
     "noise_level",
     "trade",

@@ -67,22 +67,6 @@ def usual_order(many: int, few: int) -> int:
     return ORDER if 2 * many >= few else FEWER
 
 
-def lag1(x: Array, valid: Mask) -> tuple[float, float]:
-    """Correlation of the noise of neighbouring frames, and its standard deviation when there is none.
-
-    `x` (n,), `valid` (n,). With the correlation r at lag one and none beyond, the third differences have the
-    variance 20 - 30 r and the covariance -15 + 26 r at lag one, which gives r from their quotient.
-    """
-    d, whole = _differences(x, valid, 3)
-    usual = MEDIAN_TO_SIGMA * np.median(np.abs(d[whole])) if np.any(whole) else 0.0
-    kept = whole & (np.abs(d) <= OUTLIER * usual)
-    both = kept[1:] & kept[:-1]
-    if not np.any(both) or usual == 0.0:
-        return float("nan"), float("nan")
-    q = float(np.mean(d[1:][both] * d[:-1][both]) / np.mean(d[kept] ** 2))
-    return (20.0 * q + 15.0) / (26.0 + 30.0 * q), _LAG1_SPREAD / float(np.sqrt(np.sum(both)))
-
-
 def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
     """Differences (n - order, ...) and which of them have all their frames."""
     filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
@@ -93,17 +77,3 @@ def _whole(valid: Mask, order: int) -> Mask:
     """Which differences have all their frames."""
     count = max(len(valid) - order, 0)
     return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))
-
-
-def _lag1_spread() -> float:
-    """Standard deviation of `lag1` for white noise times the root of the number of differences (Bartlett)."""
-    r = np.array([-0.05, 0.3, -0.75, 1.0, -0.75, 0.3, -0.05, 0.0, 0.0, 0.0])  # correlations from lag -3
-    centre = 3
-    v = np.arange(1, 5)
-    before = np.where(v - 1 <= 3, r[centre + v - 1], 0.0)
-    terms = r[centre + v + 1] * (v + 1 <= 3) + before - 2.0 * r[centre + 1] * r[centre + v] * (v <= 3)
-    slope = 70.0 / 12.25  # d r / d q at q = -3/4
-    return slope * float(np.sqrt(np.sum(terms**2)))
-
-
-_LAG1_SPREAD = _lag1_spread()

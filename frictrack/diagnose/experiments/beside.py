@@ -85,7 +85,7 @@ def _value(told: Explanation, parameter: str) -> float:
 def _in_picture(told: Explanation) -> float:
     """Shift of everything in the picture along one run, against the noise of a frame."""
     response = _longest(told)
-    return float(np.sum((_block(told, response) / response.piece.sigma) ** 2))
+    return float(np.sum(response.piece.whitened(_block(told, response)) ** 2))
 
 
 def _on_rule(told: Explanation) -> float:
@@ -94,7 +94,7 @@ def _on_rule(told: Explanation) -> float:
     shift, x = _block(told, response), response.motion.x_edge[response.piece.at]
     rows = np.linspace(0, len(x) - 1, MARKS).astype(int)
     line = np.polyfit(x[rows], shift[rows], 1)
-    return float(np.sum(((shift - np.polyval(line, x)) / response.piece.sigma)[rows] ** 2))
+    return float(np.sum(((shift - np.polyval(line, x)) / response.piece.noise)[rows] ** 2))
 
 
 def _by_clock(told: Explanation) -> float:

@@ -131,7 +131,7 @@ def bench_of(solution: Solution) -> Bench:
     like = template(solution.problem.pieces)
     return Bench(
         fps=solution.problem.layout.spans[0].fps,
-        noise=float(np.median(np.concatenate([piece.sigma for piece in solution.problem.pieces]))),
+        noise=float(np.median(np.concatenate([piece.noise for piece in solution.problem.pieces]))),
         mass=like.mass,
         slowing=_deceleration(solution),
         path=like.path,

@@ -56,11 +56,11 @@ def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> 
 
 def displacement_block(piece: Piece) -> Block:
     """Displacements of a piece, start position and speed removed."""
-    q, _ = np.linalg.qr(np.column_stack([np.ones_like(piece.t), piece.t]) / piece.sigma[:, None])
+    q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
     twice = double_integral(piece.t)
 
     def picture(rows: Array) -> Array:
-        white = rows / piece.sigma
+        white = np.moveaxis(piece.whitened(np.moveaxis(rows, -1, 0)), 0, -1)
         clean: Array = white - (white @ q) @ q.T
         return clean
 

@@ -77,9 +77,9 @@ class Strip:
         piece = self.response.piece
         frames = piece.at // piece.per_frame
         if pictured or self._rows is None:  # where friction itself is measured, a force is seen as it is
-            return np.asarray(raw[:, frames] / piece.sigma)
-        scale = -(1 + self.response.shift_slope) / (piece.sigma * piece.mass)
-        return np.asarray(self._rows(raw)[:, frames] * scale)
+            return piece.whitened(raw[:, frames].T).T
+        moved = self._rows(raw)[:, frames] * (-(1 + self.response.shift_slope) / piece.mass)
+        return piece.whitened(moved.T).T
 
     def unstarted(self, white: Array) -> Array:
         """Whitened rows (k, n) without what another start explains."""

@@ -76,7 +76,7 @@ def traces(response: Response, force: Array) -> Array:
         still = np.zeros(len(piece.panels.t))
         linear = Linear(piece.panels, still, still)
     edges = linear.moved(-force / piece.mass)
-    moved = (1 + response.shift_slope)[:, None] * edges[piece.at, 0] / piece.sigma[:, None]
+    moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     left: Array = moved - response.q @ (response.q.T @ moved)
     return left
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.begin import Begin, Reference, begin_of
 from frictrack.fit.simulated.swings import joined
+from frictrack.fit.simulated.whiten import Whitening
 from frictrack.friction import free_section, is_moving, moving_sections
-from frictrack.motion import noise_level
+from frictrack.motion import CorrelatedNoise, correlated_noise, noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
@@ -53,9 +55,39 @@ class Piece:
     turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
     slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
     systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
+    correlated: tuple[float, ...] = ()  # noise beside the white `sigma`: rms in m, correlation time in s
     step: float = 0.0  # m, to which the places are rounded
     shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
+
+    @cached_property
+    def _whitening(self) -> Whitening | None:
+        return Whitening.of(self.t, self.sigma, (self.correlated[0], self.correlated[1])) if self.correlated else None
+
+    def whitened(self, errors: Array) -> Array:
+        """Errors (n, ...) at the frames, m, as independent numbers of size one."""
+        way = self._whitening
+        return np.asarray((errors.T / self.sigma).T) if way is None else way.whitened(errors)
+
+    def coloured(self, white: Array) -> Array:
+        """The errors (n, ...), m, that `whitened` makes these numbers of."""
+        way = self._whitening
+        return np.asarray((white.T * self.sigma).T) if way is None else way.coloured(white)
+
+    def whitened_transposed(self, white: Array) -> Array:
+        """The transposed map of `whitened`."""
+        way = self._whitening
+        return np.asarray((white.T / self.sigma).T) if way is None else way.transposed(white)
+
+    def coloured_transposed(self, rows: Array) -> Array:
+        """The transposed map of `coloured`."""
+        way = self._whitening
+        return np.asarray((rows.T * self.sigma).T) if way is None else way.coloured_transposed(rows)
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of all noise at the frames (n,), m."""
+        return np.hypot(self.sigma, self.correlated[0]) if self.correlated else self.sigma
 
     def along(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
@@ -169,7 +201,27 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
 
 def sections_of(runs: Sequence[Run], reference: Reference, *, turning: bool) -> list[list[Piece]]:
     """The stretches of every run that a law can be followed along: of one direction, unless it passes turns."""
-    return [pieces_of(run, i, free_section(run)[0], reference, turning=turning) for i, run in enumerate(runs)]
+    sections = [pieces_of(run, i, free_section(run)[0], reference, turning=turning) for i, run in enumerate(runs)]
+    open_ = [not run.noise and not run.displacement.resolution for run in runs]  # neither stated nor that of a rounding
+    even = [i for i, own in enumerate(open_) if own]
+    found = correlated_noise([_longest(sections[i]) for i in even])
+    if found is not None:
+        for i, rms in zip(even, found.rms.tolist(), strict=True):
+            sections[i] = [_correlated(p, found, rms) for p in sections[i]]
+    return sections
+
+
+def _longest(section: Sequence[Piece]) -> Array:
+    """The measured places of the longest stretch of a run without a missing frame."""
+    parts = [part for p in section for part in np.split(p.y, np.flatnonzero(np.diff(p.frames) != 1) + 1)]
+    return max(parts, key=len)
+
+
+def _correlated(piece: Piece, found: CorrelatedNoise, rms: float) -> Piece:
+    """The same piece under noise of a rms, m, that is alike in neighbouring frames."""
+    time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
+    level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))
+    return replace(piece, sigma=level * piece.sigma, correlated=(rms * float(np.sqrt(found.share)), time))
 
 
 def _stops(sections: Sequence[slice]) -> bool:

@@ -93,8 +93,8 @@ class Problem:
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
         model_y = x + shift + slope * (x - motion.x_edge[piece.at])
-        weighted = x_sens / piece.sigma[:, None]
-        residual = (piece.y - model_y) / piece.sigma
+        weighted = piece.whitened(x_sens)
+        residual = piece.whitened(piece.y - model_y)
         q, upper = np.linalg.qr(weighted[:, -2:])
         on_start = q.T @ weighted[:, :-2]
         return Response(

@@ -83,7 +83,7 @@ def _compared(model: Model, piece: Piece) -> tuple[Array, Array]:
     forces = [e.columns(nodes, held) for e in model.effects if _is_plain(e) for held in _held(e, span)]
     inputs = np.column_stack([*forces, piece.known])
     twice = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
-    white = np.column_stack([twice[:, :-1] / piece.mass, piece.y - twice[:, -1]]) / piece.sigma[:, None]
+    white = piece.whitened(np.column_stack([twice[:, :-1] / piece.mass, piece.y - twice[:, -1]]))
     return white[:, :-1], white[:, -1]
 
 
@@ -112,8 +112,8 @@ def _directions(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece]) 
 
 def _unstarted(columns: Array, piece: Piece, rows: Rows) -> Array:
     """Rows of columns without what a start position and speed explain."""
-    t = piece.t[rows]
-    q, _ = np.linalg.qr(np.column_stack([np.ones_like(t), t - t.mean()]) / piece.sigma[rows, None])
+    t = piece.t - piece.t[rows].mean()
+    q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(t), t]))[rows])
     taken = columns[rows]
     return np.asarray(taken - q @ (q.T @ taken))
 

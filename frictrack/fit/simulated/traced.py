@@ -44,7 +44,7 @@ def _traced(problem: Problem, p: Array, response: Response) -> Response:
     piece, motion, linear = response.piece, response.motion, response.linear
     level = np.array(p)
     level[problem.layout.levels] = 1.0
-    t, away = smoothed(piece, response.r_full * piece.sigma)
+    t, away = smoothed(piece, piece.coloured(response.r_full))
     if not away.any():
         return problem.seen(piece, level, (motion, linear), motion.x_edge[piece.at])
     bend = CubicSpline(t, away)

@@ -134,9 +134,9 @@ def _windowed(problem: Problem, p: Array, lengths: list[int]) -> Iterator[tuple[
 def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
     """Windows of about n frames of columns (n, k), each without what a start position and speed explain."""
     out = []
+    start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t[0]]))
     for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
-        t = piece.t[rows]
-        q, _ = np.linalg.qr(np.column_stack([np.ones_like(t), t - t[0]]) / piece.sigma[rows, None])
+        q, _ = np.linalg.qr(start[rows])
         out.append(white[rows] - q @ (q.T @ white[rows]))
     return out
 
@@ -154,4 +154,4 @@ def _compared(problem: Problem, piece: Piece, p: Array, linear: list[int]) -> Ar
         )
         inputs.append(-column / piece.mass)
     moved = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
-    return np.column_stack([moved[:, 1:], piece.y - moved[:, 0]]) / piece.sigma[:, None]
+    return piece.whitened(np.column_stack([moved[:, 1:], piece.y - moved[:, 0]]))

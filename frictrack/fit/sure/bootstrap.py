@@ -186,7 +186,7 @@ def _drawn(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) 
         responses = solution.responses
     noise = _noise(solution, blocks, rng)
     pieces = [
-        replace(old.piece, y=new.model_y + old.piece.sigma * e)
+        replace(old.piece, y=new.model_y + old.piece.coloured(e))
         for old, new, e in zip(solution.responses, responses, noise, strict=True)
     ]
     return problem.over(layout, pieces)

@@ -70,7 +70,7 @@ def _slow_pulls(r: Response) -> Array:
     parts = [np.zeros((0, r.jac.shape[1]))]
     if len(r.jac) != len(piece.sigma):
         return parts[0]
-    seen = r.jac / piece.sigma[:, None]
+    seen = piece.whitened_transposed(r.jac)
     if piece.systematic:
         size = slow_spectrum(len(seen))
         parts.append(piece.systematic * size[:, None] * dct(seen, axis=0, norm="ortho")[1 : 1 + len(size)])

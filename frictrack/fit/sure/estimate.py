@@ -110,7 +110,21 @@ def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Esti
     out |= _tied(solution, covariance, out)
     alike = correlations(names, shown(layout), covariance)
     said = remarks(solution, alike, list(reasons))
-    return Estimates(out, covariance, alike, [*said, *driving(solution, out)])
+    return Estimates(out, covariance, alike, [*said, *driving(solution, out), *not_white(solution)])
+
+
+def not_white(solution: Solution) -> Iterator[str]:
+    """Say that the noise of neighbouring frames is correlated, how large it is, and for how long."""
+    pieces = [p for p in solution.problem.pieces if p.correlated]
+    if pieces:
+        rms, time = pieces[0].correlated
+        frames = time / float(np.median(np.diff(pieces[0].t)))
+        share = rms**2 / float(np.mean(pieces[0].noise ** 2))
+        yield (
+            f"the noise is not white: {100 * share:.0f} % of its variance is correlated over {frames:.2g} frames "
+            f"({1e3 * time:.2g} ms), as a filter in a sensor, mains or air leave it; deviations and tests take it into "
+            "account"
+        )
 
 
 def driving(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
