@@ -18,9 +18,9 @@ from frictrack.fit import Fit
 from frictrack.flow import Session, open_study
 
 NOTED = {  # how the measuring chain itself puts a fault into words
-    "camera_shake": "camera shake of",
-    "dropped_frame": "told by the motion",
-    "peak_locking": "peak locking",
+    "camera_shake": ("camera shake of",),
+    "dropped_frame": ("told by the motion", "repeats the one before", "repeat the one before"),
+    "peak_locking": ("peak locking",),
 }
 
 
@@ -142,10 +142,10 @@ def _added(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcom
 
 
 def _noted(session: Session) -> tuple[str, ...]:
-    """Faults that are in the notes of the films."""
-    parts = [work.get(name) for work in session.runs if work.run.video for name in ("track", "displacement")]
-    words = " ".join(note for part in parts for note in getattr(part, "notes", ()))
-    return tuple(name for name, phrase in NOTED.items() if phrase in words)
+    """Faults that are in the notes of the records."""
+    stages = [(work, name) for work in session.runs for name in ("track", "displacement") if name in work.stages]
+    words = " ".join(note for work, name in stages for note in work.get(name).notes)
+    return tuple(name for name, phrases in NOTED.items() if any(phrase in words for phrase in phrases))
 
 
 def deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:

@@ -43,8 +43,13 @@ def _share(rows: Sequence[Outcome], right: Right) -> dict[str, Any]:
 
 
 def first(row: Outcome) -> bool:
-    """The hidden cause is named first."""
-    return bool(row.group) and row.group[0] == row.hidden[0]
+    """The hidden cause is named first; what was found in the records and mended there was named before all else."""
+    return named_in_record(row) or (bool(row.group) and row.group[0] == row.hidden[0])
+
+
+def named_in_record(row: Outcome) -> bool:
+    """The hidden fault was found in the records, and nothing else is named."""
+    return row.hidden[0] in row.noted and not row.named
 
 
 def in_group(row: Outcome) -> bool:
@@ -111,7 +116,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
             "named_first": _share(one, first),
             "in_group": _share(one, in_group),
             "first_where_alone": _share([r for r in one if len(_set(r)) == 1], first),
-            "missed": _share(one, lambda r: r.verdict in SILENT),
+            "missed": _share(one, lambda r: r.verdict in SILENT and not named_in_record(r)),
             "more_than_hidden": _share(one, lambda r: len(r.named) > 1),
             "median_group": _median([len(r.group) for r in one if r.group]),
             "median_set": _median([len(_set(r)) for r in one]),

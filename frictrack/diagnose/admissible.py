@@ -6,8 +6,9 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.sure.covariance import plain_covariance
+from frictrack.fit.sure.covariance import inverse
 from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.unknowns.scatter import restraint_rows
 from frictrack.records import Array
 
 MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an effect must exceed
@@ -17,7 +18,8 @@ def objection(solution: Solution, effect: Effect) -> str:
     """Return why a fitted effect cannot be the cause, or "" where nothing speaks against it.
 
     The effect's own check (`Effect.plausible`) must pass in at least one run where it acts, and at least one of its
-    sizes must exceed three of its own standard deviations.
+    sizes must exceed three of its own standard deviations, in the shape that was found: a narrow strong patch and a
+    wide weak one trade places, and yet something is there.
     """
     return implausible(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
 
@@ -42,8 +44,7 @@ def _insignificant(solution: Solution, effect: Effect) -> str:
     at = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and s.parameter in sizes]
     if not at:
         return ""
-    covariance, _ = plain_covariance(solution)
-    std = np.sqrt(np.maximum(np.diag(covariance)[at], 0.0))
+    std = _std_in_shape(solution, effect, at)
     value = solution.p[at]
     if np.any(np.abs(value) > MIN_SIGNIFICANCE * std):
         return ""
@@ -53,3 +54,12 @@ def _insignificant(solution: Solution, effect: Effect) -> str:
         f"{slot.parameter} = {value[k]:.2g} +/- {std[k]:.2g} {sizes[slot.parameter]} is not larger than "
         f"{MIN_SIGNIFICANCE:g} of its standard deviations"
     )
+
+
+def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
+    """Standard deviations of some unknowns while the others of their effect are held."""
+    layout = solution.problem.layout
+    free = [i for i, s in enumerate(layout.slots) if s.effect != effect.name or i in at]
+    rows = np.vstack([solution.jac, restraint_rows(layout, solution.tau or 0.03, solution.p)])
+    covariance, _ = inverse(rows[:, free])
+    return np.sqrt(np.maximum(np.diag(covariance)[[free.index(i) for i in at]], 0.0))

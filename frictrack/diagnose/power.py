@@ -30,13 +30,15 @@ class Undetermined:
     """One thing that these runs leave open: an effect below its detection limit, or a parameter of the law.
 
     `limit` is the smallest size that would have been seen, rms over the mean friction; None where no size would be, or
-    for a parameter. `settled_by` says which record would settle it.
+    for a parameter. `uncertainty` is a coefficient's deviation over the mean friction, where that leaves the law itself
+    open. `settled_by` says which record would settle it.
     """
 
     what: str
     why: str
     settled_by: str
     limit: float | None = None
+    uncertainty: float | None = None
 
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON `undetermined`."""
@@ -114,7 +116,7 @@ def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
             share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
             if share > SHARE:
                 why = f"its standard deviation, {found.std:.2g} {p.unit}, is {100 * share:.0f} % of the mean friction"
-                yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm)
+                yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm, uncertainty=share)
 
 
 def _split(reason: str) -> tuple[str, str]:

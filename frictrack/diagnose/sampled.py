@@ -13,7 +13,7 @@ from frictrack.fit.unknowns.layout import Layout
 
 MOST = 32  # pieces that are looked at, unless there are more runs
 FASTEST = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
-MAX_FRAMES = 6000  # over all pieces; the search takes time in proportion
+MAX_FRAMES = 12_000  # over all pieces, a dozen films of slides; the search takes time in proportion
 
 
 def sampled(solution: Solution) -> tuple[Solution, str]:

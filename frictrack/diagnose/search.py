@@ -207,7 +207,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
 
 def _is_decisive(best: Candidate, gaps: Sequence[Undetermined]) -> bool:
     """Whether an effect is worth naming although the law itself is not determined: the held-out error falls clearly."""
-    if all(gap.limit is not None for gap in gaps) or best.heldout_after is None or best.heldout_before is None:
+    if all(gap.uncertainty is None for gap in gaps) or best.heldout_after is None or best.heldout_before is None:
         return True
     return best.heldout_after < DECISIVE * best.heldout_before
 

@@ -155,8 +155,12 @@ class Session:
             self._make_sure(group, profiles, draws, spec.seed)
         found = self._summary(group)
         twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
-        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary}
+        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._in_records()}
         return {**found, "remarks": [*found["remarks"], *twice], **more}
+
+    def _in_records(self) -> list[dict[str, str]]:
+        """What was found in the displacement of every run before it was used: bad samples and what was done."""
+        return [{"run": work.run.name, "words": note} for work in self.runs for note in work.get("displacement").notes]
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
@@ -225,7 +229,7 @@ class Session:
         found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec), self._told()]), seed)
         if store.stamp(self.path, "diagnosis") != store.stamp(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
-        return {**found, "warnings": self.findings.summary}
+        return {**found, "warnings": self.findings.summary, "findings": self._in_records()}
 
     def _told(self) -> list[Any]:
         """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen of the runs."""
