@@ -158,8 +158,9 @@ def _reach(ends: list[float]) -> str:
 def diagnose(out: Console, result: dict[str, Any]) -> None:
     """The verdict, the candidates, and the experiment that would settle it."""
     out.print(f"[bold]{escape(verdict(result))}[/bold]")
-    chi2, p, noise = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit", "noise_um"))
-    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {noise} µm")
+    chi2, p = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
+    key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
+    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {number(result.get(key), 3)} {unit}")
     evidence(out, result.get("evidence") or [])
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
