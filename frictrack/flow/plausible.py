@@ -21,6 +21,7 @@ from frictrack.plausibility import (
     Typed,
     implausible,
     implausible_clocks,
+    implausible_inclines,
     implausible_masses,
     implausible_slide,
     missing_incline,
@@ -35,6 +36,7 @@ WITHOUT_UNIT = re.compile(
     r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
 )  # a text without a unit
 KEYS = ("mass", "scale", "fps", "incline")
+CHECKED = 'plausible = "checked"'  # what a study file says to end a finding
 INHERITED_FROM = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
 
 
@@ -65,7 +67,8 @@ class Findings:
         self._look("study", lambda: _of_file(self.study))
 
     def of_runs(self, works: Sequence[RunWork]) -> None:
-        """What the motion of each run shows."""
+        """What the motion of each run shows, and of runs in both directions together."""
+        self._look("inclines", lambda: implausible_inclines([work.record() for work in works]))
         self._look("runs", lambda: (found for work in works for found in of_run(work)))
 
     def of_all(self, works: Sequence[RunWork]) -> None:
@@ -89,11 +92,16 @@ class Findings:
             if finding.grade != ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        gather([str(f) for f in new if f.grade == ERROR], self.study.path.name)
+        gather([_stated(f) for f in new if f.grade == ERROR], self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:
         """Whether the same was found before, of that run or of all."""
         return any(one.kind == finding.kind and one.run in (finding.run, "") for one in self._found.values())
+
+
+def _stated(error: Finding) -> str:
+    """An error with how to go on in spite of it."""
+    return str(error) if CHECKED in error.words else f"{error} (if it is right, {CHECKED} goes on)"
 
 
 def of_run(work: RunWork) -> list[Finding]:
