@@ -62,6 +62,11 @@ class Findings:
         """The sentences."""
         return tuple(self._found)
 
+    @property
+    def contradictions(self) -> tuple[Finding, ...]:
+        """Those in which the measured data contradict what was typed."""
+        return tuple(finding for finding in self._found.values() if finding.contradicts)
+
     def of_study(self) -> None:
         """What the study file shows by itself; what several runs inherit is said once."""
         self._look("study", lambda: _of_file(self.study))
