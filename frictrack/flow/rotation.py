@@ -34,9 +34,10 @@ def turning_note(track: Track) -> tuple[str, ...]:
     arm = float(np.hypot(*track.target[2:])) / 2
     if np.ptp(mean) < CLEAR * max(noise, float(np.median(track.sigma_px[known])) / arm):
         return ()
+    degrees = float(np.degrees(np.ptp(angle)))
     rate = float(np.max(np.abs(mean[SPAN:] - mean[:-SPAN]))) / SPAN
     return (
-        f"the target turns by {np.degrees(np.ptp(angle)):.3g} deg, up to {np.degrees(rate):.2g} deg a frame; its middle is "
+        f"the target turns by {degrees:{'.0f' if degrees > 100 else '.3g'}} deg, up to {np.degrees(rate):.2g} deg a frame; its middle is "
         "followed, and a centre of mass elsewhere moves along another path",
     )
 
