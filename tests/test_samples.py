@@ -118,6 +118,15 @@ def test_an_outlier_at_an_end(row):
     assert outliers(K, x, np.ones(N)).rows.tolist() == [row]
 
 
+@pytest.mark.parametrize("row", [1, 2, N - 3, N - 2])
+def test_an_outlier_that_the_first_or_last_row_shows_to_return(row):
+    """It is smaller than the step of the mass; the course goes on through the row on its other side."""
+    for seed in range(10):
+        x = noisy(slide(T), seed)
+        x[row] += 2e-4 * (-1) ** seed
+        assert outliers(K, x, np.ones(N)).rows.tolist() == [row]
+
+
 def test_noise_with_tails_is_not_thinned_out():
     x = slide(T) + 1e-5 * np.random.default_rng(0).standard_cauchy(N)
     assert len(outliers(K, x, np.ones(N)).rows) < 0.1 * N
