@@ -105,8 +105,8 @@ class Findings:
 
 
 def _stated(error: Finding) -> str:
-    """An error with how to go on in spite of it."""
-    return str(error) if CHECKED in error.words else f"{error} (if it is right, {CHECKED} goes on)"
+    """An error in a number that was typed, with how to go on in spite of it; an incline says that itself."""
+    return str(error) if error.kind == "incline" else f"{error} (if it is right, {CHECKED} goes on)"
 
 
 def of_run(work: RunWork) -> list[Finding]:
