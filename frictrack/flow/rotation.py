@@ -35,10 +35,11 @@ def turning_note(track: Track) -> tuple[str, ...]:
     if np.ptp(mean) < CLEAR * max(noise, float(np.median(track.sigma_px[known])) / arm):
         return ()
     degrees = float(np.degrees(np.ptp(angle)))
-    rate = float(np.max(np.abs(mean[SPAN:] - mean[:-SPAN]))) / SPAN
+    rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
+    written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     return (
-        f"the target turns by {degrees:{'.0f' if degrees > 100 else '.3g'}} deg, up to {np.degrees(rate):.2g} deg a frame; its middle is "
-        "followed, and a centre of mass elsewhere moves along another path",
+        f"the target turns by {written} deg, up to {rate:.2g} deg a frame; its middle is followed, and a centre of mass "
+        "elsewhere moves along another path",
     )
 
 
