@@ -38,8 +38,8 @@ def turning_note(track: Track) -> tuple[str, ...]:
     rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     return (
-        f"the target turns by {written} deg, up to {rate:.2g} deg a frame; its middle is followed, and a centre of mass "
-        "elsewhere moves along another path",
+        f"the target turns by {written} deg, up to {rate:.2g} deg a frame; its middle is followed, and a centre of "
+        "mass elsewhere moves along another path",
     )
 
 
