@@ -97,16 +97,32 @@ class Findings:
             if finding.grade != ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        gather([_stated(f) for f in new if f.grade == ERROR], self.study.path.name)
+        gather(_stated([f for f in new if f.grade == ERROR]), self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:
-        """Whether the same was found before, of that run or of all."""
-        return any(one.kind == finding.kind and one.run in (finding.run, "") for one in self._found.values())
+        """Whether the same was found before, of that run or of all, and on as good grounds."""
+        same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
+        return any(one.contradicts or not finding.contradicts for one in same)
 
 
-def _stated(error: Finding) -> str:
-    """An error in a number that was typed, with how to go on in spite of it; an incline says that itself."""
-    return str(error) if error.kind == "incline" else f"{error} (if it is right, {CHECKED} goes on)"
+def _stated(errors: Sequence[Finding]) -> list[str]:
+    """Errors in words, those with the same correction in one sentence, and how to go on in spite of them.
+
+    An incline says the latter itself.
+    """
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for error in errors:
+        alike.setdefault((error.kind, error.correction or str(error)), []).append(error)
+    return [f"{first}{_likewise(more)}{_in_spite(first)}" for first, *more in alike.values()]
+
+
+def _likewise(more: Sequence[Finding]) -> str:
+    names = ", ".join(f'"{error.run}"' for error in more)
+    return f"; likewise in {names}" if more else ""
+
+
+def _in_spite(error: Finding) -> str:
+    return "" if error.kind == "incline" else f" (if it is right, {CHECKED} goes on)"
 
 
 def of_run(work: RunWork) -> list[Finding]:

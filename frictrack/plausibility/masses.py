@@ -137,7 +137,7 @@ def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
 def _by_viscous(one: Weighed, others: Sequence[Weighed], power: int) -> Finding | None:
     """A mass with which the friction that goes with the speed comes out a power of ten off that of the others.
 
-    Certain where the mass differs from one of the others by the same power of ten.
+    Certain where that is a step of units, or the mass differs from one of the others by the same power of ten.
     """
     if not power:
         return None
@@ -146,7 +146,7 @@ def _by_viscous(one: Weighed, others: Sequence[Weighed], power: int) -> Finding 
         f"mass = {one.mass:g} kg is {_times(power)}: the friction that goes with the speed slows it as it would slow "
         f"{one.mass / 10.0**power:.4g} kg in the other runs; give {line}"
     )
-    certain = any(_exact_power(one.mass, w.mass) == power for w in others)
+    certain = abs(power) in UNIT_POWERS or any(_exact_power(one.mass, w.mass) == power for w in others)
     return Finding("mass", words, line, one.run.name, ERROR if certain else WARNING, contradicts=True)
 
 
