@@ -13,7 +13,7 @@ from math import asin, degrees, sin
 import numpy as np
 
 from frictrack.plausibility.finding import Finding
-from frictrack.plausibility.incline import MAX_PULL_RATIO, sign_error
+from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MAX_PULL_RATIO, sign_error
 from frictrack.plausibility.legs import MIN_SIGMAS, Leg, legs_of
 from frictrack.records import GRAVITY, Run
 
@@ -29,7 +29,7 @@ class _Pull:
 
     value: float
     sigma: float
-    forth: float  # m/s^2 by which runs toward +x slow down
+    forth: float  # m/s^2 by which runs toward +x slow down, less than 0 where they speed up
     back: float
 
     @property
@@ -40,7 +40,11 @@ class _Pull:
     @property
     def words(self) -> str:
         """How the runs differ."""
-        return f"runs toward +x slow down by {self.forth:.2g} m/s^2 and runs toward -x by {self.back:.2g}"
+        return f"runs toward +x {_changes(self.forth)} and runs toward -x {_changes(self.back)}"
+
+
+def _changes(slows: float) -> str:
+    return f"{'slow down' if slows > 0 else 'speed up'} by {abs(slows):.2g} m/s^2"
 
 
 def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
@@ -79,7 +83,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
 
 def _pull(runs: Sequence[Run]) -> _Pull | None:
     """What the slides of all runs say by least squares; None where they do not go both ways, or are too few."""
-    slides = [(run, leg) for run in runs for leg in legs_of(run) if leg.certain and not leg.speeding]
+    slides = [(run, leg) for run in runs for leg in legs_of(run) if leg.certain and _slides(leg)]
     s = np.array([leg.direction for _, leg in slides])
     if len(slides) < MIN_LEGS or abs(np.sum(s)) == len(slides):
         return None
@@ -93,6 +97,11 @@ def _pull(runs: Sequence[Run]) -> _Pull | None:
     sigma = float(np.sqrt(left * np.linalg.inv(design.T @ design)[0, 0]))
     slows = [float(np.mean([-leg.gains for _, leg in slides if leg.direction == way])) for way in (1.0, -1.0)]
     return _Pull(float(found[0]), sigma, *slows)
+
+
+def _slides(leg: Leg) -> bool:
+    """Whether nothing pushes the mass: it slows down, or what speeds it up goes on to the end."""
+    return not leg.speeding or leg.partner < MAX_PARTNER_SHARE * leg.way
 
 
 def _rate(run: Run, leg: Leg) -> float:

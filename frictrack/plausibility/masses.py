@@ -118,18 +118,19 @@ def _by_load(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
 
 def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
     """A mass that is a power of ten off: by friction that goes with the speed, else by the masses of the others."""
-    common = _common([w.viscous for w in others])
-    if one.viscous is not None and common is not None:
-        return _by_viscous(one, others, _power(one.viscous, common))
     usual = _usual([w.mass for w in others])
     power = _exact_power(one.mass, usual)
+    common = _common([w.viscous for w in others if w.viscous is not None])
+    if one.viscous is not None and common is not None:
+        off = float(np.log10(one.viscous / common))
+        return _by_viscous(one, others, power if power and abs(off - power) < abs(off) else _power(one.viscous, common))
     if not power:
         return None
     line = _line(one.mass, power)
     words = (
-        f"a mass of {one.mass:g} kg is exactly {_times(power)} that of the other runs ({usual:g} kg), and friction "
-        f'that goes with the weight cannot show which is right; was {line} meant? If not, plausible = "checked" ends '
-        "this"
+        f"a mass of {one.mass:g} kg is exactly that of the other runs ({usual:g} kg) with the point elsewhere, and "
+        f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
+        'plausible = "checked" ends this'
     )
     return Finding("mass", words, line, one.run.name)
 
