@@ -13,6 +13,7 @@ from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import fit, restore, state
+from frictrack.fit.predict import predicted
 from frictrack.fit.simulated.begin import reference_of
 from frictrack.fit.simulated.pieces import pieces_of
 from frictrack.flow.doubts import doubted
@@ -52,6 +53,15 @@ def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
         assert abs(estimate.value - truth) < 4 * estimate.std
     again = restore(runs, state(found))
     assert again.parameters["clock_rate.rate[r2]"].value == pytest.approx(own.value, rel=1e-9)
+
+
+def test_a_run_that_is_foretold_has_a_right_clock():
+    runs = recorded({2: 1.05})
+    foretold = replace(runs[3], name="later", role="validation")
+    found = fit("coulomb,viscous,clock_rate", [*runs[:3], *runs[4:], foretold])
+    told = predicted(found.solution, foretold, reference_of(runs))
+    assert np.sqrt(np.mean(told.residual**2)) == pytest.approx(1.0, abs=0.2)
+    assert not any(name.startswith("clock_rate") for name in told.problem.layout.names)
 
 
 def test_a_wrong_clock_is_named_and_the_error_falls():
