@@ -419,7 +419,9 @@ def test_a_measured_drive_tells_the_mass():
     t, x = moved(lambda t, x, v: (drive(t) - 0.3 * np.tanh(v / 0.01) - 0.2 * v) / 0.35, 0.0, 0.0, 1.0, fps=500.0)
     assert implausible_masses([run_of(t, x, drive=drive(t))]) == ()
     (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=350.0)])
-    assert finding.correction == 'mass = "0.35 kg"'
+    assert (finding.correction, finding.grade) == ('mass = "0.35 kg"', ERROR)
+    (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=4.5)])  # another mass, or another drive
+    assert finding.grade == "warning"
     (finding,) = implausible_masses([run_of(t, x, drive=1e3 * drive(t))])
     assert "or the drive is 1000 times too large" in finding.words
     (finding,) = implausible_masses([run_of(1e3 * t, x, drive=drive(t))])

@@ -253,4 +253,5 @@ def _of_drive(run: Run) -> Finding | None:
         f"the drive moves it as a mass of {seen:.3g} kg, but mass = {run.mass:g} kg; probably {line}, or the drive is "
         f"{_times(-power)}{unit}"
     )
-    return Finding("mass", words, line, run.name, contradicts=True)
+    grade = ERROR if _exact_power(run.mass, seen) else WARNING
+    return Finding("mass", words, line, run.name, grade, contradicts=True)
