@@ -63,6 +63,10 @@ class Model:
         """Whether the force passes stops and reversals without a jump, so that a run can be followed through them."""
         return any(e.turns for e in self.effects)
 
+    def clock(self, values: Values) -> float:
+        """True over recorded time since release, by the effects of the clock of a run."""
+        return float(np.prod([e.clock(values[e.name]) for e in self.effects if e.clock is not None]))
+
     def __contains__(self, name: str) -> bool:
         return name in self.names
 

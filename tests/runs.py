@@ -54,6 +54,7 @@ TOLD = {
     "timebase": {"k": 0.02},
     "target_rotation": {"along": 0.03, "across": 0.02},
 }
+TIMED = ("clock_rate",)  # held against scaled times elsewhere
 REMEMBERED = ("presliding", "friction_lag", "lugre", "bouc_wen")  # held against integrators of their own elsewhere
 
 

@@ -210,7 +210,7 @@ def test_a_draw_hides_what_it_says_at_the_size_it_says():
 
 def test_every_cause_takes_its_turn():
     seen = candidates("one", LAWS[0][0])
-    wanted = set(LIBRARY) - {"coulomb", "stribeck", "viscous", "lugre", "bouc_wen", "target_rotation"}
+    wanted = set(LIBRARY) - {"coulomb", "stribeck", "viscous", "lugre", "bouc_wen", "target_rotation", "clock_rate"}
     assert set(seen) == wanted
     assert {"stribeck"} <= set(candidates("one", ("coulomb", "viscous")))
     assert "viscous_modulation" not in candidates("one", ("coulomb", "drag"))

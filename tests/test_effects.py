@@ -20,6 +20,7 @@ from runs import (
     PITCH,
     REMEMBERED,
     SHIFTS,
+    TIMED,
     TOLD,
     Slider,
     Spec,
@@ -53,7 +54,7 @@ ATM2 = {
     **{"sliding_frequency_1": 30.0, "sliding_phase_1": 1.0, "viscous_frequency_1": 50.0, "viscous_phase_1": 2.0},
 }
 SETTINGS = BASE | HIDDEN | TOLD | {"atm2:1": ATM2}
-PLAIN = [name for name in LIBRARY if name not in REMEMBERED]
+PLAIN = [name for name in LIBRARY if name not in (*REMEMBERED, *TIMED)]
 # What carries an effect's columns from run to run (design, section 1): L the load, M the mass, D the drive, - nothing.
 SCALING = {
     **{"coulomb": "L", "stribeck": "L", "viscous": "-", "drag": "-", "vibration": "-", "texture": "L", "patch": "L"},
@@ -138,7 +139,7 @@ def test_scans_rise_or_fall_within_their_bounds_even_for_very_short_runs(effect)
             assert np.all((grid >= p.bounds[0]) & (grid <= p.bounds[1]))
 
 
-SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", "lugre", "bouc_wen")]
+SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", "lugre", "bouc_wen", *TIMED)]
 
 
 @pytest.mark.parametrize("effect", SCALED, ids=lambda e: e.name)

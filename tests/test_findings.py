@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from frictrack.flow.rotation import turning_note
 from frictrack.records import Track
 from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
 
@@ -52,6 +56,28 @@ def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
     i = np.arange(600)
     change = 2 + 0.3 * rng.random(600) + flicker * np.abs(np.sin(np.pi * i / 15))
     assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
+
+
+# ---- a target that turns
+
+
+def turned(angle):
+    """A track whose target of 40 x 30 px has an angle."""
+    return replace(a_track(slide(K)), angle=angle, target=(0.0, 0.0, 40.0, 30.0))
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.126, 5.0])
+def test_a_target_that_turns_is_named_with_its_rate(rate):
+    angle = np.radians(rate * K) + np.radians(0.02) * np.random.default_rng(0).standard_normal(N)
+    (note,) = turning_note(turned((angle + np.pi) % (2 * np.pi) - np.pi))
+    said = [float(part) for part in re.findall(r"[\d.]+(?= deg)", note)]
+    assert said == pytest.approx([rate * (N - 1), rate], rel=0.1)
+
+
+def test_the_noise_of_an_angle_is_no_turn():
+    assert turning_note(turned(np.radians(0.002) * np.random.default_rng(0).standard_normal(N))) == ()
+    assert turning_note(turned(np.full(N, np.nan))) == ()
+    assert turning_note(a_track(slide(K))) == ()  # no target is known
 
 
 # ---- peak locking

@@ -24,6 +24,7 @@ from frictrack.plausibility import (
     Typed,
     implausible,
     implausible_clocks,
+    implausible_inclines,
     implausible_masses,
     implausible_slide,
     missing_incline,
@@ -139,7 +140,7 @@ def test_units_of_a_table_are_recognised(length, time, said):
         (1e3, 1.0, "the scale is a thousand times too large", "warning"),
         (1e4, 1.0, "faster than anything on rails (2885 m/s)", ERROR),
         (1e2, 1.0, "the scale is a hundred times too large", "warning"),
-        (1.0, 1e-3, "fps is a thousand times too small", "warning"),
+        (1.0, 1e-3, "fps is a thousand times too small", ERROR),
     ],
 )
 def test_scale_and_frame_rate_of_a_film_are_recognised(scale, fps, said, grade):
@@ -235,6 +236,51 @@ def test_motion_up_and_down_gives_the_angle_itself():
     assert far.correction == 'incline = "8 deg"'
 
 
+def both_ways(degrees: float, mu: float, **known) -> list[Run]:
+    """Struck runs up and down a course that rises toward +x, on which all of them slow down."""
+    g, angle = GRAVITY, radians(degrees)
+
+    def pull(t: float, x: float, v: float) -> float:
+        return -g * sin(angle) - (mu * g * cos(angle) + 0.3 * abs(v)) * np.sign(v)
+
+    speeds = (1.5, 2.0, 2.5, -1.5, -2.0, -2.5)
+    slides = [moved(pull, 0.0, v, 0.25 * abs(v) / (mu * g)) for v in speeds]
+    return [run_of(t, x, seed=i, name=f"r{i}", **known) for i, (t, x) in enumerate(slides)]
+
+
+@pytest.mark.parametrize("angle", [6.0, 20.0, -20.0])
+def test_runs_that_slow_down_both_ways_tell_a_wrong_sign_and_a_missing_incline(angle):
+    assert implausible_inclines(both_ways(angle, 0.5, incline=radians(angle), has_incline=True)) == ()
+    (finding,) = implausible_inclines(both_ways(angle, 0.5, incline=radians(-angle), has_incline=True))
+    assert (finding.grade, finding.correction, finding.run) == (ERROR, f'incline = "{angle:g} deg"', "")
+    found = implausible_inclines(both_ways(angle, 0.5))
+    if abs(angle) < 10:  # a slope that friction in one direction may imitate: that is for the diagnosis
+        assert found == ()
+        return
+    proposed = float(found[0].correction.split('"')[1].removesuffix(" deg"))
+    assert proposed == pytest.approx(angle, rel=0.1)
+    assert "runs toward +x slow down by" in found[0].words
+    assert found[0].contradicts
+
+
+def test_friction_that_is_the_same_both_ways_or_is_driven_tells_no_incline():
+    level = both_ways(0.0, 0.3)
+    assert implausible_inclines(level) == ()
+    assert implausible_inclines(both_ways(20.0, 0.5)[:3]) == ()  # one way alone
+    driven = [replace(run, drive=np.zeros(len(run.displacement))) for run in both_ways(20.0, 0.5)]
+    assert implausible_inclines(driven) == ()
+
+
+def test_a_mass_that_slows_down_less_than_gravity_alone_would_slow_it_tells_the_sign():
+    falls = [replace(run, incline=radians(20.0), has_incline=True) for run in both_ways(-20.0, 0.5)]
+    assert wrong_incline(replace(falls[0], incline=radians(-20.0))) is None
+    finding = wrong_incline(falls[0])
+    assert finding is not None
+    assert finding.grade == ERROR
+    assert "where gravity alone would slow it by 3.35" in finding.words
+    assert wrong_incline(falls[3]) is None  # the other way friction may be that high
+
+
 @pytest.mark.parametrize("toward", [1.0, -1.0])
 def test_the_sign_of_an_incline_is_held_against_the_motion(toward):
     t, x = slid(22.0, mu=0.3)
@@ -323,7 +369,19 @@ def test_one_mass_that_is_a_power_of_ten_off_is_named(wrong, right):
     (finding,) = implausible_masses(family(0.4, {"quick": wrong}))
     assert finding.run == "quick"
     assert finding.correction == f'mass = "{right} kg"'
-    assert "the friction that goes with the speed slows it as it slows them" in finding.words
+    assert "the friction that goes with the speed slows it as it would slow 0.35" in finding.words
+    assert finding.grade == ERROR
+    assert finding.contradicts
+
+
+def test_a_mass_that_is_a_power_of_ten_off_is_named_among_runs_of_several_masses():
+    heavy = run_of(*struck(0.2, 2.5, 0.4, mass=0.7), name="heavy", mass=0.7)
+    light = run_of(*struck(0.2, 2.2, 0.4, mass=0.15), name="light", mass=1.5)
+    assert implausible_masses([*family(0.4), heavy]) == ()
+    (finding,) = implausible_masses([*family(0.4, {"slow": 0.035}), heavy])
+    assert (finding.run, finding.correction, finding.grade) == ("slow", 'mass = "0.35 kg"', ERROR)
+    (finding,) = implausible_masses([*family(0.4), heavy, light])
+    assert (finding.run, finding.correction, finding.grade) == ("light", 'mass = "0.15 kg"', "warning")
 
 
 def test_a_mass_that_is_ten_times_as_large_is_right_where_the_motion_says_so():
@@ -361,7 +419,9 @@ def test_a_measured_drive_tells_the_mass():
     t, x = moved(lambda t, x, v: (drive(t) - 0.3 * np.tanh(v / 0.01) - 0.2 * v) / 0.35, 0.0, 0.0, 1.0, fps=500.0)
     assert implausible_masses([run_of(t, x, drive=drive(t))]) == ()
     (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=350.0)])
-    assert finding.correction == 'mass = "0.35 kg"'
+    assert (finding.correction, finding.grade) == ('mass = "0.35 kg"', ERROR)
+    (finding,) = implausible_masses([run_of(t, x, drive=drive(t), mass=4.5)])  # another mass, or another drive
+    assert finding.grade == "warning"
     (finding,) = implausible_masses([run_of(t, x, drive=1e3 * drive(t))])
     assert "or the drive is 1000 times too large" in finding.words
     (finding,) = implausible_masses([run_of(1e3 * t, x, drive=drive(t))])
@@ -433,12 +493,13 @@ def test_a_warning_is_said_once_first_and_stands_in_the_json(
 def test_a_warning_reaches_stderr_and_the_json_of_a_command(
     study_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\nmass = 350')
+    edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\nmass = 45')
     with pytest.raises(SystemExit) as ended:
         main(["friction", str(study_file), "--json"])
     assert ended.value.code == 0
     told = json.loads(capsys.readouterr().out)
-    assert [(w["run"], w["grade"]) for w in told["warnings"]] == [("slow", "warning")]
+    assert {(w["run"], w["grade"]) for w in told["warnings"]} == {("slow", "warning")}
+    assert "mass = 45 has no unit" in told["warnings"][0]["words"]
 
 
 def test_a_warning_heads_the_report(study_file: Path) -> None:
@@ -473,7 +534,8 @@ def test_an_incline_of_the_wrong_sign_ends_the_work_before_the_fit(tmp_path: Pat
     path = incline_study(tmp_path, 1.0, 'incline = "22 deg"')
     with pytest.raises(FrictrackError) as caught:
         Session(open_study(path)).fit()
-    assert str(caught.value).count('the sign is wrong: give incline = "-22 deg"') == 2  # both runs at once
+    assert str(caught.value).count('the sign is wrong: give incline = "-22 deg"') == 1
+    assert str(caught.value).endswith('likewise in "b"')  # both runs at once
     edit(path, 'incline = "22 deg"', 'incline = "22 deg"\nplausible = "checked"')
     Session(open_study(path)).bring_up_to("friction")
     edit(path, 'incline = "22 deg"\nplausible = "checked"', 'incline = "-22 deg"')
@@ -487,7 +549,8 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
     path = incline_study(tmp_path, -1.0, "")
     with pytest.raises(FrictrackError) as caught:
         Session(open_study(path)).fit()
-    assert str(caught.value).count("the mass speeds up by itself with 1.8") == 2
+    assert str(caught.value).count("the mass speeds up by itself with 1.8") == 1
+    assert str(caught.value).endswith('likewise in "b"')
     assert 'incline = "11 deg"' in str(caught.value)
     with pytest.raises(FrictrackError, match="the mass speeds up by itself"):
         Session(open_study(path)).runs[0].get("friction")
@@ -518,3 +581,15 @@ def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     assert set(found) == {"c"}
     assert "but fps = 4000 is given: one of the two is wrong" in str(found["c"])
     assert found["c"].correction == "fps = 3156"
+    assert found["c"].contradicts
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1 / 60, "min")])
+def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, unit):
+    t, nan = factor * np.arange(400) / 4000.0, np.full(400, np.nan)
+    seen = Displacement(t, np.linspace(0.0, 0.1, 400), nan, nan, np.full(400, 1e-5), nan, np.ones(400, bool))
+    run = Run(seen, differentiate(low_pass(seen)), mass=1.0, name="a")
+    (finding,) = implausible_clocks({"a": run}, {"a": 4000.0})
+    assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t ({unit})"}}')
+    (finding,) = implausible_clocks({"a": run, "b": run}, {"a": 4000.0, "b": 4000.0})
+    assert finding.run == ""  # said once of all runs

@@ -10,12 +10,13 @@ import pytest
 
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.flow.tables import even_table
+from frictrack.flow.tables import even_table, tabled
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
 from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
-from frictrack.study import TableData
+from frictrack.samples.unevenness import unevenness
+from frictrack.study import RunTable, TableData
 from frictrack.tracking.checks.timing import corrected, slips
 from tests.test_timing import a_track
 
@@ -117,6 +118,15 @@ def test_an_outlier_at_an_end(row):
     assert outliers(K, x, np.ones(N)).rows.tolist() == [row]
 
 
+@pytest.mark.parametrize("row", [1, 2, N - 3, N - 2])
+def test_an_outlier_that_the_first_or_last_row_shows_to_return(row):
+    """It is smaller than the step of the mass; the course goes on through the row on its other side."""
+    for seed in range(10):
+        x = noisy(slide(T), seed)
+        x[row] += 2e-4 * (-1) ** seed
+        assert outliers(K, x, np.ones(N)).rows.tolist() == [row]
+
+
 def test_noise_with_tails_is_not_thinned_out():
     x = slide(T) + 1e-5 * np.random.default_rng(0).standard_cauchy(N)
     assert len(outliers(K, x, np.ones(N)).rows) < 0.1 * N
@@ -131,6 +141,28 @@ def test_the_step_of_quantised_positions():
     assert quantum(2 * np.pi / 4096 * np.round(1000 * rng.random(600))) == pytest.approx(2 * np.pi / 4096)
     assert quantum(rng.random(600)) == 0.0
     assert quantum(np.zeros(10)) == 0.0
+
+
+def test_the_step_of_positions_that_skip_many_steps():
+    step = 6.02765304e-5
+    for seed in range(20):
+        x = np.round(noisy(5.5 * T - 6.0 * T**2, seed, 2e-5) / step) * step
+        written = np.array([float(f"{value:.9g}") for value in x])
+        assert quantum(written) == pytest.approx(step, rel=1e-6)
+        assert quantum(noisy(slide(T), seed)) == 0.0
+        assert quantum(noisy(slide(T), seed)[:6]) == 0.0
+
+
+def test_an_outlier_next_to_the_sample_before_is_no_repeated_one():
+    """Ahead by a step of the mass, it makes two steps and none, as a lost and a doubled sample do."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        x = noisy(0.6 * T, seed)
+        row = int(rng.integers(20, N - 20))
+        x[row] += rng.choice([-1.0, 1.0]) * (0.6 / FPS + 1e-6 * rng.standard_normal())
+        made = even_table(TableData(T, x))
+        assert made.notes == ()
+        assert screened(displaced(x)).valid[row] == False  # noqa: E712 - a NumPy truth
 
 
 def test_rounding_is_named_where_it_matters():
@@ -218,6 +250,34 @@ def test_jitter_of_the_stamps_and_jitter_of_the_samples():
     assert "moved to the even clock" in sampled.notes[0]
     for even in (written, sampled):
         assert np.std(even.data.x - slide(even.data.t)) < 1.5e-6
+
+
+@pytest.mark.parametrize("share", [0.01, 0.04, 0.2])
+def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_speed(share, tmp_path):
+    rng = np.random.default_rng(5)
+    t = np.arange(900) / FPS
+    late = share / FPS * rng.standard_normal(900)
+    x = 5.0 * (t + late) - 10.0 * (t + late) ** 2 + 3e-6 * rng.standard_normal(900)
+    found, still = unevenness(t, x)
+    assert found == pytest.approx(share / FPS, rel=0.15)
+    assert 0.0 < still < 4e-6 + 0.5 * share / FPS
+    (tmp_path / "a.csv").write_text("t_s,x_m")
+    run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
+    seen = tabled(TableData(t, x), run)
+    assert seen.notes[0].startswith("samples jitter by ")
+    assert seen.notes[0].endswith("deviations with it")
+    assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
+
+
+@pytest.mark.parametrize("coarse", [0.0, 5e-5])
+def test_even_samples_show_no_jitter_whatever_their_motion(coarse):
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t = np.arange(400) / FPS
+        v, slows = rng.uniform(0.5, 6.0), rng.uniform(0.2, 1.0)
+        x = noisy(v * t - slows * v * t**2 / (2 * t[-1]), seed)
+        x = np.round(x / coarse) * coarse if coarse else x
+        assert unevenness(t, x, coarse * FPS) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("digits", "said"), [(3, "time stamps are rounded to 0.001 s"), (9, "")])

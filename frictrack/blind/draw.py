@@ -47,6 +47,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
         and not e.replaces
         and not (e.memory and not e.modifies)  # what swings under no drive stands still
         and not (e.modifies and not kinds & e.modifies)
+        and e.clock is None  # one of a run's typed numbers, no cause
         and not (e.name == "friction_lag" and "stribeck" not in law)  # a level that does not change cannot lag
         and "angle" not in e.needs
         and not (film and (e.acts_on == "measurement" or e.needs or e.memory))

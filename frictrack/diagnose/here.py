@@ -248,6 +248,11 @@ def _clock(seen: Seen) -> str:
     return f"the frame rate would change by {_n(100 * seen.value('k') * end, 2)} % in the longest run"
 
 
+def _rate(seen: Seen) -> str:
+    factor = float(np.exp(seen.value("rate")))
+    return f"in run {seen.run}, whose true times would be its recorded ones times {_n(factor, 4)}"
+
+
 def _late(seen: Seen) -> str:
     tau = seen.value("tau")
     speed = float(np.median(np.abs(place(seen.most[1])[1])))
@@ -289,6 +294,7 @@ OWN: dict[str, Callable[[Seen], str]] = {
     "lens": _lens,
     "peak_locking": _locking,
     "timebase": _clock,
+    "clock_rate": _rate,
     "friction_lag": _late,
     "target_rotation": _turned,
     "drive_error": _driven,

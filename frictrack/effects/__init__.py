@@ -13,6 +13,7 @@ from frictrack.effects.base import NEEDS, Effect, Parameter, Path, Span
 from frictrack.effects.beam_vibration import beam_vibration
 from frictrack.effects.bouc_wen import bouc_wen
 from frictrack.effects.camera_shake import camera_shake
+from frictrack.effects.clock_rate import clock_rate
 from frictrack.effects.collision import collision
 from frictrack.effects.coulomb import coulomb
 from frictrack.effects.decaying_vibration import decaying_vibration
@@ -52,7 +53,7 @@ LIBRARY: dict[str, Effect] = {
     for e in (
         *(coulomb, stribeck, viscous, drag, vibration, decaying_vibration, beam_vibration, texture, patch, spring),
         *(collision, thermal, drift, asymmetry, slope, load_modulation, measured_load, viscous_modulation),
-        *(drive_error, lens, peak_locking, camera_shake, dropped_frame, timebase, target_rotation),
+        *(drive_error, lens, peak_locking, camera_shake, dropped_frame, timebase, clock_rate, target_rotation),
         *(presliding, friction_lag, lugre, bouc_wen),
     )
 }

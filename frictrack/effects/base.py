@@ -145,6 +145,7 @@ class Effect:
     rank: int = 0  # order among modifiers: one of higher rank reshapes what those of lower rank have left
     relaxed: tuple[Part, ...] = ()  # what it is where every one of its waves has an amplitude of its own
     formula: str | None = None  # of a user's effect that a study file writes as a formula
+    clock: Callable[[Nonlinear], float] | None = field(default=None, compare=False)  # true over recorded times of a run
     plausible: Check | None = field(default=None, compare=False)  # objection to fitted values in one run; default none
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
 
@@ -181,6 +182,12 @@ class Effect:
     def sized(self) -> bool:
         """Whether it has a size: coefficients, or a depth."""
         return any(p.linear or p.role == "depth" for p in self.parameters)
+
+    @property
+    def single(self) -> bool:
+        """Whether it is an event of single runs: each is scanned by itself, and those that do not show it lack it."""
+        own = any(p.scan is not None and p.per_run and p.free for p in self.nonlinear)
+        return own or self.clock is not None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""

@@ -18,6 +18,7 @@ MAX_DEPTH = 1.0  # of a modulation: beyond it a contact would pull
 MAX_PICTURE_SHARE = 0.03  # of the travelled span: lens, shake; barrel distortion of ordinary lenses is below 3 %
 MAX_LOCKING_PX = 0.25  # published peak-locking amplitudes are below 0.25 px (Raffel et al. 2018, section 6.1)
 MAX_CLOCK_DRIFT = 0.01  # of the time: crystal clocks are a hundred times better
+MAX_CLOCK_FACTOR = 2.0  # of one run's times: frame rates are set in such steps, other units in larger ones
 WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole number
 
 

@@ -40,8 +40,8 @@ def predicted(solution: Solution, run: Run, reference: Reference) -> Solution:
 
 
 def _happens(effect: Effect) -> bool:
-    """Whether an effect is an event of single runs."""
-    return any(p.per_run and p.scan is not None for p in effect.nonlinear)
+    """Whether an effect is an event of single runs; a wrong clock is one of those that show it."""
+    return effect.clock is not None or any(p.per_run and p.scan is not None for p in effect.nonlinear)
 
 
 def _pieces(solution: Solution, run: Run, reference: Reference) -> list[Piece]:

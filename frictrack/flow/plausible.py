@@ -21,6 +21,7 @@ from frictrack.plausibility import (
     Typed,
     implausible,
     implausible_clocks,
+    implausible_inclines,
     implausible_masses,
     implausible_slide,
     missing_incline,
@@ -35,6 +36,7 @@ WITHOUT_UNIT = re.compile(
     r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
 )  # a text without a unit
 KEYS = ("mass", "scale", "fps", "incline")
+CHECKED = 'plausible = "checked"'  # what a study file says to end a finding
 INHERITED_FROM = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
 
 
@@ -60,12 +62,18 @@ class Findings:
         """The sentences."""
         return tuple(self._found)
 
+    @property
+    def contradictions(self) -> tuple[Finding, ...]:
+        """Those in which the measured data contradict what was typed."""
+        return tuple(finding for finding in self._found.values() if finding.contradicts)
+
     def of_study(self) -> None:
         """What the study file shows by itself; what several runs inherit is said once."""
         self._look("study", lambda: _of_file(self.study))
 
     def of_runs(self, works: Sequence[RunWork]) -> None:
-        """What the motion of each run shows."""
+        """What the motion of each run shows, and of runs in both directions together."""
+        self._look("inclines", lambda: implausible_inclines([work.record() for work in works]))
         self._look("runs", lambda: (found for work in works for found in of_run(work)))
 
     def of_all(self, works: Sequence[RunWork]) -> None:
@@ -89,11 +97,32 @@ class Findings:
             if finding.grade != ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        gather([str(f) for f in new if f.grade == ERROR], self.study.path.name)
+        gather(_stated([f for f in new if f.grade == ERROR]), self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:
-        """Whether the same was found before, of that run or of all."""
-        return any(one.kind == finding.kind and one.run in (finding.run, "") for one in self._found.values())
+        """Whether the same was found before, of that run or of all, and on as good grounds."""
+        same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
+        return any(one.contradicts or not finding.contradicts for one in same)
+
+
+def _stated(errors: Sequence[Finding]) -> list[str]:
+    """Errors in words, those with the same correction in one sentence, and how to go on in spite of them.
+
+    An incline says the latter itself.
+    """
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for error in errors:
+        alike.setdefault((error.kind, error.correction or str(error)), []).append(error)
+    return [f"{first}{_likewise(more)}{_in_spite(first)}" for first, *more in alike.values()]
+
+
+def _likewise(more: Sequence[Finding]) -> str:
+    names = ", ".join(f'"{error.run}"' for error in more)
+    return f"; likewise in {names}" if more else ""
+
+
+def _in_spite(error: Finding) -> str:
+    return "" if error.kind == "incline" else f" (if it is right, {CHECKED} goes on)"
 
 
 def of_run(work: RunWork) -> list[Finding]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.calibration import shake, steadied
+from frictrack.flow.rotation import turning_note
 from frictrack.records import Track
 from frictrack.results import Film
 
@@ -36,7 +37,7 @@ def judged(
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
-    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
+    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes, *turning_note(clean))
     rows = np.arange(len(track)) if clocked else rows_kept(len(track), slips)
     return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips, len(track)))), rows
 

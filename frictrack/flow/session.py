@@ -16,6 +16,7 @@ from frictrack.errors import FrictrackError
 from frictrack.files import working
 from frictrack.fit import certainty
 from frictrack.flow import changes
+from frictrack.flow.doubts import doubted
 from frictrack.flow.films import overlaid
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import open_study
@@ -223,7 +224,8 @@ class Session:
         def make() -> dict[str, Any]:
             own, beside = told_effects(self.study.effects), seen_beside(self.runs)
             diagnosis = diagnose(self.tried.fit(group), own=own, beside=beside, seed=seed, progress=self.progress)
-            return {"summary": json.dumps(plain(diagnosis.summary())), "figures": diagnosis.figures}
+            summary = doubted(diagnosis.summary(), self.findings.contradictions)
+            return {"summary": json.dumps(plain(summary)), "figures": diagnosis.figures}
 
         self.tried.fit(group)  # a refit drops the old diagnosis
         inside = f"models/{group}/diagnosis"
@@ -233,9 +235,10 @@ class Session:
         return {**found, "warnings": self.findings.summary, "findings": self._in_records()}
 
     def _told(self) -> list[Any]:
-        """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen of the runs."""
+        """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen or doubted."""
         beside = [work.key(name) for work in self.runs for name in ("sensors", "tracks") if name in work.stages]
-        return [beside, *(table.model_dump(mode="json") for table in self.study.effects)]
+        contradicted = [str(finding) for finding in self.findings.contradictions]
+        return [beside, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
 
     @one_at_a_time
     def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:

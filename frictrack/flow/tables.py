@@ -14,8 +14,9 @@ from frictrack.records import Array, Displacement, Mask
 from frictrack.remote import local
 from frictrack.samples import quantum, rounding_noise, screened
 from frictrack.samples.clock import Clock, is_even, jittered_clock, rounded_clock, speed
-from frictrack.samples.screen import frame_numbers, listed
+from frictrack.samples.screen import frame_numbers, length, listed
 from frictrack.samples.slips import Course, Slip, corrected, faults
+from frictrack.samples.unevenness import unevenness
 from frictrack.study import RunTable, TableData, read_table
 
 if TYPE_CHECKING:
@@ -68,7 +69,25 @@ def tabled(data: TableData, run: RunTable) -> Displacement:
         ),
         table.numbers,
     )
-    return seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen))
+    return _uneven(seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen)))
+
+
+def _uneven(seen: Displacement) -> Displacement:
+    """A displacement whose samples may come unevenly under even stamps: then its deviations grow with the speed."""
+    if len(seen) < FEWEST or not is_even(seen.t):
+        return seen
+    interval = float(np.median(np.diff(seen.t)))
+    coarse = max(seen.pixel_pitch or 0.0, seen.resolution)
+    late, still = unevenness(seen.t, seen.x, coarse / interval)
+    if not late:
+        return seen
+    moved = late * np.abs(speed(seen.t, seen.x))
+    note = (
+        f"samples jitter by {100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their "
+        f"time stamps are even: the noise grows with the speed, up to {length(float(np.max(moved)))}, and deviations "
+        "with it"
+    )
+    return replace(seen, sigma_x=np.hypot(still, moved), notes=(*seen.notes, note))
 
 
 def _table_sigma(seen: Displacement) -> Array:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from frictrack.plausibility.finding import Finding
+from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.records import Run
 
 DISAGREE = 0.01  # relative: forces are then off by twice as much
 OTHER_CAMERA = 0.35  # relative: a larger difference between runs is another setting, and no wrong clock
+UNITS = {1e3: ("ms", "t (ms)"), 1e6: ("us", "t (us)"), 1 / 60: ("minutes", "t (min)")}  # by stated over stamped rate
 
 
-def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | None]) -> Iterator[Finding]:
+def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | None]) -> tuple[Finding, ...]:
     """Find runs whose time stamps contradict the stated frame rate, or nearly but not quite those of the other runs.
 
     Parameters
@@ -23,22 +25,49 @@ def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | Non
     stated
         The frame rate that is given of each, Hz; None where none is.
 
+    Returns
+    -------
+    tuple of Finding
+        At most one per run, or one for all where all say the same. Time stamps in another unit are an error.
+
     Examples
     --------
-    >>> list(implausible_clocks({}, {}))
-    []
+    >>> implausible_clocks({}, {})
+    ()
 
     """
-    rates = {name: 1.0 / float(np.median(np.diff(run.displacement.t))) for name, run in runs.items()}
+    found = tuple(
+        _found({name: 1.0 / float(np.median(np.diff(run.displacement.t))) for name, run in runs.items()}, stated)
+    )
+    if len(found) == len(runs) > 1 and len({f.words for f in found}) == 1:
+        return (replace(found[0], run=""),)
+    return found
+
+
+def _found(rates: Mapping[str, float], stated: Mapping[str, float | None]) -> Iterator[Finding]:
     usual = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
     for name, rate in rates.items():
         given = stated.get(name)
-        if given is not None and abs(rate / given - 1) > DISAGREE:
+        if given is not None and (unit := _unit(given / rate)):
+            yield _in_unit(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", unit)
+        elif given is not None and abs(rate / given - 1) > DISAGREE:
             yield _clock(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", f"fps = {rate:.5g}")
         elif DISAGREE < abs(rate / usual - 1) < OTHER_CAMERA:
             yield _clock(name, f"the time stamps say {rate:.5g} Hz where the other runs have {usual:.5g} Hz")
 
 
+def _unit(ratio: float) -> tuple[str, str] | None:
+    """The unit of time in which stamps and stated rate agree, and the head of its column; None where none is."""
+    return next((unit for size, unit in UNITS.items() if abs(ratio / size - 1) <= DISAGREE), None)
+
+
+def _in_unit(run: str, words: str, unit: tuple[str, str]) -> Finding:
+    name, head = unit
+    line = f'columns = {{t = "{head}"}}'
+    advice = f'the table\'s times are in {name}: head that column "{head}" and give {line}'
+    return Finding("fps", f"{words}; {advice}", line, run, ERROR, contradicts=True)
+
+
 def _clock(run: str, words: str, correction: str = "") -> Finding:
     advice = "one of the two is wrong and every force goes with its square; give the true times or frame rate"
-    return Finding("fps", f"{words}: {advice}", correction, run)
+    return Finding("fps", f"{words}: {advice}", correction, run, contradicts=True)

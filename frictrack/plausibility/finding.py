@@ -24,6 +24,8 @@ class Finding:
         Name of the run; empty where the whole study is meant.
     grade
         "error" where the number cannot be right, else "warning".
+    contradicts
+        Whether the measured data contradict what was typed. No verdict holds before one of the two is put right.
 
     """
 
@@ -32,6 +34,7 @@ class Finding:
     correction: str = ""
     run: str = ""
     grade: str = WARNING
+    contradicts: bool = False
 
     def __str__(self) -> str:
         return f'run "{self.run}": {self.words}' if self.run else self.words

@@ -51,7 +51,7 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
             f"the mass speeds up by itself with {abs(pull):.3g} m/s^2, more than gravity on any course; check scale "
             "and fps, or give the drive that pushes it"
         )
-        return Finding("incline", words, "", run.name)
+        return Finding("incline", words, "", run.name, contradicts=True)
     return _proposed(run, pull, path_angle, both=both)
 
 
@@ -63,26 +63,17 @@ def wrong_incline(run: Run) -> Finding | None:
     if not run.has_incline or _driven(run) or run.incline == 0.0:
         return None
     every = legs_of(run)
-    if not _speeds_up(every):
-        return None
     legs = tuple(
         leg for leg in every if leg.certain and (leg.partner < MAX_PARTNER_SHARE * leg.way or not leg.speeding)
     )
-    stated = -GRAVITY * sin(run.incline)
+    slows = bool(legs) and not any(leg.speeding for leg in legs)
+    if not (slows or _speeds_up(every)):
+        return None
     pull, both = _pull(legs)
     if both:
-        return _of_both(run, stated, pull)
+        return _of_both(run, pull)
     longest = max(legs, key=lambda leg: leg.way)
-    friction = longest.direction * (stated - pull)
-    if friction >= -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a):
-        return None
-    if longest.direction * (-stated - pull) >= 0.0 and stated * pull < 0.0:
-        return _reversed(run, pull)
-    words = (
-        f"the mass speeds up with {abs(pull):.3g} m/s^2, but incline = {degrees(run.incline):.3g} deg gives only "
-        f"{abs(stated):.3g} m/s^2; check the angle, the scale and fps"
-    )
-    return Finding("incline", words, "", run.name)
+    return _of_slowing(run, pull, longest) if slows else _of_speeding(run, pull, longest)
 
 
 def path_angle(track: Track) -> float | None:
@@ -138,47 +129,91 @@ def _proposed(run: Run, pull: float, path_angle: float | None, *, both: bool) ->
     if both:
         line = f'incline = "{sign}{degrees(least):.2g} deg"'
         words = f"{why} one way and slows down the other way, as on a course that falls; if so, give {line}"
-        return Finding("incline", words, line, run.name)
+        return Finding("incline", words, line, run.name, contradicts=True)
     if path_angle is not None and abs(path_angle) > least:
         line = f'incline = "{sign}{degrees(abs(path_angle)):.3g} deg"'
         words = (
             f"{why}, and its path in the picture falls by {degrees(abs(path_angle)):.3g} deg; if the camera stood "
             f'level, give {line} and axis = "track"'
         )
-        return Finding("incline", words, line, run.name)
+        return Finding("incline", words, line, run.name, contradicts=True)
     line = f'incline = "{sign}{degrees(least):.2g} deg"'
     words = (
         f"{why}, as on a course that falls by more than {degrees(least):.2g} deg (without friction); measure the "
         f"angle and give it as {line}, or give the drive that pushes it"
     )
-    return Finding("incline", words, line, run.name)
+    return Finding("incline", words, line, run.name, contradicts=True)
 
 
-def _of_both(run: Run, stated: float, pull: float) -> Finding | None:
+def _stated(run: Run) -> float:
+    """The pull of gravity toward +x that a stated incline gives, m/s^2."""
+    return -GRAVITY * sin(run.incline)
+
+
+def _pushes(run: Run, pull: float, longest: Leg) -> bool:
+    """Whether friction would have to push the mass along its longest leg."""
+    friction = longest.direction * (_stated(run) - pull)
+    return friction < -max(MIN_PUSH_SHARE * abs(_stated(run)), MIN_SIGMAS * longest.sigma_a)
+
+
+def _of_slowing(run: Run, pull: float, longest: Leg) -> Finding | None:
+    """What a mass that slows down in one direction has against a stated incline."""
+    if not _pushes(run, pull, longest):
+        return None
+    what = (
+        f"toward {_toward_x(longest.direction)} the mass slows down by only {abs(pull):.3g} m/s^2, where gravity alone "
+        f"would slow it by {abs(_stated(run)):.3g}"
+    )
+    return sign_error(run.incline, what, run.name)
+
+
+def _of_speeding(run: Run, pull: float, longest: Leg) -> Finding | None:
+    """What a mass that speeds up in one direction has against a stated incline."""
+    stated = _stated(run)
+    if not _pushes(run, pull, longest):
+        return None
+    if longest.direction * (-stated - pull) >= 0.0 and stated * pull < 0.0:
+        return sign_error(run.incline, _sped_up(pull), run.name)
+    words = (
+        f"the mass speeds up with {abs(pull):.3g} m/s^2, but incline = {degrees(run.incline):.3g} deg gives only "
+        f"{abs(stated):.3g} m/s^2; check the angle, the scale and fps"
+    )
+    return Finding("incline", words, "", run.name, contradicts=True)
+
+
+def _of_both(run: Run, pull: float) -> Finding | None:
     """What a motion in both directions has against a stated incline."""
+    stated = _stated(run)
     if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
-        return _reversed(run, pull)
+        return sign_error(run.incline, _sped_up(pull), run.name)
     if abs(pull) < GRAVITY and not 1 / MAX_PULL_RATIO < pull / stated < MAX_PULL_RATIO:
         line = _line(pull)
         words = (
             f"incline = {degrees(run.incline):.3g} deg gives {abs(stated):.3g} m/s^2 along the course, but the motion "
             f"in both directions shows {abs(pull):.3g} m/s^2; check the angle ({line}), the scale and fps"
         )
-        return Finding("incline", words, line, run.name)
+        return Finding("incline", words, line, run.name, contradicts=True)
     return None
 
 
-def _reversed(run: Run, pull: float) -> Finding:
-    """The sign is wrong."""
-    toward = "+x" if pull > 0 else "-x"
-    rises = "rises" if run.incline > 0 else "falls"
-    line = f'incline = "{degrees(-run.incline):.4g} deg"'
+def _sped_up(pull: float) -> str:
+    """What a mass does that gravity pulls along."""
+    return f"the mass speeds up toward {_toward_x(pull)} with {abs(pull):.3g} m/s^2 and nothing drives it"
+
+
+def _toward_x(direction: float) -> str:
+    return "+x" if direction > 0 else "-x"
+
+
+def sign_error(incline: float, what: str, run: str = "") -> Finding:
+    """Say that the sign of an incline (rad) is wrong, and `what` of the motion shows it; an error."""
+    rises = "rises" if incline > 0 else "falls"
+    line = f'incline = "{degrees(-incline):.4g} deg"'
     words = (
-        f"incline = {degrees(run.incline):.4g} deg says that the course {rises} toward +x, but the mass speeds up "
-        f"toward {toward} with {abs(pull):.3g} m/s^2 and nothing drives it; the sign is wrong: give {line} (if "
-        'something else pushes it, plausible = "checked" goes on)'
+        f"incline = {degrees(incline):.4g} deg says that the course {rises} toward +x, but {what}; the sign is "
+        f'wrong: give {line} (if something else pushes it, plausible = "checked" goes on)'
     )
-    return Finding("incline", words, line, run.name, ERROR)
+    return Finding("incline", words, line, run, ERROR, contradicts=True)
 
 
 def _line(pull: float) -> str:

@@ -26,6 +26,7 @@ class Leg:
     a: float  # m/s^2 toward +x
     sigma_a: float
     speed: float  # m/s, the highest
+    usual_speed: float  # m/s, in its middle
     misfit: float  # rms of what a constant acceleration leaves beyond the noise, over the way
     speeding: bool  # before the highest speed
     partner: float  # m, way of the same stretch on the other side of its highest speed
@@ -98,7 +99,7 @@ def _leg(run: Run, s: slice, *, speeding: bool, partner: float) -> Leg | None:
     beyond = float(np.sqrt(max(left**2 - noise**2, 0.0)))
     half = abs(a) * float(t[-1] - t[0]) / 2
     direction = float(np.sign(x[-1] - x[0]))
-    return Leg(way, direction, a, sigma_a, abs(slope) + half, beyond / way, speeding, partner)
+    return Leg(way, direction, a, sigma_a, abs(slope) + half, abs(slope), beyond / way, speeding, partner)
 
 
 def _parabola(t: Array, x: Array) -> tuple[tuple[float, float], float, float]:

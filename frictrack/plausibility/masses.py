@@ -3,7 +3,8 @@
 Friction that goes with the weight slows all masses alike: a = -mu g, so a wrong mass is absorbed. What tells it:
 
 - a stated normal load: friction over load is the same for all runs, F = m a, so it is off by the mass' own factor,
-- friction that goes with the speed and not with the load: its part of the deceleration goes with 1/m,
+- friction that goes with the speed and not with the load: its part of the deceleration goes with 1/m, so that its
+  coefficient is the same for all runs and a wrong mass shows in it by its own factor,
 - a measured drive: D = m a + F.
 
 Without any of these, a mass that is an exact power of ten of all others, which agree, is remarked only.
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.friction import is_moving
-from frictrack.plausibility.finding import Finding
+from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.legs import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.plausibility.slide import Slide, slide_of
 from frictrack.records import GRAVITY, Array, Run
@@ -28,6 +29,7 @@ MIN_FRAMES = 20
 MAX_RELATIVE_STD = 0.1  # relative deviation of a mass that the drive tells
 UNITS = {3: "x_m holds mm", -6: "t_s holds ms", -3: "t_s holds ms and x_m mm"}  # by the power of ten of m = D/a
 MIN_RUNS = 3  # runs, of which two agree against the third
+UNIT_POWERS = (3, 6)  # of ten: steps from a unit to its thousandth, and their squares, where nothing else is likely
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,19 @@ class Weighed:
     slide: Slide
     rate: float | None
 
+    @property
+    def mass(self) -> float:
+        """The typed mass, kg."""
+        return float(self.run.mass or np.nan)
+
+    @property
+    def viscous(self) -> float | None:
+        """Coefficient of the friction that goes with the speed, N s/m, as the typed mass has it."""
+        return None if self.rate is None else self.rate * self.mass
+
 
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
-    """Warnings on runs that disagree with all others by a power of ten, each with the number that would agree.
+    """Findings on runs that disagree with all others by a power of ten, each with the number that would agree.
 
     Parameters
     ----------
@@ -61,7 +73,7 @@ def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        At most one per run.
+        At most one per run; an error where the motion shows the power of ten by which the number differs.
 
     """
     driven = (_of_drive(run) for run in runs if run.drive is not None and run.mass is not None)
@@ -89,44 +101,72 @@ def _by_load(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
     """A friction coefficient that is a power of ten off that of the others, which agree."""
     own, common = one.slide.friction, _common([w.slide.friction for w in others])
     power = _power(own, common)
-    if not power or common is None or own is None or one.run.mass is None:
+    if not power:
         return None
     why = f"the friction coefficient comes out {own:.2g} where the other runs have {common:.2g}"
+    grade = ERROR if abs(power) in UNIT_POWERS else WARNING
     if one.run.normal_load is not None:
-        line = f'mass = "{one.run.mass / 10.0**power:g} kg"'
-        words = f"{why}; the mass of {one.run.mass:g} kg, or its normal load, is {_times(power)}: probably {line}"
-        return Finding("mass", words, line, one.run.name)
+        line = _line(one.mass, power)
+        words = f"{why}; the mass of {one.mass:g} kg, or its normal load, is {_times(power)}: probably {line}"
+        return Finding("mass", words, line, one.run.name, grade, contradicts=True)
     filmed = one.run.pixel_pitch is not None
     unit = "its scale" if filmed else "its unit of length"
     clock = f", or its {'fps' if filmed else 'unit of time'} {_times(power // 2)}" if power % 2 == 0 else ""
-    return Finding("scale", f"{why}; probably {unit} is {_times(power)}{clock}", "", one.run.name)
+    words = f"{why}; probably {unit} is {_times(power)}{clock}"
+    return Finding("scale", words, "", one.run.name, grade, contradicts=True)
 
 
 def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
-    """A mass that is a power of ten off that of the others, which agree."""
-    own, common = one.run.mass, _common([w.run.mass for w in others])
-    power = _power(own, common)
-    if not power or common is None or own is None:
+    """A mass that is a power of ten off: by friction that goes with the speed, else by the masses of the others."""
+    usual = _usual([w.mass for w in others])
+    power = _exact_power(one.mass, usual)
+    common = _common([w.viscous for w in others if w.viscous is not None])
+    if one.viscous is not None and common is not None:
+        off = float(np.log10(one.viscous / common))
+        return _by_viscous(one, others, power if power and abs(off - power) < abs(off) else _power(one.viscous, common))
+    if not power:
         return None
-    line = f'mass = "{own / 10.0**power:g} kg"'
-    rate = _common([w.rate for w in others])
-    if one.rate is not None and rate is not None:
-        if (
-            abs(np.log10(one.rate / rate)) > MAX_SPREAD_DECADES
-        ):  # it goes with 1/m, as it should, or with something else
-            return None
-        words = (
-            f"a mass of {own:g} kg is {_times(power)} that of the other runs ({common:g} kg), but the friction that "
-            f"goes with the speed slows it as it slows them; probably {line}"
-        )
-        return Finding("mass", words, line, one.run.name)
-    if abs(np.log10(own / common) - power) > EXACT_DECADES:
-        return None
+    line = _line(one.mass, power)
     words = (
-        f"a mass of {own:g} kg is exactly {_times(power)} that of the other runs ({common:g} kg), and friction that "
-        f'goes with the weight cannot show which is right; was {line} meant? If not, plausible = "checked" ends this'
+        f"a mass of {one.mass:g} kg is exactly that of the other runs ({usual:g} kg) with the point elsewhere, and "
+        f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
+        'plausible = "checked" ends this'
     )
     return Finding("mass", words, line, one.run.name)
+
+
+def _by_viscous(one: Weighed, others: Sequence[Weighed], power: int) -> Finding | None:
+    """A mass with which the friction that goes with the speed comes out a power of ten off that of the others.
+
+    Certain where that is a step of units, or the mass differs from one of the others by the same power of ten.
+    """
+    if not power:
+        return None
+    line = _line(one.mass, power)
+    words = (
+        f"mass = {one.mass:g} kg is {_times(power)}: the friction that goes with the speed slows it as it would slow "
+        f"{one.mass / 10.0**power:.4g} kg in the other runs; give {line}"
+    )
+    certain = abs(power) in UNIT_POWERS or any(_exact_power(one.mass, w.mass) == power for w in others)
+    return Finding("mass", words, line, one.run.name, ERROR if certain else WARNING, contradicts=True)
+
+
+def _line(mass: float, power: int) -> str:
+    """What to type instead of a mass that is a power of ten off."""
+    return f'mass = "{mass / 10.0**power:g} kg"'
+
+
+def _usual(masses: Sequence[float]) -> float | None:
+    """The mass that most runs share; None where less than half of them, or fewer than two, do."""
+    shared = [[m for m in masses if abs(np.log10(m / one)) < EXACT_DECADES] for one in masses]
+    most = max(shared, key=len, default=[])
+    return float(np.median(most)) if len(most) >= max(MIN_RUNS - 1, len(masses) / 2) else None
+
+
+def _exact_power(own: float, other: float | None) -> int:
+    """The power of ten by which two weighings differ; 0 where they do not differ by one exactly."""
+    power = _power(own, other)
+    return power if power and other and abs(np.log10(own / other) - power) < EXACT_DECADES else 0
 
 
 def _times(power: int) -> str:
@@ -207,10 +247,11 @@ def _of_drive(run: Run) -> Finding | None:
     power = _power(run.mass, seen) if seen > 0 and std < MAX_RELATIVE_STD * seen else 0
     if not power:
         return None
-    line = f'mass = "{run.mass / 10.0**power:g} kg"'
+    line = _line(run.mass, power)
     unit = f", or {UNITS[power]}" if power in UNITS and run.pixel_pitch is None else ""
     words = (
         f"the drive moves it as a mass of {seen:.3g} kg, but mass = {run.mass:g} kg; probably {line}, or the drive is "
         f"{_times(-power)}{unit}"
     )
-    return Finding("mass", words, line, run.name)
+    grade = ERROR if _exact_power(run.mass, seen) else WARNING
+    return Finding("mass", words, line, run.name, grade, contradicts=True)

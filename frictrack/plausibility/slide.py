@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import log10, sin
 
@@ -32,7 +32,9 @@ TABLE_UNITS = (
     (1.0, 1e-6, 't_s holds us: head that column "t (us)" and give columns = {t = "t (us)"}'),
     (1e-2, 1.0, 'x_m holds cm: head that column "x (cm)" and give columns = {x = "x (cm)"}'),
     (1e3, 1.0, 'x_m holds km: head that column "x (km)" and give columns = {x = "x (km)"}'),
+    (1.0, 60.0, 't_s holds minutes: head that column "t (min)" and give columns = {t = "t (min)"}'),
 )
+UNIT_STEP = 1e3  # from a unit to its thousandth: a slip of that size is no other setting of the instrument
 FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
 
 
@@ -102,7 +104,7 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        A speed that nothing on rails ever had is an error, all others are warnings.
+        An error is a speed that nothing on rails ever had, and what only a unit of another thousand makes possible.
 
     """
     slide = slide_of(run)
@@ -110,17 +112,19 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
 
 
 def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
-    hint, correction = _correction(slide, film=film)
+    hint, correction, certain = _correction(slide, film=film)
+    grade = ERROR if certain else WARNING
     yield from _measured(run)
     if slide.speed not in SPEED:
-        grade = ERROR if slide.speed > SPEED.limit else WARNING
-        than = f"than anything on rails ({SPEED.limit:g} m/s)" if grade == ERROR else "than in a laboratory"
+        grade = ERROR if slide.speed > SPEED.limit else grade
+        than = f"than anything on rails ({SPEED.limit:g} m/s)" if slide.speed > SPEED.limit else "than in a laboratory"
         why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
         yield Finding("speed", f"{why}; {hint}", correction, grade=grade)
     elif slide.friction is not None and slide.friction not in FRICTION:
-        yield Finding("friction", f"{_friction_words(run, slide)}; {hint}", correction)
+        yield Finding("friction", f"{_friction_words(run, slide)}; {hint}", correction, grade=grade)
     elif slide.friction is not None and slide.travel not in TRAVEL:
-        yield Finding("scale", f"the mass would slide {slide.travel:.3g} m without a stop; {hint}", correction)
+        words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
+        yield Finding("scale", words, correction, grade=grade)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
         yield from _blow(run.mass, slide)
 
@@ -150,13 +154,20 @@ def _friction_words(run: Run, slide: Slide) -> str:
     return f"{out}, less than on an air bearing"
 
 
-def _correction(slide: Slide, *, film: bool) -> tuple[str, str]:
-    """Which unit makes all of it usual, in words, and alone."""
-    tried = [(slide.scaled(length, time), words) for length, time, words in (FILM_UNITS if film else TABLE_UNITS)]
-    fitting = sorted((made.rarity, words) for made, words in tried if made.possible)
-    if fitting:
-        return f"probably {fitting[0][1]}", fitting[0][1]
-    return ("check scale and fps" if film else "check the units of the table's columns"), ""
+def _correction(slide: Slide, *, film: bool) -> tuple[str, str, bool]:
+    """Which unit makes all of it usual, in words, and alone; and whether no smaller change of a unit does."""
+    units = FILM_UNITS if film else TABLE_UNITS
+    fitting = sorted((made.rarity, words, size) for made, words, size in _tried(slide, units) if made.possible)
+    if not fitting:
+        return ("check scale and fps" if film else "check the units of the table's columns"), "", False
+    words = fitting[0][1]
+    return f"probably {words}", words, all(size >= UNIT_STEP for _, _, size in fitting)
+
+
+def _tried(slide: Slide, units: Sequence[tuple[float, float, str]]) -> Iterator[tuple[Slide, str, float]]:
+    """The slide in other units, which they are, and by what factor they differ."""
+    for length, time, words in units:
+        yield slide.scaled(length, time), words, max(length, 1 / length, time, 1 / time)
 
 
 def _blow(mass: float, slide: Slide) -> Iterator[Finding]:

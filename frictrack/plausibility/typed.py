@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import degrees
 
 from frictrack.plausibility.finding import Finding
-from frictrack.plausibility.ranges import BARE_MASS, BARE_PITCH, FPS, INCLINE, MASS, PITCH
+from frictrack.plausibility.ranges import BARE_MASS, BARE_PITCH, FPS, INCLINE, MASS, PITCH, Range
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,31 @@ class Typed:
     fps: float | None = None
     incline: float | None = None
     bare: frozenset[str] = frozenset()  # "mass", "scale", "incline"
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """One quantity of a study file: its key and SI unit, the unit that a bare number may have meant, what is plausible.
+
+    `shown` is the unit of a proposal and how many of it are one of SI.
+    """
+
+    key: str
+    si: str
+    meant: str
+    called: str
+    plausible: Range
+    bare: Range
+    shown: tuple[float, str]
+    why: Callable[[float], str] = lambda value: ""
+
+
+WEIGHT = _Quantity("mass", "kg", "g", "grams", MASS, BARE_MASS, (1.0, "kg"))
+SCALE = _Quantity(
+    *("scale", "m/px", "mm/px", "mm"),
+    *(PITCH, BARE_PITCH, (1e3, "mm/px")),
+    why=lambda pitch: f": 1000 px would be {1e3 * pitch:g} m wide",
+)
 
 
 def implausible(typed: Typed) -> tuple[Finding, ...]:
@@ -47,9 +72,9 @@ def implausible(typed: Typed) -> tuple[Finding, ...]:
 
 def _found(typed: Typed) -> Iterator[Finding]:
     if typed.mass is not None:
-        yield from _mass(typed, typed.mass)
+        yield from _number(typed, WEIGHT, typed.mass)
     if typed.pitch is not None:
-        yield from _pitch(typed, typed.pitch)
+        yield from _number(typed, SCALE, typed.pitch)
     if typed.fps is not None and typed.fps not in FPS:
         thousand = f"; if kHz were meant give fps = {1e3 * typed.fps:g}" if typed.fps < FPS.low else ""
         words = f"fps = {typed.fps:g} lies outside {FPS.low:g} to {FPS.high:g} frames a second{thousand}; {_confirm()}"
@@ -63,41 +88,26 @@ def _found(typed: Typed) -> Iterator[Finding]:
         yield Finding("incline", words, line, typed.run)
 
 
-def _mass(typed: Typed, mass: float) -> Iterator[Finding]:
-    if "mass" in typed.bare and mass > BARE_MASS.high:
-        line = f'mass = "{mass:g} g"'
+def _number(typed: Typed, of: _Quantity, value: float) -> Iterator[Finding]:
+    """What is implausible in one quantity: a number without a unit, or one that no laboratory has."""
+    if of.key in typed.bare and value > of.bare.high:
+        line = f'{of.key} = "{value:g} {of.meant}"'
         words = (
-            f"mass = {mass:g} has no unit and was read as {mass:g} kg; if grams were meant give {line}, "
-            f'else mass = "{mass:g} kg"'
+            f"{of.key} = {value:g} has no unit and was read as {value:g} {of.si}; if {of.called} were meant give "
+            f'{line}, else {of.key} = "{value:g} {of.si}"'
         )
-        yield Finding("mass", words, line, typed.run)
-    elif mass not in MASS:
-        factor = 1e-3 if mass > MASS.high else 1e3
-        line = f'mass = "{mass * factor:g} kg"'
-        words = f"a mass of {mass:g} kg lies outside {_span(MASS.low, MASS.high, 'kg')}; was {line} meant? {_confirm()}"
-        yield Finding("mass", words, line, typed.run)
-
-
-def _pitch(typed: Typed, pitch: float) -> Iterator[Finding]:
-    if "scale" in typed.bare and pitch > BARE_PITCH.high:
-        line = f'scale = "{pitch:g} mm/px"'
+        yield Finding(of.key, words, line, typed.run)
+    elif value not in of.plausible:
+        likely = value * (1e-3 if value > of.plausible.high else 1e3)
+        line = f'{of.key} = "{likely * of.shown[0]:g} {of.shown[1]}"'
         words = (
-            f"scale = {pitch:g} has no unit and was read as {pitch:g} m/px; if mm were meant give {line}, "
-            f'else scale = "{pitch:g} m/px"'
+            f"a {of.key} of {value:g} {of.si} lies outside {_span(of)}{of.why(value)}; was {line} meant? {_confirm()}"
         )
-        yield Finding("scale", words, line, typed.run)
-    elif pitch not in PITCH:
-        factor = 1e-3 if pitch > PITCH.high else 1e3
-        line = f'scale = "{1e3 * pitch * factor:g} mm/px"'
-        words = (
-            f"a scale of {pitch:g} m/px lies outside {_span(PITCH.low, PITCH.high, 'm/px')}: 1000 px would be "
-            f"{1e3 * pitch:g} m wide; was {line} meant? {_confirm()}"
-        )
-        yield Finding("scale", words, line, typed.run)
+        yield Finding(of.key, words, line, typed.run)
 
 
-def _span(low: float, high: float, unit: str) -> str:
-    return f"{low:g} to {high:g} {unit}"
+def _span(of: _Quantity) -> str:
+    return f"{of.plausible.low:g} to {of.plausible.high:g} {of.si}"
 
 
 def _confirm() -> str:

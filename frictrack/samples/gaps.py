@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
+from frictrack.samples.outliers import MEDIAN_TO_SIGMA
+from frictrack.samples.steps import FEWEST, NEAR, usual_steps
 
-NEAR = 12  # steps on either side that say what is usual
-FEWEST = 3  # of them on either side
 ALIKE = 0.25  # of the usual step, within which a step passes over one interval
 EXACT = 4.0  # standard deviations within which a step is a whole multiple
 PRECISE = 0.06  # intervals: deviation of a multiple from which it can be told
 LARGEST = 200
-MEDIAN_TO_SIGMA = 1.4826022
 
 Ticks = NDArray[np.int64]
 
@@ -60,21 +59,24 @@ def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]
     if len(rows) < 2 * FEWEST + 2:
         return []
     steps = np.diff(p[rows]) / np.diff(ticks[rows])
-    padded = np.pad(steps, NEAR, constant_values=np.nan)
-    usual = np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEAR + 1), axis=1)
+    usual = usual_steps(steps)
     follows = np.diff(ticks[rows]) == 1
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = steps / usual
     tried = np.flatnonzero(follows & (ratio > 1.5) & (ratio < LARGEST) & (np.abs(steps - usual) > smallest))
-    found = [(i, _gap(steps, np.abs(ratio - 1) < ALIKE, int(i))) for i in tried]
+    found = [(i, _gap(steps, ratio, int(i))) for i in tried]
     return [Gap(int(rows[i + 1]), missing, z) for i, (missing, z) in found if missing]
 
 
-def _gap(steps: Array, single: Mask, i: int) -> tuple[int, float]:
-    """Frames missing within a step, and the significance of that; 0 where it is no whole multiple of its neighbours."""
+def _gap(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
+    """Frames missing within a step, and the significance of that; 0 where it is no whole multiple of its neighbours.
+
+    `ratio` (n,) are the steps over usual ones.
+    """
+    single = np.abs(ratio - 1) < ALIKE
     near = np.arange(max(i - NEAR, 0), min(i + NEAR + 1, len(steps)))
     used = near[single[near] & (near != i)]
-    if min(np.sum(used < i), np.sum(used > i)) < FEWEST or not _goes_on(steps, i):
+    if min(np.sum(used < i), np.sum(used > i)) < FEWEST or not _goes_on(ratio, i):
         return 0, 0.0
     design = np.stack([np.ones(len(used)), used - i], axis=1)
     best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
@@ -87,6 +89,6 @@ def _gap(steps: Array, single: Mask, i: int) -> tuple[int, float]:
     return (multiple - 1, abs(steps[i] - usual) / error) if whole else (0, 0.0)
 
 
-def _goes_on(steps: Array, i: int) -> bool:
-    """Whether the steps on both sides go the same way: a sample that is off makes a long step and one back."""
-    return bool(steps[i - 1] * steps[i] > 0 and steps[i + 1] * steps[i] > 0)
+def _goes_on(ratio: Array, i: int) -> bool:
+    """Whether the steps on both sides pass an interval or more: a sample that is off makes a long step and a short."""
+    return bool(ratio[i - 1] > 1 - ALIKE and ratio[i + 1] > 1 - ALIKE)

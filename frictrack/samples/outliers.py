@@ -278,13 +278,13 @@ def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Arra
     farthest = float(np.max(np.abs(off) / error))
     if misfit > chi2.ppf(LIKELY, freedom):
         return None
-    if at_end:
+    returns = bool(len(before) and len(after)) and (
+        farthest > judge.far and series.event(np.sort(np.r_[sides, burst]), burst) - misfit > judge.than_event
+    )
+    if at_end and not returns:
         suspects = suspects | np.isin(np.arange(len(suspects)), burst)
-        stands = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
-    else:
-        event = series.event(np.sort(np.r_[sides, burst]), burst)
-        stands = farthest > judge.far and event - misfit > judge.than_event
-    return off if stands else None
+        returns = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
+    return off if returns else None
 
 
 def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:

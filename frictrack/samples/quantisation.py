@@ -12,7 +12,9 @@ import numpy as np
 from frictrack.records import Array
 
 WHOLE = 0.02  # of a step: positions may be off a multiple of it by this much
-MOST_PARTS = 4  # of the smallest gap between two positions: a fast mass skips some
+MOST_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some
+CHANCE = 1e-6  # that gaps which are no multiples of a step seem to be, over all parts that are tried
+FIRST = 8  # smallest gaps from which a step is first told
 FEWEST = 3  # distinct positions that can show a step
 MATTERS = 0.5  # of the noise that the differences show, above which rounding is worth a word
 
@@ -33,20 +35,26 @@ def quantum(x: Array) -> float:
     gaps = gaps[gaps > digits]
     if len(gaps) < FEWEST - 1:
         return 0.0
-    for parts in range(1, MOST_PARTS + 1):
-        if step := _step(gaps, float(np.min(gaps)) / parts):
+    gaps = np.sort(gaps)
+    for parts in range(1, _parts(len(gaps)) + 1):
+        if step := _step(gaps, float(gaps[0]) / parts):
             return step
     return 0.0
 
 
+def _parts(count: int) -> int:
+    """How many parts of the smallest of some gaps may be tried, so that the others fit none of them by chance."""
+    return max(min(MOST_PARTS, int(CHANCE * (2 * WHOLE) ** (1 - min(count, FIRST)))), 1)
+
+
 def _step(gaps: Array, near: float) -> float:
-    """The step close to a guess of which all gaps are whole multiples; 0 where they are not."""
+    """The step close to a guess of which all rising gaps are whole multiples; 0 where they are not."""
     step = near
-    for _ in range(2):  # the mean of all steps is known better than the smallest
-        counts = np.rint(gaps / step)
-        if np.any(counts < 1) or np.max(np.abs(gaps - counts * step)) > WHOLE * step:
+    for some in (gaps[:FIRST], gaps[: FIRST**2], gaps, gaps):  # the mean of many is known better than the smallest
+        counts = np.rint(some / step)
+        if np.any(counts < 1) or np.max(np.abs(some - counts * step)) > WHOLE * step:
             return 0.0
-        step = float(np.sum(gaps) / np.sum(counts))
+        step = float(np.sum(some) / np.sum(counts))
     return float(f"{step:.10g}")
 
 

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
+from frictrack.samples.steps import FEWEST, NEAR, usual_steps
 
 STILL = 0.15  # of the usual step, below which there was none
 FULL = 0.6  # of the usual step, which those before and after must have: nothing stops and goes on in between
-NEAR = 12  # steps on either side that say what is usual
-USUAL = 0.75  # quantile of their sizes
-FEWEST = 3  # steps that can say it
+USUAL = 0.75  # quantile of the sizes of steps near one that is usual
 CLEAR = 8.0  # standard deviations of the usual step
 OFF = 0.25  # of a step, by which the step after may miss whole ones
 OFTEN = 0.2  # share of repeats from which the first and the last frame may be one
@@ -63,7 +62,7 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
 
     """
     steps = np.where(good[1:] & good[:-1], np.diff(p), np.nan)
-    usual = _usual(np.abs(steps))
+    usual = usual_steps(np.abs(steps), USUAL)  # a high quantile, so that many repeats do not count
     still = (steps == 0.0) if exact else np.abs(steps) < STILL * usual
     if not still.any():
         return []
@@ -76,16 +75,6 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
     clean = _clean(steps, still)
     judged = (_judged(steps, run, clean, held=held) for run in found)
     return [one for one in judged if one is not None]
-
-
-def _usual(size: Array) -> Array:
-    """Usual step (n,) near every step: a high quantile, so that many repeats do not count."""
-    padded = np.pad(size, NEAR, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEAR + 1)
-    enough = np.sum(np.isfinite(windows), axis=1) >= FEWEST
-    out = np.full(len(size), np.nan)
-    out[enough] = np.nanquantile(windows[enough], USUAL, axis=1)
-    return out
 
 
 def _runs(still: Mask) -> Iterator[slice]:

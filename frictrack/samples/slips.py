@@ -80,7 +80,7 @@ def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
     ]
     ticks, keep = corrected(path.ticks, again)
     stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
-    rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest)
+    rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest, path.exact)
     lost = [Slip(one.at, one.missing, one.significance) for one in gaps(rest.p, rest.ticks, rest.good, rest.smallest)]
     rest = replace(rest, ticks=corrected(rest.ticks, lost)[0])
     others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *slips(rest))]
@@ -220,6 +220,8 @@ def _repeats(path: Course, i: int, noise: float) -> bool:
     """Whether frame i shows the target where the frame before it does."""
     if not path.good[i - 1]:
         return False
+    if path.exact:
+        return bool(path.p[i] == path.p[i - 1])
     spread = np.hypot(path.sigma[i], path.sigma[i - 1]) * np.sqrt(noise)
     return bool(abs(path.p[i] - path.p[i - 1]) < 4 * spread)
 

@@ -8,7 +8,7 @@ of starting forward, both of which the model itself gives.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +55,12 @@ class Start:
 
 
 def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
-    """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release.
+    """Move the mass from start = (x m, v m/s) at t[0] through the frame times t (n,), s since release, as recorded.
 
     Panels are halved until the displacement stays within 0.1 nm, so that a blow much shorter than a frame is
     followed too. Raises FrictrackError when 1 nm cannot be reached.
     """
-    walk = Walk(model, values, conditions)
+    walk, recorded, t = Walk(model, values, conditions), t, t * model.clock(values)
     per_frame = max(2, *(e.fine for e in model.effects))
     slide, change = _collected(walk, t, start, per_frame), np.inf
     for _ in range(HALVINGS):
@@ -68,13 +68,13 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
         coarse, slide = slide, _collected(walk, t, start, per_frame)
         change = float(np.max(np.abs(slide.x - coarse.x)))
         if change <= AGREE:
-            return slide
+            return replace(slide, t=recorded)
     if change > 10 * AGREE:
         raise FrictrackError(
             f"expected a motion that can be followed to 1 nm but got one that still moves by {change * 1e9:.2g} nm "
             f"when every frame is cut into {per_frame} parts; give more frames per second, or wider pulses"
         )
-    return slide
+    return replace(slide, t=recorded)
 
 
 def followed(
@@ -92,6 +92,7 @@ def followed(
     Raises FrictrackError when the motion under this law cannot be integrated.
     """
     walk = Walk(model, values, conditions, is_smooth(model, values, conditions), start.states, within / SETTLED)
+    t = t * model.clock(values)
     per_frame = max(e.fine for e in model.effects)
     seen = _shown(walk, t, start, per_frame)
     for _ in range(FOLLOWED):
@@ -273,6 +274,7 @@ def _shown_at(walk: Walk, x: Array, v: Array, t: Array) -> Array:
 def shift(model: Model, values: Values, path: Path) -> Array:
     """What the picture is shifted by along a path, m, shape (n,)."""
     out = np.zeros_like(path.x)
+    timed = {e.name for e in model.effects if e.clock is not None}  # their times are those of the motion itself
     for name, block in model.measurement_columns(path, values).items():
-        out += block @ model.coefficients(name, values)
+        out += 0.0 if name in timed else block @ model.coefficients(name, values)
     return out

@@ -107,6 +107,12 @@ def _by_clock(told: Explanation) -> float:
     return float(np.sum((late / (FLASH * np.median(np.diff(piece.t)))) ** 2))
 
 
+def _by_rate(told: Explanation) -> float:
+    """Flashes of a counter of known rate at the first and the last frame."""
+    piece = _longest(told).piece
+    return float((_value(told, "rate") * np.ptp(piece.t) / (FLASH * np.median(np.diff(piece.t)))) ** 2 / 2)
+
+
 def _by_stamps(told: Explanation) -> float:
     return (_value(told, "frames") / FLASH) ** 2
 
@@ -140,6 +146,7 @@ DIRECT = {
     ),
     "lens": Check("rule", "Film a rule that lies along the course: its marks stand as far apart everywhere", _on_rule),
     "timebase": Check("clock", "Film a flashing diode or a counter of known rate in the same picture", _by_clock),
+    "clock_rate": Check("rate", "Look up the frame rate of that run, or film a counter of known rate", _by_rate),
     "dropped_frame": Check("time stamps", "Keep the camera's time stamps, or film a running counter", _by_stamps),
     "target_rotation": Check("second mark", "Follow a second mark at another height of the target", _in_picture),
     "slope": Check("level", "Lay a level on the course, or measure how far its ends stand above the table", _by_level),

@@ -28,6 +28,7 @@ KEEPS = {
     "camera_shake": "a shaking camera moves the picture as far whatever slides",
     "dropped_frame": "a lost frame shifts the picture by as far as the mass goes in it",
     "timebase": "a drifting clock feigns a deceleration that grows with the speed",
+    "clock_rate": "a wrong clock of one run changes its speeds by a factor and its forces by the square of it",
     "target_rotation": "a turning target moves its mark as its angle says",
     "presliding": "presliding needs a reversal",
     "friction_lag": "a lag needs a speed that swings",

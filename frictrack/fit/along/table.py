@@ -156,7 +156,7 @@ def items_of(along: Along) -> list[Item]:
         scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
         if not is_scannable(effect) or effect.relaxed:
             continue
-        if any(p.per_run for p in scanned):
+        if effect.single:
             out += [Item(effect.name, g, r) for r in along.runs if (effect.name, r) not in along.layout.absent]
         elif scanned and effect.linear:
             out.append(Item(effect.name, g))

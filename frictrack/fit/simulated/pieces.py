@@ -59,6 +59,7 @@ class Piece:
     step: float = 0.0  # m, to which the places are rounded
     shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
+    clock: float = 1.0  # its times are recorded ones times this
 
     @cached_property
     def _whitening(self) -> Whitening | None:
@@ -120,6 +121,31 @@ class Piece:
         series = self._series(lambda q: np.interp(new, old, q))
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
+
+    def timed(self, clock: float) -> Piece:
+        """The same piece by a clock whose times since release are recorded ones times `clock`; motion and all."""
+        by = clock / self.clock
+        if by == 1.0:
+            return self
+        path = replace(
+            self.path,
+            t=by * self.path.t,
+            v=self.path.v / by,
+            drive_at=_at_times(self.path.drive_at, by),
+            lift=None if self.path.lift is None else self.path.lift / by**2,
+            before=None if self.path.before is None else _retimed(self.path.before, by),
+        )
+        return replace(
+            self,
+            t=by * self.t,
+            panels=Panels(by * self.panels.edges),
+            v_hat=self.v_hat / by,
+            a_hat=self.a_hat / by**2,
+            path=path,
+            way=_retimed(self.way, by),
+            slack=self.slack / by,
+            clock=clock,
+        )
 
     def first(self, n: int) -> Piece:
         """The first n frames of the piece."""
@@ -271,6 +297,16 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
     relative = np.ones(len(sigma))
     relative[known] = sigma[known] / np.median(sigma[known])
     return relative
+
+
+def _retimed(way: Array, by: float) -> Array:
+    """A motion t, x, v (3, k) whose times are so many times as long."""
+    return way * np.array([[by], [1.0], [1.0 / by]])
+
+
+def _at_times(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
+    """A series of time whose times are so many times as long."""
+    return None if series is None else lambda t: series(t / by)
 
 
 def _until(way: Array, t: float) -> Array:

@@ -78,8 +78,15 @@ class Problem:
         return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
     def _respond(self, i: int, p: Array, start: Array) -> Response:
-        motion, linear = self._simulate(i, p, start)
-        return self.seen(self.pieces[i], p, (motion, linear), motion.x_edge[self.pieces[i].at])
+        piece = self._timed(self.pieces[i], p)
+        motion, linear = self._simulate(i, piece, p, start)
+        return self.seen(piece, p, (motion, linear), motion.x_edge[piece.at])
+
+    def _timed(self, piece: Piece, p: Array) -> Piece:
+        """A piece by the clock that the law gives to its run."""
+        if all(e.clock is None for e in self.model.effects):
+            return piece
+        return piece.timed(self.model.clock(self.layout.values(p, piece.run)[0]))
 
     def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> Response:
         """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
@@ -132,8 +139,7 @@ class Problem:
         _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
         return edges[piece.at]
 
-    def _simulate(self, i: int, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
-        piece = self.pieces[i]
+    def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
         where = float(start[0]), float(start[1])
         law = self.acceleration(piece, p)
         motion, linear = solve(law, piece.panels, where, self._guess[i], memory=self.model.memory)
@@ -187,17 +193,24 @@ class Problem:
         return [q.name for q in of.linear].index(parameter)
 
     def _picture(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> tuple[Array, Array, Array]:
-        """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown."""
+        """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown.
+
+        What a clock is off stands in the times of the piece: only its change shifts the picture.
+        """
         x = motion.x_edge[piece.at]
         v = motion.v_edge[piece.at]
         shift, slope, direct = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), len(active)))
         if all(e.acts_on == "force" for e in self.model.effects):
             return shift, slope, direct
 
+        timed = self.layout.values(p, piece.run)[0]
+        held = {e.name: self.model.coefficients(e.name, timed) for e in self.model.effects if e.clock is not None}
+
         def total(p_: Array, x_: Array) -> Array:
             values, level = self.layout.values(p_, piece.run)
             blocks = self.model.measurement_columns(piece.at_frames(x_, v, level), values)
-            return np.sum([b @ self.model.coefficients(n, values) for n, b in blocks.items()], axis=0)
+            sizes = {n: self.model.coefficients(n, values) - held.get(n, 0.0) for n in blocks}
+            return np.sum([b @ sizes[n] for n, b in blocks.items()], axis=0)
 
         shift = total(p, x)
         h = 1e-7 * max(float(np.ptp(x)), 1e-3)

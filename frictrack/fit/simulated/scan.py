@@ -135,15 +135,10 @@ def families(law: Beside, effect: Effect) -> list[Family]:
     if effect.lacks([s.response.piece.path for s in law.strips]):
         return []
     layout = law.solution.problem.layout
-    if has_own_scan(effect):
+    if effect.single:
         each = [[i for i, s in enumerate(law.strips) if s.run == r] for r in law.runs]
         return [_family(law, effect, mine, layout.spans[law.strips[mine[0]].run]) for mine in each]
     return [_family(law, effect, list(range(len(law.strips))), layout.span)]
-
-
-def has_own_scan(effect: Effect) -> bool:
-    """Whether every run is scanned by itself: for an event of its own."""
-    return any(p.scan is not None and p.per_run and p.free for p in effect.nonlinear)
 
 
 def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:

@@ -70,7 +70,7 @@ def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tup
     if any(lacking):
         raise FrictrackError(next(filter(None, lacking)))
     _, scanned = in_turn(model)
-    later = [e for e in scanned if not is_scannable(e)]
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]  # a clock: for few runs, in simulation
     first = Model(tuple(e for e in model.effects if e not in later))
     layout = Layout(first, names, spans)
     fine = max(e.fine for e in first.effects)

@@ -15,7 +15,7 @@ from scipy.stats import chi2 as chi2_distribution
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.along import Along, Projected, Search, State
 from frictrack.fit.simulated.beside import Beside
-from frictrack.fit.simulated.scan import Scan, has_own_scan, per_run_coefficients
+from frictrack.fit.simulated.scan import Scan, per_run_coefficients
 from frictrack.fit.unknowns.layout import LEVEL, Layout, Slot
 from frictrack.models import Model
 from frictrack.records import Array
@@ -52,7 +52,7 @@ def tried(law: Beside, effect: Effect, scans: list[Scan], data: Array) -> Trial:
     left = law.left(law.solution.tau)
     runs = len(law.solution.problem.layout.run_names)
     sizes = {p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth") and is_loose(p)}
-    shared = has_own_scan(effect) or not per_run_coefficients(effect) or runs == 1 or not sizes
+    shared = effect.single or not per_run_coefficients(effect) or runs == 1 or not sizes
     free = effect if shared else effect.adjusted(**sizes)
     loose = _best(law, free, [_start_values(law, free, picks) for picks in _picked(scans, left, data)])
     if shared:
@@ -130,7 +130,7 @@ def deepened(law: Beside, trials: list[Trial]) -> list[Trial]:
     """
     misfit = bare(law)
     half = WORTH * max((misfit - t.misfit for t in trials), default=0.0)
-    trials = [_events(law, t) if has_own_scan(t.effect) and misfit - t.misfit > half else t for t in trials]
+    trials = [_events(law, t) if t.effect.single and misfit - t.misfit > half else t for t in trials]
     frames = sum(len(b.data) for b in law.blocks)
     enough = frames * (1 + POOR) + 3 * np.sqrt(2 * frames)
     if not trials or (misfit < STRONG * frames and min(t.misfit for t in trials) < enough):
@@ -218,7 +218,7 @@ def _picks(found: Scan, left: Array, data: Array, most: int) -> list[Pick]:
 def _start_values(law: Beside, effect: Effect, picks: list[Pick]) -> Start:
     """Start values of the effect's parameters by (name, run), and the runs in which it is absent."""
     runs = range(len(law.solution.problem.layout.run_names))
-    if has_own_scan(effect):
+    if effect.single:
         return _event_values(law, effect, picks)
     _, point, c = picks[0]
     out: dict[tuple[str, int | None], float] = {}

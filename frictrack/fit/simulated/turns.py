@@ -29,7 +29,7 @@ def in_turn(model: Model) -> tuple[list[Effect], list[Effect]]:
 
 
 def _needs_scan(effect: Effect) -> bool:
-    return any(p.free for p in effect.nonlinear)
+    return effect.clock is not None or any(p.free for p in effect.nonlinear)
 
 
 def follows(effect: Effect, there: Sequence[Effect]) -> bool:

@@ -66,7 +66,7 @@ KINDS = {
         "relative",
         r"time stamps say|frame rate|\bfps\b|clock|unit of time",
         ("stamps", "stamps and fps"),
-        effects=("timebase",),
+        effects=("timebase", "clock_rate"),
     ),
     "coloured": Kind(1, 0.3, 0.95, "AR(1)", r"colou?red|correlated|not white", in_all=1.0),
     "mass": Kind(2, 1.0, 1.0, "factor", r"\bmass (= |of )", ("10", "0.1", "1000", "0.001"), in_all=0.4),
