@@ -29,8 +29,8 @@ COVERED = "the target passes over it"
 # others, where the diagnosis then could not tell it from a vibration of the course.
 LEAST_SHAKE = 0.02  # px, rms
 NO_REFERENCE = (
-    "no fixed reference was found in the picture, so that camera shake stays in the displacement; "
-    "reference = [x, y, width, height] names one"
+    "nothing was found in the picture that rests while the target moves, so that camera shake stays in the "
+    "displacement; reference = [x, y, width, height] names one"
 )
 
 
@@ -81,6 +81,7 @@ def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
 def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Track]:
     """The track of something fixed: what is named, or what is found; nothing where neither is there."""
     from frictrack.tracking import find_reference, track  # noqa: PLC0415
+    from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
     wanted = work.run.reference
     if wanted == "none":
@@ -94,7 +95,9 @@ def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Tra
     if rectangle is None:
         return {}
     found = _tried(lambda: track(opened, rectangle, name=REFERENCE, progress=work.progress))
-    return {} if found is None else {REFERENCE: replace(found, notes=())}
+    if found is None or moves_with(target, found):
+        return {}
+    return {REFERENCE: replace(found, notes=())}
 
 
 def _uncovered(reference: Track, target: Track) -> Track:

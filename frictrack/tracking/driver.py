@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording, opened
 from frictrack.records import Array, Track
-from frictrack.tracking.checks import key_frames
+from frictrack.tracking.checks import at_rest, key_frames
 from frictrack.tracking.finding import Target, resolve
 from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
 from frictrack.tracking.hidden import measure_hidden
@@ -50,7 +50,7 @@ def track(
     same target has taught (`learn_target`): then this film is gone through only once. Position is that of the
     rectangle's centre, the angle (rad) is positive from the picture's x axis toward its y axis. A frame in which
     the target is not found holds NaN and the reason. Raises `FrictrackError` for a target that does not fit the
-    picture, a film without contrast, or one in which nothing moves.
+    picture, a film without contrast, or one in which nothing has texture.
     """
     with opened(recording, once=_once(target, template, known)) as film:
         if known is None:
@@ -71,7 +71,8 @@ def track(
         )
     result = _with_own_noise(result, template)
     coded = () if change is None else key_frames(change, result.x_px, result.y_px)
-    return replace(result, template=template, picture=lesson.template.image, notes=(*result.notes, *coded))
+    notes = (*result.notes, *coded, *at_rest(result))
+    return replace(result, template=template, picture=lesson.template.image, notes=notes)
 
 
 def learn_target(

@@ -25,6 +25,7 @@ LARGEST_DOUBT = 10.0  # over what the frames show of a wave: more would only slo
 CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
 RIDGE = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
+DECISIVE = 4.0  # times better, for so many pixels: of a target that hardly moves, noise makes a fifth twice better
 MEDIAN_OF = 60  # frames
 SELDOM = 0.5  # share of the frames in which a pixel of the target must show it
 LEAK = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
@@ -183,6 +184,8 @@ def _moves(cuts: Patch, scene: Patch, left: Patch, image: Array) -> Mask | None:
     few = slice(None, None, -(-len(cuts) // MEDIAN_OF))
     spread = np.median(left[few] ** 2, axis=0)
     differs = np.median((cuts[few].astype(np.float32) - scene[few]) ** 2, axis=0)
+    if np.quantile(differs / np.maximum(spread, ROUNDING), 1 - LEAST_SHARE) < DECISIVE:
+        return None
     moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)
     return moves if moves.mean() > LEAST_SHARE else None
 

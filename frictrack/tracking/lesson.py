@@ -26,6 +26,7 @@ MIN_TAUGHT = 3  # frames that a template can be learnt from
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
+BORDER_SLOPE = 0.2  # of the picture's slopes, that a border's may be off by
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
 
@@ -103,11 +104,29 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     """What the rounds have come to, and by how much the noise's deviations are too small."""
     fine, template, share = found.fine, found.template, found.share
+    if not _border_is_known(seen, found):
+        template = without_border(template)
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
     taught_by = np.flatnonzero(found.good)
     few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
     shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
     return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
+
+
+def _border_is_known(seen: _Cuts, found: _Found) -> bool:
+    """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
+
+    Inside, a single frame shows the slopes; at the border only motion does, with the standard deviation of a line's
+    slope through the frames. That must be a small part of the picture's own slopes.
+    """
+    fine, (h, w) = found.fine[found.good], found.template.weight.shape
+    at = seen.corner[found.good] + fine.at
+    swing = (h**2 + w**2) / 12 * float(np.sum((fine.angle - fine.angle.mean()) ** 2))
+    moved = np.sum((at - at.mean(axis=0)) ** 2 - fine.sigma**2, axis=0) + swing
+    weight = found.template.weight
+    noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
+    slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]
+    return bool(np.any(moved * slopes * BORDER_SLOPE**2 > noise))
 
 
 def _path(followed: Followed, rows: NDArray[np.int64]) -> SmoothPath:
