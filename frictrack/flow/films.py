@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
 from frictrack.flow.quality import judged, left_of_shake
-from frictrack.records import Displacement, Track
+from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import Film
 from frictrack.samples import screened
 
@@ -111,7 +111,7 @@ def _uncovered(reference: Track, target: Track) -> Track:
     if not np.any(over):
         return reference
     gone = np.where(over, np.nan, 0.0)
-    columns = {c: getattr(reference, c) + gone for c in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px")}
+    columns = {c: q + gone for c in MEASURED if (q := getattr(reference, c)) is not None}
     reason = np.where(over & reference.found, COVERED, reference.reason)
     note = (
         f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, which tell nothing of shake; "

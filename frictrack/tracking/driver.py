@@ -181,6 +181,7 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         angle=fine.angle + kept,
         sigma_px=fine.sigma[:, 0] + kept,
         sigma_y_px=fine.sigma[:, 1] + kept,
+        sigma_angle=fine.sigma[:, 2] + kept,
         score=fine.score,
         reason=measured.reason.astype(str),
         name=name,
@@ -192,9 +193,10 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
 
 def _with_own_noise(track: Track, template: int) -> Track:
     """The track in which frame `template`, which few frames were compared with, is no better known than these."""
-    sigma = np.stack([track.sigma_px, track.sigma_y_px])
-    sigma[:, template] = np.maximum(sigma[:, template], np.nanmedian(sigma, axis=1))
-    return replace(track, sigma_px=sigma[0], sigma_y_px=sigma[1])
+    columns = {name: getattr(track, name).copy() for name in ("sigma_px", "sigma_y_px", "sigma_angle")}
+    for sigma in columns.values():
+        sigma[template] = np.maximum(sigma[template], np.nanmedian(sigma))
+    return replace(track, **columns)
 
 
 def _slow(sigma: Array) -> float:

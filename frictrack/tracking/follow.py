@@ -69,7 +69,7 @@ def nowhere(n: int) -> Followed:
     nan = np.full(n, np.nan)
     pair = np.full((n, 2), np.nan)
     score, gain, offset, misfit = (nan.copy() for _ in range(4))
-    fine = Fine(pair, nan, pair.copy(), score, gain, offset, misfit, np.zeros(n, np.bool_))
+    fine = Fine(pair, nan, np.full((n, 3), np.nan), score, gain, offset, misfit, np.zeros(n, np.bool_))
     return Followed(np.zeros((n, 2), np.int64), fine, np.full(n, UNREAD, dtype=object))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.follow import Followed
-from frictrack.tracking.learn import learn, without_border
+from frictrack.tracking.learn import WIDE_RIM, learn, without_border
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
@@ -105,7 +105,7 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     """What the rounds have come to, and by how much the noise's deviations are too small."""
     fine, template, share = found.fine, found.template, found.share
     if not _border_is_known(seen, found):
-        template = without_border(template)
+        template = without_border(template, WIDE_RIM)
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
     taught_by = np.flatnonzero(found.good)
     few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
@@ -116,13 +116,12 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
 def _border_is_known(seen: _Cuts, found: _Found) -> bool:
     """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
 
-    Inside, a single frame shows the slopes; at the border only motion does, with the standard deviation of a line's
+    Inside, a single frame shows the slopes; at the border only shifts teach them, with the standard deviation of a line's
     slope through the frames. That must be a small part of the picture's own slopes.
     """
-    fine, (h, w) = found.fine[found.good], found.template.weight.shape
+    fine = found.fine[found.good]
     at = seen.corner[found.good] + fine.at
-    swing = (h**2 + w**2) / 12 * float(np.sum((fine.angle - fine.angle.mean()) ** 2))
-    moved = np.sum((at - at.mean(axis=0)) ** 2 - fine.sigma**2, axis=0) + swing
+    moved = np.sum((at - at.mean(axis=0)) ** 2 - fine.sigma[:, :2] ** 2, axis=0)
     weight = found.template.weight
     noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
     slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]

@@ -23,6 +23,7 @@ from frictrack.tracking.waves import EDGE
 FINE = 3  # points of the table per px: cubic splines through them are off by less than 1e-4 of the contrast
 STEPS = 12
 SETTLED = 1e-3  # px, the last step
+CYCLES = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 LEAST_GAIN = 1e-3
@@ -164,14 +165,14 @@ def _scale(rated: Array) -> float:
 
 def _fitted(window: _Window, start: Pose, picture: TurnedPicture, share: Array | None) -> Pose:
     """Gauss-Newton; `share` (h w,) is the share of its weight that each pixel keeps."""
-    pose = start
+    pose, step = start, np.inf
     for _ in range(STEPS):
         pose, step = _step(window, pose, picture, share)
         if not np.isfinite(step) or np.max(np.abs(pose.centre - start.centre)) > 6:
             return replace(pose, settled=False)
         if step < SETTLED:
-            return replace(pose, settled=pose.gain > LEAST_GAIN)
-    return pose
+            break
+    return replace(pose, settled=pose.gain > LEAST_GAIN and step < CYCLES)
 
 
 def _step(window: _Window, pose: Pose, picture: TurnedPicture, share: Array | None) -> tuple[Pose, float]:

@@ -68,7 +68,7 @@ class TurnedTrack:
             at = pose.centre - middle
             out.corner[i] = np.rint(at)
             row = Fine(
-                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma[:2], pose.score)),
+                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma, pose.score)),
                 *(np.array([q]) for q in (pose.gain, pose.offset, pose.misfit, pose.settled)),
             )  # fmt: skip
             out.fine.put(np.array([i]), row)
@@ -355,5 +355,5 @@ def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> T
     n = len(chosen)
     gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
     still = np.zeros((n, 2))
-    fine = Fine(still, np.zeros(n), still, np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
+    fine = Fine(still, np.zeros(n), np.zeros((n, 3)), np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
     return learn(cuts, fine, picture.template)

@@ -136,13 +136,18 @@ def _points(at: Array, zoom: int) -> NDArray[Any]:
     return np.rint(((at + 0.5) * zoom - 0.5) * 2**SHIFT).astype(np.int32)
 
 
+def _deviation(track: Track, i: int) -> str:
+    """Standard deviation of the angle in frame i, degrees."""
+    return "" if track.sigma_angle is None else f" +/- {np.degrees(track.sigma_angle[i]):.2g}"
+
+
 def _words(track: Track, i: int) -> str:
     if i >= len(track):
         return track.name
     head = f"{track.name}  frame {i}  {1e3 * track.t[i]:.2f} ms  "
     if not track.found[i]:
         return f"{head}lost: {track.reason[i]}"
-    turned = f"  {np.degrees(track.angle[i]):+.2f} deg" if np.isfinite(track.angle[i]) else ""
+    turned = f"  {np.degrees(track.angle[i]):+.2f}{_deviation(track, i)} deg" if np.isfinite(track.angle[i]) else ""
     return (
         f"{head}x {track.x_px[i]:.3f}  y {track.y_px[i]:.3f} px  sigma {track.sigma_px[i]:.4f}  "
         f"score {track.score[i]:.3f}{turned}"
