@@ -78,6 +78,7 @@ class Table:
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]
 
 
+Point = tuple[float, float]
 MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN where lost
 
 
@@ -103,6 +104,9 @@ class Track(Table):
     systematic: float = scalar("px", default=0.0)  # rms by which places are off slowly, beside the noise
     notes: tuple[str, ...] = ()  # measurement findings, in words
     sigma_angle: Array | None = column("rad", nan=True, default=None)
+    outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, where it is no rectangle
+    exclude: tuple[tuple[Point, ...], ...] = ()  # polygons there that are no part of it
+    obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture that it passes behind
 
     @property
     def found(self) -> Mask:

@@ -37,14 +37,16 @@ SCATTERS = 1.5  # times the noise: such a pixel is not just noisy, it shows some
 ROUNDING = 1 / 12  # variance of rounding to whole grey values, which a film without noise still has
 
 
-def first_look(cut: Patch) -> Template:
-    """The template that one cut-out (h, w) makes."""
-    weight = np.ones(cut.shape) / max(float(np.var(cut)), 1.0)
-    level = float(np.mean(cut))
+def first_look(cut: Patch, belongs: Mask | None = None) -> Template:
+    """The template that one cut-out (h, w) makes, of which some pixels (h, w) belong to the target, or all."""
+    shown = cut if belongs is None else cut[belongs]
+    weight = np.ones(cut.shape) / max(float(np.var(shown)), 1.0)
+    weight = weight if belongs is None else weight * belongs
+    level = float(np.mean(shown))
     grid = shifts((cut.shape[0], cut.shape[1]))
     still = grid.design(np.zeros((1, 2)))[0]
     waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
-    return Template(waves, weight, level)
+    return Template(waves, weight, level, belongs=belongs)
 
 
 def without_border(template: Template, rims: Sequence[int] = RIM) -> Template:
@@ -54,8 +56,9 @@ def without_border(template: Template, rims: Sequence[int] = RIM) -> Template:
     """
     shape = template.weight.shape
     rim = [max((r for r in rims if 8 * r <= side), default=1) for side in shape]
-    counts = np.zeros(shape)
-    counts[rim[0] : shape[0] - rim[0], rim[1] : shape[1] - rim[1]] = 1.0
+    whole = np.ones(shape, np.uint8) if template.belongs is None else template.belongs.astype(np.uint8)
+    around = np.ones([2 * r + 1 for r in rim], np.uint8)
+    counts = cv2.erode(whole, around, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
     return replace(template, weight=template.weight * counts)
 
 
@@ -81,7 +84,9 @@ def learn(
     left = pixels - columns.astype(np.float32) @ learnt.pictures[:k].astype(np.float32)
     left = (left / fine.gain.astype(np.float32)[:, None]).reshape(cuts.shape)
     moves = None if scene is None else _moves(cuts, scene, left, learnt.image)
-    return replace(learnt, weight=_weight(_spread(left, share, freedom), learnt.image, moves))
+    spread = _spread(left, share, freedom)
+    spread = spread if template.belongs is None else np.where(template.belongs, spread, np.inf)
+    return replace(learnt, weight=_weight(spread, learnt.image, moves))
 
 
 def _spread(left: Patch, share: Patch | None, freedom: float) -> Array:

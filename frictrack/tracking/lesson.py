@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
+from frictrack.tracking.areas import obstructed
 from frictrack.tracking.follow import Followed
 from frictrack.tracking.learn import WIDE_RIM, learn, without_border
 from frictrack.tracking.match import Patch
@@ -53,17 +54,20 @@ class _Found:
         return _teaches(self.fine, self.template)
 
 
-def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
-    """Template, view and noise from frames spread over the path of a first, rougher track."""
-    rows = spread(followed, template.weight.size)
+def taught(film: Recording, followed: Followed, template: Template, blocked: Mask | None = None) -> Lesson:
+    """Template, view and noise from frames spread over the path of a first, rougher track.
+
+    `blocked` (H, W) are pixels of the picture before which an obstacle is known to stand.
+    """
+    rows, view = spread(followed, template.weight.size), obstructed(None, blocked)
     if len(rows) < MIN_FRAMES:
-        return Lesson(without_border(template))
+        return Lesson(without_border(template), view)
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
     seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template))))
-    view, path = None, _path(followed, rows)
+    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template), view)))
+    path = _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < MIN_TAUGHT:
             break
@@ -73,7 +77,7 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
         if view is None and k >= ROUNDS - 1:
             break
         if 0 < k < MOST_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
-            view = _view(film, seen, found)
+            view = obstructed(_view(film, seen, found), blocked)
     return _concluded(seen, found, view)
 
 
@@ -116,7 +120,7 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
 def _border_is_known(seen: _Cuts, found: _Found) -> bool:
     """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
 
-    Inside, a single frame shows the slopes; at the border only shifts teach them, with the standard deviation of a line's
+    Inside, a single frame shows the slopes; at the border only shifts teach them, with the deviation of a line's
     slope through the frames. That must be a small part of the picture's own slopes.
     """
     fine = found.fine[found.good]

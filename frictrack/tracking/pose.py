@@ -51,12 +51,17 @@ class TurnedPicture:
     """The target's picture, to be read at any place."""
 
     template: Template
+    blocked: Mask | None = None  # pixels (H, W) of the frames before which an obstacle stands
 
     @property
     def middle(self) -> Array:
         """Centre (x, y) of the picture, px from its upper left pixel."""
         h, w = self.template.weight.shape
         return np.array([(w - 1) / 2, (h - 1) / 2])
+
+    def showing(self, template: Template) -> TurnedPicture:
+        """The same with another template."""
+        return replace(self, template=template)
 
     @property
     def radius(self) -> float:
@@ -103,15 +108,17 @@ class _Window:
 
     pixels: Patch
     places: Array
+    free: Mask | None  # (h w,) where no obstacle stands; None for everywhere
 
     @classmethod
-    def around(cls, frame: Patch, centre: Array, reach: float) -> _Window:
+    def around(cls, frame: Patch, centre: Array, reach: float, blocked: Mask | None) -> _Window:
         """What lies within `reach` px of a centre."""
         low = np.floor(centre - reach).astype(int).clip(0)
         high = np.minimum(np.ceil(centre + reach).astype(int) + 1, frame.shape[::-1])
         x, y = (np.arange(a, max(b, a)) for a, b in zip(low, high, strict=True))
-        pixels = frame[y[0] : y[-1] + 1, x[0] : x[-1] + 1] if len(x) and len(y) else np.zeros((0, 0))
-        return cls(pixels.astype(np.float64), np.stack(np.meshgrid(x, y)).reshape(2, -1).astype(np.float64))
+        part = (slice(y[0], y[-1] + 1), slice(x[0], x[-1] + 1)) if len(x) and len(y) else (slice(0), slice(0))
+        places = np.stack(np.meshgrid(x, y)).reshape(2, -1).astype(np.float64)
+        return cls(frame[part].astype(np.float64), places, None if blocked is None else ~blocked[part].ravel())
 
 
 def turned_back(places: Array, centre: Array, angle: float) -> Array:
@@ -128,7 +135,7 @@ def refine_pose(
     Pixels that do not fit are left out where the residuals' scatter, or the `usual` misfit of a frame that holds
     nothing but target and noise, shows that there are some. A start that is `trusted` may speak against most pixels.
     """
-    window = _Window.around(frame, start.centre, picture.radius + MARGIN)
+    window = _Window.around(frame, start.centre, picture.radius + MARGIN, picture.blocked)
     if window.pixels.size < UNKNOWNS:
         return start
     pose = _fitted(window, start, picture, None)
@@ -211,6 +218,8 @@ def _columns(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array
     seen = turned_back(window.places, pose.centre, pose.angle)
     at = seen + picture.middle[:, None]
     weight = picture.weight(at)
+    if window.free is not None:
+        weight = weight * window.free
     columns = np.zeros((UNKNOWNS, weight.size))
     use = weight > 0
     value, dx, dy = picture.read(at[:, use])
@@ -264,12 +273,13 @@ def derotated(frame: Patch, pose: Pose, picture: TurnedPicture) -> NDArray[np.fl
 
     Only what the picture known so far does not explain is interpolated: it is small, and so is the error of that.
     """
-    window = _Window.around(frame, pose.centre, picture.radius + MARGIN)
+    window = _Window.around(frame, pose.centre, picture.radius + MARGIN, picture.blocked)
     at = turned_back(window.places, pose.centre, pose.angle) + picture.middle[:, None]
     template = picture.template
     h, w = template.weight.shape
     shown = np.all((at > -EDGE) & (at < np.array([[w], [h]]) - 1 + EDGE), axis=0)
     left = window.pixels.ravel() - pose.offset - pose.gain * picture.read(at)[0]
+    shown = shown if window.free is None else shown & window.free
     left = np.where(shown, left, 0.0).reshape(window.pixels.shape)
     y, x = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
     seen = np.stack([x, y]) - picture.middle[:, None]
