@@ -28,7 +28,7 @@ def happenings(run: Run) -> Happenings:
     found: list[tuple[str, float, float]] = []
     if run.free is None and run.drive is None and run.friction_N is None:
         found += _release(run)
-    for before, after in zip(motions, [*motions[1:], None], strict=True):
+    for before, after in zip(motions, [*motions[1:], None], strict=False):  # of no motions, no pair
         ends = before.stop - 1
         if after is None:
             if ends < len(t) - 2:

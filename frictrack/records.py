@@ -78,6 +78,10 @@ class Table:
         return replace(self, **{name: q[part] for name, q in columns.items() if q is not None})  # type: ignore[type-var]
 
 
+Point = tuple[float, float]
+MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_angle"})  # of a track: NaN where lost
+
+
 @dataclass(frozen=True, eq=False)
 class Track(Table):
     """Where the target is in every frame, in pixels of the picture (pixel centres are integers, y down).
@@ -99,6 +103,10 @@ class Track(Table):
     picture: Array | None = None  # the target averaged over the run, grey values
     systematic: float = scalar("px", default=0.0)  # rms by which places are off slowly, beside the noise
     notes: tuple[str, ...] = ()  # measurement findings, in words
+    sigma_angle: Array | None = column("rad", nan=True, default=None)
+    outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, where it is no rectangle
+    exclude: tuple[tuple[Point, ...], ...] = ()  # polygons there that are no part of it
+    obstacles: tuple[tuple[Point, ...], ...] = ()  # polygons fixed in the picture that it passes behind
 
     @property
     def found(self) -> Mask:
@@ -129,6 +137,7 @@ class Displacement(Table):
     shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, where it exceeds the noise
+    sigma_angle: Array | None = column("rad", nan=True, default=None)
 
     @property
     def known(self) -> Mask:

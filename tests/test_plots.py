@@ -200,7 +200,8 @@ def test_film_shows_rectangle_and_path():
     ax = plots.film(run).axes[0]
     path = ax.lines[-1]
     np.testing.assert_allclose(path.get_xdata(), 100 + 1e3 * run.displacement.x)
-    assert [(p.get_xy(), p.get_width(), p.get_height()) for p in ax.patches] == 2 * [((69.5, 4.5), 60.0, 30.0)]
+    corners = [(69.5, 4.5), (129.5, 4.5), (129.5, 34.5), (69.5, 34.5), (69.5, 4.5)]
+    assert [[tuple(c) for c in p.get_xy()] for p in ax.patches] == 2 * [corners]
     with pytest.raises(ValueError, match='expected a run with a film and a track but "v1" is a table'):
         plots.film(run_results())
 

@@ -181,14 +181,14 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
         ),
         (
             f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 3]\n",
-            "target: expected a rectangle [x, y, width, height] in px, a click [x, y] or the path of a picture of it "
-            "but got [1, 2, 3]",
+            "target: expected a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a click [x, y] or a "
+            "picture's path but got [1, 2, 3]",
         ),
-        (f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 0, 4]\n", "a click [x, y] or the path of a picture"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}target = [1, 2, 0, 4]\n", "a click [x, y] or a picture's path"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}target = 'v33.avi'\n", 'did you mean "v3.avi"?'),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}reference = 'atuo'\n", 'expected "auto", "none" or a rectangle'),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}reference = [1, 2]\n", 'expected "auto", "none" or a rectangle'),
-        (f"[study]\nmass = 1\n{CAMERA}{RUN}targets = {{beam = 3}}\n", "a click [x, y] or the path of a picture"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}targets = {{beam = 3}}\n", "a click [x, y] or a picture's path"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}targets = 3\n", "expected further targets as {name = [x, y, width"),
         (
             f"[study]\nmass = 1\n{CAMERA}{RUN}targets = {{reference = [1, 2, 3, 4]}}\n",

@@ -49,9 +49,9 @@ def drawn(at: Array) -> Array:
     return picture.reshape(SHAPE)
 
 
-def filmed(rate: float, n: int, change: Callable[[Array], Array] | None = None) -> tuple[Film, Array]:
-    """Film of a turning block and its true pose (3, n)."""
-    true = pose(rate, n)
+def filmed(true: Array, change: Callable[[Array], Array] | None = None) -> tuple[Film, Array]:
+    """Film of a block with these poses (3, n), which are returned as well."""
+    n = true.shape[1]
     clean = [drawn(at) for at in true.T]
     shown = [c if change is None else change(c) for c in clean]
     frames = [expose(c, np.random.default_rng([3, i])) for i, c in enumerate(shown)]
@@ -82,7 +82,7 @@ def off(result: Track, true: Array) -> Array:
 
 @pytest.mark.parametrize(("rate", "n"), [(2.0, 48), (-20.0, 30)])
 def test_a_turning_target_is_tracked_to_the_noise_bound(rate: float, n: int) -> None:
-    film, true = filmed(rate, n)
+    film, true = filmed(pose(rate, n))
     result = track(film, RECTANGLE)
     assert result.found.all()
     least = np.sqrt(np.mean([bound(at) ** 2 for at in true.T[::4]], axis=0))
@@ -92,7 +92,21 @@ def test_a_turning_target_is_tracked_to_the_noise_bound(rate: float, n: int) -> 
     assert np.sqrt(np.mean((error / stated) ** 2)) == pytest.approx(1.0, abs=0.2)
     angle = (result.angle - true[2])[1:]
     assert np.std(angle) < 1.5 * least[2]
+    assert np.std(angle / result.sigma_angle[1:]) == pytest.approx(1.0, abs=0.35)
     assert abs(result.angle[-1]) == pytest.approx(np.radians(abs(rate)) * (n - 1), abs=2e-3)  # whole turns count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [2.0, 13.0])
+def test_the_stated_deviations_of_a_turning_target_are_its_errors(rate: float) -> None:
+    k = np.arange(300)
+    swung = np.array([CENTRE[0] + 20 + 3 * np.sin(k / 7), CENTRE[1] + 3 * np.sin(k / 9), np.radians(rate) * k])
+    film, true = filmed(swung)
+    result = track(film, [RECTANGLE[0] + 20, *RECTANGLE[1:]])
+    places, angle = off(result, true)[:, 1:], (result.angle - true[2])[1:]
+    stated = np.stack([result.sigma_px, result.sigma_y_px])[:, 1:]
+    assert np.mean((places / stated) ** 2) == pytest.approx(1.0, abs=0.2)
+    assert np.var(angle / result.sigma_angle[1:]) == pytest.approx(1.0, abs=0.2)  # noise of the figure itself: 0.08
 
 
 def test_a_bar_before_a_turning_target_neither_moves_nor_turns_it() -> None:
@@ -100,7 +114,7 @@ def test_a_bar_before_a_turning_target_neither_moves_nor_turns_it() -> None:
         picture[:, 92:102] = 240.0
         return picture
 
-    film, true = filmed(4.0, 40, bar)
+    film, true = filmed(pose(4.0, 40), bar)
     result = track(film, RECTANGLE)
     assert result.found.all()
     error = off(result, true)
@@ -111,7 +125,7 @@ def test_a_bar_before_a_turning_target_neither_moves_nor_turns_it() -> None:
 
 
 def test_a_turning_target_that_leaves_the_picture_is_nan_with_the_reason() -> None:
-    film, true = filmed(5.0, 86)
+    film, true = filmed(pose(5.0, 86))
     result = track(film, RECTANGLE)
     out = true[0] > SHAPE[1] - 8
     assert not result.found[out].any()
@@ -122,7 +136,7 @@ def test_a_turning_target_that_leaves_the_picture_is_nan_with_the_reason() -> No
 
 
 def test_a_target_that_does_not_turn_stays_upright() -> None:
-    film, true = filmed(0.0, 40)
+    film, true = filmed(pose(0.0, 40))
     result = track(film, RECTANGLE)
     assert np.max(np.abs(result.angle)) < 2e-3
     assert np.std(result.x_px - true[0]) < 4e-3

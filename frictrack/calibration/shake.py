@@ -98,6 +98,7 @@ def steadied(track: Track, reference: Track | None, least: float = 0.0) -> tuple
         x_px=track.x_px - found.movement[:, 0] + gone,
         y_px=track.y_px - found.movement[:, 1] + gone,
         angle=track.angle + gone,
+        sigma_angle=None if track.sigma_angle is None else track.sigma_angle + gone,
         sigma_px=np.hypot(track.sigma_px, found.sigma[0]) + gone,
         sigma_y_px=np.hypot(track.sigma_y_px, found.sigma[1]) + gone,
         reason=np.where(track.found & ~reference.found, "the reference is lost", track.reason),

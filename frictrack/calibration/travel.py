@@ -65,6 +65,7 @@ def calibrate(
         x=place @ x + x_offset,
         y=place @ y,
         angle=-track.angle + np.where(valid, 0.0, np.nan),
+        sigma_angle=None if track.sigma_angle is None else np.where(valid, track.sigma_angle, np.nan),
         sigma_x=_sigma(variance, jacobian, x),
         sigma_y=_sigma(variance, jacobian, y),
         valid=valid,

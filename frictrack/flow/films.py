@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
 from frictrack.flow.quality import judged, left_of_shake
-from frictrack.records import Displacement, Track
+from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import Film
 from frictrack.samples import screened
 
@@ -29,8 +29,8 @@ COVERED = "the target passes over it"
 # others, where the diagnosis then could not tell it from a vibration of the course.
 LEAST_SHAKE = 0.02  # px, rms
 NO_REFERENCE = (
-    "no fixed reference was found in the picture, so that camera shake stays in the displacement; "
-    "reference = [x, y, width, height] names one"
+    "nothing was found in the picture that rests while the target moves, so that camera shake stays in the "
+    "displacement; reference = [x, y, width, height] names one"
 )
 
 
@@ -55,14 +55,18 @@ def recorded(work: RunWork) -> Film:
 def tracked(work: RunWork, film: Film) -> Track:
     """The target's track; a calibration that cannot serve is said before the film is gone through."""
     from frictrack.tracking import learn_target, track  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.tracking.areas import Areas, is_polygon  # noqa: PLC0415
     from frictrack.tracking.finding import resolve  # noqa: PLC0415
 
     early_plane(work)
     with work.filmed() as opened:
         work.progress(0, film.n_frames, "find the target")
-        rectangle, frame = resolve(opened, work.run.target, work.run.template or 0)
-        work.lesson = learn_target(opened, rectangle, template=frame, progress=work.progress)
-        return track(opened, rectangle, template=frame, known=work.lesson, progress=work.progress)
+        run = work.run
+        rectangle, frame = resolve(opened, run.target, run.template or 0)
+        where = run.target if is_polygon(run.target) else rectangle
+        drawn = Areas(where, run.exclude, run.obstacles)
+        work.lesson = learn_target(opened, drawn, template=frame, progress=work.progress)
+        return track(opened, drawn, template=frame, known=work.lesson, progress=work.progress)
 
 
 def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
@@ -72,7 +76,8 @@ def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
     found: dict[str, Track] = {}
     with work.filmed() as opened:
         for name, target in work.run.targets.items():
-            found[name] = tracking.track(opened, target, name=name, progress=work.progress)
+            drawn = tracking.Areas(target, obstacles=work.run.obstacles)
+            found[name] = tracking.track(opened, drawn, name=name, progress=work.progress)
         found |= _reference(opened, track, work)
         tracking.contact_sheet(opened, track, sheet(work.study, work.run.name), tuple(found.values()))
         return found | _backward(opened, track, work)
@@ -81,6 +86,7 @@ def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
 def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Track]:
     """The track of something fixed: what is named, or what is found; nothing where neither is there."""
     from frictrack.tracking import find_reference, track  # noqa: PLC0415
+    from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
     wanted = work.run.reference
     if wanted == "none":
@@ -94,7 +100,9 @@ def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Tra
     if rectangle is None:
         return {}
     found = _tried(lambda: track(opened, rectangle, name=REFERENCE, progress=work.progress))
-    return {} if found is None else {REFERENCE: replace(found, notes=())}
+    if found is None or moves_with(target, found):
+        return {}
+    return {REFERENCE: replace(found, notes=())}
 
 
 def _uncovered(reference: Track, target: Track) -> Track:
@@ -108,7 +116,7 @@ def _uncovered(reference: Track, target: Track) -> Track:
     if not np.any(over):
         return reference
     gone = np.where(over, np.nan, 0.0)
-    columns = {c: getattr(reference, c) + gone for c in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px")}
+    columns = {c: q + gone for c in MEASURED if (q := getattr(reference, c)) is not None}
     reason = np.where(over & reference.found, COVERED, reference.reason)
     note = (
         f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, which tell nothing of shake; "
@@ -119,7 +127,7 @@ def _uncovered(reference: Track, target: Track) -> Track:
 
 def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Track]:
     """The target followed from the last frame that shows the whole of it, by what the film has taught."""
-    from frictrack.tracking import learn_target, track  # noqa: PLC0415
+    from frictrack.tracking import Areas, track  # noqa: PLC0415
 
     assert forward.target is not None
     size = np.array(forward.target[2:])
@@ -131,11 +139,20 @@ def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Tra
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
     def followed() -> Track:
-        known: Lesson = work.lesson or learn_target(opened, forward.target, template=forward.template)
-        return track(opened, rectangle, template=last, known=known, name=BACKWARD, progress=work.progress)
+        known: Lesson = work.lesson or _taught_again(opened, forward)
+        drawn = Areas(rectangle, obstacles=forward.obstacles)
+        return track(opened, drawn, template=last, known=known, name=BACKWARD, progress=work.progress)
 
     made = _tried(followed)
     return {} if made is None else {BACKWARD: replace(made, picture=None, notes=())}
+
+
+def _taught_again(opened: Recording, track: Track) -> Lesson:
+    """What a film teaches of the target of a track that was stored."""
+    from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
+
+    drawn = Areas(track.outline or track.target, track.exclude, track.obstacles)
+    return learn_target(opened, drawn, template=track.template)
 
 
 def _tried(make: Callable[[], Track]) -> Track | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frictrack.calibration import shake, steadied
 from frictrack.flow.rotation import turning_note
-from frictrack.records import Track
+from frictrack.records import MEASURED, Array, Track
 from frictrack.results import Film
 
 if TYPE_CHECKING:
@@ -116,9 +116,11 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     rows = rows_kept(len(track), slips)
     lost = ~keep[rows]
     columns: dict[str, Any] = {
-        f.name: np.array(getattr(track, f.name))[rows] for f in fields(track) if f.metadata.get("column")
+        f.name: np.array(column)[rows]
+        for f in fields(track)
+        if f.metadata.get("column") and (column := getattr(track, f.name)) is not None
     }
-    for name in ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px"):
+    for name in MEASURED & columns.keys():
         columns[name][lost] = np.nan
     columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]
     columns["reason"] = np.where(lost, "the frame before once more", columns["reason"])
@@ -163,6 +165,7 @@ def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | N
         "travel_px": float(np.ptp(track.x_px[found])) if np.any(found) else None,
         "sigma_px": sigma,
         "sigma_um": None if um is None or sigma is None else um * sigma,
+        "sigma_angle_rad": _usual(track.sigma_angle),
         "score": history.median if history else None,
         "lowest_score": history.lowest if history else None,
         "peak_locking_px": locking.amplitude if locking else None,
@@ -174,6 +177,12 @@ def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | N
         "blur_px": None if film.exposure is None else _fastest(track) * film.exposure,
         "timebase": [{"what": what, "value": value, "verdict": verdict} for what, value, verdict in film.audit],
     }
+
+
+def _usual(values: Array | None) -> float | None:
+    """Median of the known values of a column; None without any."""
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
 
 
 def _reference(track: Track | None, um: float | None) -> dict[str, Any]:

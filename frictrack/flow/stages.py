@@ -379,8 +379,8 @@ def _chain(*head: Stage) -> dict[str, Stage]:
 
 FILM = _chain(
     Stage("recording", (), ("video", "fps"), recorded, Film),
-    Stage("track", ("recording",), ("target", "template"), tracked, Track),
-    Stage("tracks", ("recording", "track"), ("reference", "targets"), tracked_beside, dict),
+    Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), tracked, Track),
+    Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), tracked_beside, dict),
     Stage(
         "displacement",
         ("tracks", "track"),

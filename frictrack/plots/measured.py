@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch, Polygon
 
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, number, styled
+from frictrack.polygons import polygon
 from frictrack.records import Array, Motion
 from frictrack.results import RunResults
 
@@ -42,9 +43,9 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
     ax.plot(track.x_px, track.y_px, color=PATH, lw=1.8)
     if track.target is not None:
-        x, y, w, h = track.target
         for color, lw, dash in (("black", 3.8, "-"), (MARK, 2.0, "--")):
-            ax.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=color, lw=lw, ls=dash))
+            outline = track.outline or polygon(list(track.target))
+            ax.add_patch(Polygon(outline, fill=False, ec=color, lw=lw, ls=dash))
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px"))
     handles = [
         Line2D([], [], color=PATH, lw=1.8, label="path of its centre"),

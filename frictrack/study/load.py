@@ -270,6 +270,10 @@ def _run_faults(run: RunTable) -> list[str]:
         faults.append("expected a target beside template, the frame in which it stands, but got none")
     if run.template is not None and isinstance(run.target, Path):
         faults.append("expected no template beside a picture of the target: it is looked for in all frames")
+    if run.exclude and run.target is None:
+        faults.append("expected a target beside exclude, the areas of it that are no part of it, but got none")
+    if (run.exclude or run.obstacles) and run.table:
+        faults.append("expected exclude and obstacles only beside a video")
     if run.columns and run.video:
         faults.append("expected columns only beside a table")
     return faults

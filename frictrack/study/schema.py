@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
+from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.remote import Remote, is_remote
 from frictrack.units import quantity
 
@@ -130,10 +131,9 @@ def _target(raw: Any, info: ValidationInfo) -> Any:
         return _path(raw, info)
     if _numbers(raw, 2) or (_numbers(raw, 4) and min(raw[2:]) > 0):
         return tuple(raw)
-    raise ValueError(
-        "expected a rectangle [x, y, width, height] in px, a click [x, y] or the path of a picture of it "
-        f"but got {raw!r}"
-    )
+    if isinstance(raw, list) and raw and all(isinstance(corner, list) for corner in raw):
+        return polygon(raw)
+    raise ValueError(f"expected {TARGETS} but got {raw!r}")
 
 
 def _targets(raw: Any, info: ValidationInfo) -> Any:
@@ -277,10 +277,12 @@ SCALE = (
 )  # fmt: skip
 DRIVE = ("table", "force", "area", "columns", "until", "offset")  # keys of a drive's table in the study file
 SENSOR = ("table", "columns", "offset")
+TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a click [x, y] or a picture's path"
 TAKEN = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 MOST_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
+Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
 Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
 Reference = Annotated[Any, BeforeValidator(_reference)]
 Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
@@ -340,6 +342,8 @@ class RunTable(Keys):
     clamp_x: Place | None = None
     beam_length: Length | None = None
     template: Annotated[int, Field(ge=0)] | None = None  # number of the frame in which `target` stands
+    exclude: Areas = ()  # in that frame, moving with the target: no part of it
+    obstacles: Areas = ()  # fixed in the picture: the target passes behind
     axis: Axis | None = None
     origin_px: Pair | None = None
     x_offset: Place = 0.0

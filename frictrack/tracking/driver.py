@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording, opened
-from frictrack.records import Array, Track
-from frictrack.tracking.checks import key_frames
+from frictrack.records import Array, Mask, Track
+from frictrack.tracking.areas import Areas, obstructed
+from frictrack.tracking.checks import at_rest, key_frames
 from frictrack.tracking.finding import Target, resolve
-from frictrack.tracking.follow import LEAVES, UNREAD, Followed, Follower
+from frictrack.tracking.follow import LEAVES, UNREAD, UNSETTLED, Followed, Follower
 from frictrack.tracking.hidden import measure_hidden
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
 from frictrack.tracking.match import Rectangle
 from frictrack.tracking.measure import Lesson, measure
+from frictrack.tracking.pose import TurnedPicture
 from frictrack.tracking.sharp import drawn_to_pixels
-from frictrack.tracking.template import Template
 from frictrack.tracking.turned import follow_known, follow_turning, frames_to_beat
 
 Progress = Callable[[int, int, str], None]
@@ -36,7 +37,7 @@ SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
 def track(
     recording: Recording,
-    target: Target = None,
+    target: Target | Areas = None,
     *,
     template: int = 0,
     known: Lesson | None = None,
@@ -45,22 +46,27 @@ def track(
 ) -> Track:
     """Position of the moving body in every frame, in pixels, with a standard deviation and a score.
 
-    `target` is its rectangle [x, y, w, h] or a click on it [x, y], px in frame number `template`, or a picture of it
-    (a path or a 2-D array); without it the body that moves is found by itself. `known` is what another film of the
-    same target has taught (`learn_target`): then this film is gone through only once. Position is that of the
-    rectangle's centre, the angle (rad) is positive from the picture's x axis toward its y axis. A frame in which
-    the target is not found holds NaN and the reason. Raises `FrictrackError` for a target that does not fit the
-    picture, a film without contrast, or one in which nothing moves.
+    `target` is its rectangle [x, y, w, h], its outline [[x, y], [x, y], [x, y], ...] or a click on it [x, y], px in
+    frame number `template`, or a picture of it (a path or a 2-D array); without it the body that moves is found by
+    itself. `Areas` give it together with parts to exclude and with obstacles before it. `known` is what another film of
+    the same target has taught (`learn_target`): then this film is gone through only once. Position is that of the
+    rectangle's centre (of an outline, that of the rectangle round it), the angle (rad) is positive from the picture's
+    x axis toward its y axis. A frame in which the target is not found holds NaN and the reason. Raises
+    `FrictrackError` for a target that does not fit the picture, a film without contrast, or one in which nothing has
+    texture.
     """
-    with opened(recording, once=_once(target, template, known)) as film:
+    drawn = target if isinstance(target, Areas) else Areas(target)
+    with opened(recording, once=_once(drawn.target, template, known)) as film:
         if known is None:
-            rectangle, template, followed, lesson = _studied(film, target, template, progress)
+            rectangle, template, followed, lesson = _studied(film, drawn, template, progress)
             rows = np.flatnonzero(followed.found & ~lesson.turns)
         else:
-            rectangle, template, lesson = *_placed(film, target, template, known), known
-            follow = follow_known if known.turns else _followed
-            followed = follow(film, known.template, np.array(rectangle[:2]), template, progress)
-            rows = np.flatnonzero(followed.found & (known.view is not None))
+            rectangle, template = _placed(film, drawn.target, template, known)
+            drawn.check(film.shape)
+            blocked = drawn.blocked(film.shape)
+            lesson = replace(known, view=obstructed(known.view, blocked))
+            followed = _followed(film, lesson, blocked, np.array(rectangle[:2]), template, progress)
+            rows = np.flatnonzero(followed.found & (lesson.view is not None) & ~lesson.turns)
         measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
@@ -71,47 +77,67 @@ def track(
         )
     result = _with_own_noise(result, template)
     coded = () if change is None else key_frames(change, result.x_px, result.y_px)
-    return replace(result, template=template, picture=lesson.template.image, notes=(*result.notes, *coded))
+    notes = (*result.notes, *coded, *at_rest(result))
+    return replace(
+        result,
+        template=template,
+        picture=lesson.template.image,
+        notes=notes,
+        outline=drawn.outline,
+        exclude=tuple(drawn.exclude),
+        obstacles=tuple(drawn.obstacles),
+    )
 
 
 def learn_target(
-    recording: Recording, target: Target = None, *, template: int = 0, progress: Progress | None = None
+    recording: Recording,
+    target: Target | Areas = None,
+    *,
+    template: int = 0,
+    progress: Progress | None = None,
 ) -> Lesson:
     """What the film teaches of its target: its picture, the noise of the pixels, what stands still before it.
 
     Arguments and errors are those of `track`, which takes the result as `known` for further films of the target.
     """
     with opened(recording) as film:
-        return _studied(film, target, template, progress)[3]
+        return _studied(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
 
 
 def _studied(
-    film: Recording, target: Target, template: int, progress: Progress | None
+    film: Recording, drawn: Areas, template: int, progress: Progress | None
 ) -> tuple[Rectangle, int, Followed, Lesson]:
     """Rectangle and its frame, a first rough track, and what it has taught."""
     if progress:
         progress(0, film.n_frames, "find the target")
-    rectangle, template = resolve(film, target, template)
+    drawn.check(film.shape)
+    rectangle, template = resolve(film, drawn.target, template)
     x, y, w, h = rectangle
+    blocked, belongs = drawn.blocked(film.shape), drawn.counts(rectangle)
     cut = film.frame(template)[y : y + h, x : x + w]
     if np.ptp(cut) < LEAST_CONTRAST:
         raise FrictrackError(
             f"{film.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
             "choose a rectangle that shows texture or an outline"
         )
-    first = first_look(cut)
-    followed = Follower(film, first).follow(np.array([x, y]), template, progress)
-    least = frames_to_beat(film, followed, first, np.array([x, y]), template)
+    first = first_look(cut, belongs)
+    picture, start = TurnedPicture(first, blocked), np.array([x, y])
+    followed = Follower(film, first, obstructed(None, blocked)).follow(start, template, progress)
+    least = frames_to_beat(film, followed, picture, start, template)
     if least is not None:
-        turned = follow_turning(film, first, np.array([x, y]), template, least, progress)
+        turned = follow_turning(film, picture, start, template, least, progress)
         if turned is not None:
             return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
-    return rectangle, template, followed, taught(film, followed, first)
+    return rectangle, template, followed, taught(film, followed, first, blocked)
 
 
-def _followed(film: Recording, known: Template, start: Array, template: int, progress: Progress | None) -> Followed:
-    """Track of a target that does not turn, from its corner `start` (2,) in frame `template`."""
-    return Follower(film, known).follow(start, template, progress)
+def _followed(
+    film: Recording, known: Lesson, blocked: Mask | None, start: Array, template: int, progress: Progress | None
+) -> Followed:
+    """Track of a known target from its corner `start` (2,) in frame `template`."""
+    if known.turns:
+        return follow_known(film, TurnedPicture(known.template, blocked), start, template, progress)
+    return Follower(film, known.template, obstructed(None, blocked)).follow(start, template, progress)
 
 
 def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tuple[Rectangle, int]:
@@ -162,7 +188,7 @@ def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str
         elif not score >= least:
             reasons.append(f"match score {score:.2f} below {least:.2f}")
         else:
-            reasons.append("" if settled else "sub-pixel search did not settle")
+            reasons.append("" if settled else UNSETTLED)
     return reasons
 
 
@@ -180,6 +206,7 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         angle=fine.angle + kept,
         sigma_px=fine.sigma[:, 0] + kept,
         sigma_y_px=fine.sigma[:, 1] + kept,
+        sigma_angle=fine.sigma[:, 2] + kept,
         score=fine.score,
         reason=measured.reason.astype(str),
         name=name,
@@ -191,9 +218,10 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
 
 def _with_own_noise(track: Track, template: int) -> Track:
     """The track in which frame `template`, which few frames were compared with, is no better known than these."""
-    sigma = np.stack([track.sigma_px, track.sigma_y_px])
-    sigma[:, template] = np.maximum(sigma[:, template], np.nanmedian(sigma, axis=1))
-    return replace(track, sigma_px=sigma[0], sigma_y_px=sigma[1])
+    columns = {name: getattr(track, name).copy() for name in ("sigma_px", "sigma_y_px", "sigma_angle")}
+    for sigma in columns.values():
+        sigma[template] = np.maximum(sigma[template], np.nanmedian(sigma))
+    return replace(track, **columns)
 
 
 def _slow(sigma: Array) -> float:

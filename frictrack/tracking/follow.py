@@ -19,9 +19,10 @@ from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch, Rectangle, correlate, vertex
-from frictrack.tracking.measure import without_what_does_not_fit
+from frictrack.tracking.measure import LEAST_LEFT, without_what_does_not_fit
 from frictrack.tracking.refine import Fine, products, refine
 from frictrack.tracking.template import Template
+from frictrack.tracking.view import View
 from frictrack.tracking.waves import RANGE
 
 Progress = Callable[[int, int, str], None]
@@ -29,6 +30,7 @@ Progress = Callable[[int, int, str], None]
 UNREAD = "frame cannot be read"
 FLAT = "picture without contrast"
 LEAVES = "target leaves the frame"
+UNSETTLED = "sub-pixel search did not settle"
 LEAST_SCORE = 0.35  # below this nothing is taken for the target, however noisy the film is
 SHARE = 0.7  # of the film's usual score that a find must reach
 SURE = 0.8  # a score below makes the rest of the picture worth a look, or a false find would be followed for ever
@@ -69,7 +71,7 @@ def nowhere(n: int) -> Followed:
     nan = np.full(n, np.nan)
     pair = np.full((n, 2), np.nan)
     score, gain, offset, misfit = (nan.copy() for _ in range(4))
-    fine = Fine(pair, nan, pair.copy(), score, gain, offset, misfit, np.zeros(n, np.bool_))
+    fine = Fine(pair, nan, np.full((n, 3), np.nan), score, gain, offset, misfit, np.zeros(n, np.bool_))
     return Followed(np.zeros((n, 2), np.int64), fine, np.full(n, UNREAD, dtype=object))
 
 
@@ -120,8 +122,8 @@ class _Path:
 class Follower:
     """Follows one target through a film of which any rectangle can be read."""
 
-    def __init__(self, film: Recording, template: Template) -> None:
-        self.film, self.template = film, template
+    def __init__(self, film: Recording, template: Template, view: View | None = None) -> None:
+        self.film, self.template, self.view = film, template, view
         self.size = template.weight.shape
         self.room = np.array(film.shape[::-1]) - np.array(self.size[::-1])
         self.usual, self.noise = 1.0, np.inf  # score and misfit of the last finds
@@ -197,7 +199,8 @@ class Follower:
             return False
         last = result.fine[np.array([path.frame[-1]])]
         guess = replace(last, at=np.clip(predicted - corner, -RANGE, RANGE))
-        fine, _ = without_what_does_not_fit(cuts, guess, self.template, usual=self.noise)
+        share = None if self.view is None else self.view.shares(corner, self.size)
+        fine, _ = without_what_does_not_fit(cuts, guess, self.template, share, self.noise)
         near = np.max(np.abs(corner + fine.at - predicted)) < SURPRISE
         if not (near and self.accepted(corner, fine)[0] and fine.misfit[0] < NOISIER * self.noise):
             return False
@@ -223,7 +226,15 @@ class Follower:
 
     def _refined(self, frames: NDArray[np.int64], corner: NDArray[np.int64], start: Array) -> Fine:
         cuts = self.film.cut(frames, corner, self.size)
-        return refine(products(cuts, self.template), start, self.template)
+        fine = refine(products(cuts, self.template), start, self.template)
+        if self.view is None:
+            return fine
+        share = self.view.shares(corner, self.size)
+        rows = np.flatnonzero(np.any(share < 1, axis=(1, 2)))
+        if len(rows):
+            fine.put(rows, refine(products(cuts[rows], self.template, share[rows]), start[rows], self.template))
+            fine.settled[rows] &= _shown(share[rows], self.template) > LEAST_LEFT
+        return fine
 
     def accepted(self, corner: NDArray[np.int64], fine: Fine) -> Mask:
         """Finds that can be trusted: settled, well matched, and within the picture."""
@@ -266,7 +277,7 @@ class Follower:
 
     def _doubt(self, i: int, path: _Path, score: float) -> None:
         """What matches so badly may be a false find: go on from another place if that is clearly better."""
-        place, best = _match(self.film.frame(i), self.patch, None)
+        place, best = self._match(self.film.frame(i), None)
         away = np.max(np.abs(place - path.at[-1])) > SURPRISE
         if best > score + BETTER and away and not self._stands(place, best):
             path.forget(i, place)
@@ -288,19 +299,24 @@ class Follower:
             near = self._near(frame, predicted, REACH)
             if near[1] >= 0.8 * self.usual:
                 return near
-        anywhere = _match(frame, self.patch, None)
+        anywhere = self._match(frame, None)
         return near if near is not None and near[1] >= max(ANYWHERE, anywhere[1] - BETTER) else anywhere
 
     def _near(self, frame: Frame, place: Array, reach: int) -> tuple[Array, float]:
         """The best match within so many pixels of a place."""
         low = np.clip(np.rint(place) - reach, 0, self.room).astype(int)
         high = np.clip(np.rint(place) + reach, low, self.room).astype(int) + self.size[::-1]
-        return _match(frame, self.patch, (int(low[0]), int(low[1]), *(high - low).tolist()))
+        return self._match(frame, (int(low[0]), int(low[1]), *(high - low).tolist()))
+
+    def _match(self, frame: Frame, part: Rectangle | None) -> tuple[Array, float]:
+        """Best zero-normalised correlation of the target in (a `part` of) a frame: corner (x, y), score."""
+        x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
+        scores = correlate(frame[y : y + h, x : x + w], self.patch, self.template.belongs)
+        _, best, _, (i, j) = cv2.minMaxLoc(scores)
+        return np.array([x + i + vertex(scores[j], i), y + j + vertex(scores[:, i], j)]), float(best)
 
 
-def _match(frame: Frame, patch: Patch, part: Rectangle | None) -> tuple[Array, float]:
-    """Best zero-normalised correlation of `patch` in (a `part` of) `frame`: corner (x, y), score."""
-    x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
-    scores = correlate(frame[y : y + h, x : x + w], patch)
-    _, best, _, (i, j) = cv2.minMaxLoc(scores)
-    return np.array([x + i + vertex(scores[j], i), y + j + vertex(scores[:, i], j)]), float(best)
+def _shown(share: Patch, template: Template) -> Array:
+    """How much of the target's pixels (n,) is not behind an obstacle."""
+    counts = template.weight > 0
+    return np.asarray(share[:, counts].mean(axis=1))

@@ -7,6 +7,7 @@ alone: with h_i the expansion of frame i's shift (see `waves`), sum h_i h_i' and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -19,12 +20,15 @@ from frictrack.tracking.template import Template
 from frictrack.tracking.waves import BAND, Shifts, shifts
 
 CONJUGATE_STEPS = 15
-RIM, LARGE = 2, 16  # px of a single frame's border that do not count, in targets of this side; else one
+# Px of the border that do not count: of a single frame, and where all frames show the same (there slopes are off by
+# 0.4 % two pixels from the border of a target of 24 x 40 px, by 0.1 % four pixels from it).
+RIM, WIDE_RIM = (2,), (2, 4)
 ALIKE = 16  # neighbouring waves along either axis that share what is expected of them
 LARGEST_DOUBT = 10.0  # over what the frames show of a wave: more would only slow the conjugate gradients
 CLOSE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
 RIDGE = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
 LEAST_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
+DECISIVE = 4.0  # times better, for so many pixels: of a target that hardly moves, noise makes a fifth twice better
 MEDIAN_OF = 60  # frames
 SELDOM = 0.5  # share of the frames in which a pixel of the target must show it
 LEAK = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
@@ -33,22 +37,28 @@ SCATTERS = 1.5  # times the noise: such a pixel is not just noisy, it shows some
 ROUNDING = 1 / 12  # variance of rounding to whole grey values, which a film without noise still has
 
 
-def first_look(cut: Patch) -> Template:
-    """The template that one cut-out (h, w) makes."""
-    weight = np.ones(cut.shape) / max(float(np.var(cut)), 1.0)
-    level = float(np.mean(cut))
+def first_look(cut: Patch, belongs: Mask | None = None) -> Template:
+    """The template that one cut-out (h, w) makes, of which some pixels (h, w) belong to the target, or all."""
+    shown = cut if belongs is None else cut[belongs]
+    weight = np.ones(cut.shape) / max(float(np.var(shown)), 1.0)
+    weight = weight if belongs is None else weight * belongs
+    level = float(np.mean(shown))
     grid = shifts((cut.shape[0], cut.shape[1]))
     still = grid.design(np.zeros((1, 2)))[0]
     waves = _fitted(grid, still, (cut - level).reshape(1, -1), weight, np.zeros(grid.n_waves), _least_doubt(weight, 1))
-    return Template(waves, weight, level)
+    return Template(waves, weight, level, belongs=belongs)
 
 
-def without_border(template: Template) -> Template:
-    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen."""
+def without_border(template: Template, rims: Sequence[int] = RIM) -> Template:
+    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen.
+
+    The border is the widest of `rims` (px) that leaves three quarters of a side, else one pixel.
+    """
     shape = template.weight.shape
-    rim = [RIM if side >= LARGE else 1 for side in shape]
-    counts = np.zeros(shape)
-    counts[rim[0] : shape[0] - rim[0], rim[1] : shape[1] - rim[1]] = 1.0
+    rim = [max((r for r in rims if 8 * r <= side), default=1) for side in shape]
+    whole = np.ones(shape, np.uint8) if template.belongs is None else template.belongs.astype(np.uint8)
+    around = np.ones([2 * r + 1 for r in rim], np.uint8)
+    counts = cv2.erode(whole, around, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
     return replace(template, weight=template.weight * counts)
 
 
@@ -74,7 +84,9 @@ def learn(
     left = pixels - columns.astype(np.float32) @ learnt.pictures[:k].astype(np.float32)
     left = (left / fine.gain.astype(np.float32)[:, None]).reshape(cuts.shape)
     moves = None if scene is None else _moves(cuts, scene, left, learnt.image)
-    return replace(learnt, weight=_weight(_spread(left, share, freedom), learnt.image, moves))
+    spread = _spread(left, share, freedom)
+    spread = spread if template.belongs is None else np.where(template.belongs, spread, np.inf)
+    return replace(learnt, weight=_weight(spread, learnt.image, moves))
 
 
 def _spread(left: Patch, share: Patch | None, freedom: float) -> Array:
@@ -183,6 +195,8 @@ def _moves(cuts: Patch, scene: Patch, left: Patch, image: Array) -> Mask | None:
     few = slice(None, None, -(-len(cuts) // MEDIAN_OF))
     spread = np.median(left[few] ** 2, axis=0)
     differs = np.median((cuts[few].astype(np.float32) - scene[few]) ** 2, axis=0)
+    if np.quantile(differs / np.maximum(spread, ROUNDING), 1 - LEAST_SHARE) < DECISIVE:
+        return None
     moves = _trimmed((spread < 0.5 * differs).astype(np.uint8), image)
     return moves if moves.mean() > LEAST_SHARE else None
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
+from frictrack.tracking.areas import obstructed
 from frictrack.tracking.follow import Followed
-from frictrack.tracking.learn import learn, without_border
+from frictrack.tracking.learn import WIDE_RIM, learn, without_border
 from frictrack.tracking.match import Patch
 from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
@@ -26,6 +27,7 @@ MIN_TAUGHT = 3  # frames that a template can be learnt from
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
+BORDER_SLOPE = 0.2  # of the picture's slopes, that a border's may be off by
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
 
@@ -52,17 +54,20 @@ class _Found:
         return _teaches(self.fine, self.template)
 
 
-def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
-    """Template, view and noise from frames spread over the path of a first, rougher track."""
-    rows = spread(followed, template.weight.size)
+def taught(film: Recording, followed: Followed, template: Template, blocked: Mask | None = None) -> Lesson:
+    """Template, view and noise from frames spread over the path of a first, rougher track.
+
+    `blocked` (H, W) are pixels of the picture before which an obstacle is known to stand.
+    """
+    rows, view = spread(followed, template.weight.size), obstructed(None, blocked)
     if len(rows) < MIN_FRAMES:
-        return Lesson(without_border(template))
+        return Lesson(without_border(template), view)
     size = template.weight.shape
     corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
     seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
     fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template))))
-    view, path = None, _path(followed, rows)
+    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template), view)))
+    path = _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < MIN_TAUGHT:
             break
@@ -72,7 +77,7 @@ def taught(film: Recording, followed: Followed, template: Template) -> Lesson:
         if view is None and k >= ROUNDS - 1:
             break
         if 0 < k < MOST_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
-            view = _view(film, seen, found)
+            view = obstructed(_view(film, seen, found), blocked)
     return _concluded(seen, found, view)
 
 
@@ -103,11 +108,28 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
     """What the rounds have come to, and by how much the noise's deviations are too small."""
     fine, template, share = found.fine, found.template, found.share
+    if not _border_is_known(seen, found):
+        template = without_border(template, WIDE_RIM)
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
     taught_by = np.flatnonzero(found.good)
     few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
     shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
     return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
+
+
+def _border_is_known(seen: _Cuts, found: _Found) -> bool:
+    """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
+
+    Inside, a single frame shows the slopes; at the border only shifts teach them, with the deviation of a line's
+    slope through the frames. That must be a small part of the picture's own slopes.
+    """
+    fine = found.fine[found.good]
+    at = seen.corner[found.good] + fine.at
+    moved = np.sum((at - at.mean(axis=0)) ** 2 - fine.sigma[:, :2] ** 2, axis=0)
+    weight = found.template.weight
+    noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
+    slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]
+    return bool(np.any(moved * slopes * BORDER_SLOPE**2 > noise))
 
 
 def _path(followed: Followed, rows: NDArray[np.int64]) -> SmoothPath:

@@ -8,17 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
 Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 Patch = NDArray[Any]  # grey values
 
 
-def correlate(frame: Patch, patch: Patch) -> Patch:
-    """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0."""
-    if frame.dtype != np.uint8:
+def correlate(frame: Patch, patch: Patch, counts: Mask | None = None) -> Patch:
+    """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0.
+
+    `counts` are the pixels (h, w) of the patch that are compared; None for all.
+    """
+    if frame.dtype != np.uint8 or counts is not None:
         frame, patch = frame.astype(np.float32), patch.astype(np.float32)
-    scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED)
+    mask = None if counts is None else counts.astype(np.float32)
+    scores = cv2.matchTemplate(frame, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
     # Where the picture is flat the norm is rounding error and OpenCV may return anything, infinity included.
     scores[~(np.abs(scores) <= 1.0001)] = 0
     return np.asarray(scores)

@@ -39,7 +39,7 @@ class Lesson:
     template: Template
     view: View | None = None
     usual: float = np.nan  # nan: that of the frames at hand
-    inflation: Array = field(default_factory=lambda: np.ones(2))  # of the standard deviations, see `trust`
+    inflation: Array = field(default_factory=lambda: np.ones(3))  # of the standard deviations, see `trust`
     turns: bool = False  # the target turns by more than small rotations
 
 

@@ -23,6 +23,7 @@ from frictrack.tracking.waves import EDGE
 FINE = 3  # points of the table per px: cubic splines through them are off by less than 1e-4 of the contrast
 STEPS = 12
 SETTLED = 1e-3  # px, the last step
+CYCLES = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
 LEAST_GAIN = 1e-3
@@ -50,12 +51,17 @@ class TurnedPicture:
     """The target's picture, to be read at any place."""
 
     template: Template
+    blocked: Mask | None = None  # pixels (H, W) of the frames before which an obstacle stands
 
     @property
     def middle(self) -> Array:
         """Centre (x, y) of the picture, px from its upper left pixel."""
         h, w = self.template.weight.shape
         return np.array([(w - 1) / 2, (h - 1) / 2])
+
+    def showing(self, template: Template) -> TurnedPicture:
+        """The same with another template."""
+        return replace(self, template=template)
 
     @property
     def radius(self) -> float:
@@ -102,15 +108,17 @@ class _Window:
 
     pixels: Patch
     places: Array
+    free: Mask | None  # (h w,) where no obstacle stands; None for everywhere
 
     @classmethod
-    def around(cls, frame: Patch, centre: Array, reach: float) -> _Window:
+    def around(cls, frame: Patch, centre: Array, reach: float, blocked: Mask | None) -> _Window:
         """What lies within `reach` px of a centre."""
         low = np.floor(centre - reach).astype(int).clip(0)
         high = np.minimum(np.ceil(centre + reach).astype(int) + 1, frame.shape[::-1])
         x, y = (np.arange(a, max(b, a)) for a, b in zip(low, high, strict=True))
-        pixels = frame[y[0] : y[-1] + 1, x[0] : x[-1] + 1] if len(x) and len(y) else np.zeros((0, 0))
-        return cls(pixels.astype(np.float64), np.stack(np.meshgrid(x, y)).reshape(2, -1).astype(np.float64))
+        part = (slice(y[0], y[-1] + 1), slice(x[0], x[-1] + 1)) if len(x) and len(y) else (slice(0), slice(0))
+        places = np.stack(np.meshgrid(x, y)).reshape(2, -1).astype(np.float64)
+        return cls(frame[part].astype(np.float64), places, None if blocked is None else ~blocked[part].ravel())
 
 
 def turned_back(places: Array, centre: Array, angle: float) -> Array:
@@ -127,7 +135,7 @@ def refine_pose(
     Pixels that do not fit are left out where the residuals' scatter, or the `usual` misfit of a frame that holds
     nothing but target and noise, shows that there are some. A start that is `trusted` may speak against most pixels.
     """
-    window = _Window.around(frame, start.centre, picture.radius + MARGIN)
+    window = _Window.around(frame, start.centre, picture.radius + MARGIN, picture.blocked)
     if window.pixels.size < UNKNOWNS:
         return start
     pose = _fitted(window, start, picture, None)
@@ -164,14 +172,14 @@ def _scale(rated: Array) -> float:
 
 def _fitted(window: _Window, start: Pose, picture: TurnedPicture, share: Array | None) -> Pose:
     """Gauss-Newton; `share` (h w,) is the share of its weight that each pixel keeps."""
-    pose = start
+    pose, step = start, np.inf
     for _ in range(STEPS):
         pose, step = _step(window, pose, picture, share)
         if not np.isfinite(step) or np.max(np.abs(pose.centre - start.centre)) > 6:
             return replace(pose, settled=False)
         if step < SETTLED:
-            return replace(pose, settled=pose.gain > LEAST_GAIN)
-    return pose
+            break
+    return replace(pose, settled=pose.gain > LEAST_GAIN and step < CYCLES)
 
 
 def _step(window: _Window, pose: Pose, picture: TurnedPicture, share: Array | None) -> tuple[Pose, float]:
@@ -210,6 +218,8 @@ def _columns(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array
     seen = turned_back(window.places, pose.centre, pose.angle)
     at = seen + picture.middle[:, None]
     weight = picture.weight(at)
+    if window.free is not None:
+        weight = weight * window.free
     columns = np.zeros((UNKNOWNS, weight.size))
     use = weight > 0
     value, dx, dy = picture.read(at[:, use])
@@ -263,12 +273,13 @@ def derotated(frame: Patch, pose: Pose, picture: TurnedPicture) -> NDArray[np.fl
 
     Only what the picture known so far does not explain is interpolated: it is small, and so is the error of that.
     """
-    window = _Window.around(frame, pose.centre, picture.radius + MARGIN)
+    window = _Window.around(frame, pose.centre, picture.radius + MARGIN, picture.blocked)
     at = turned_back(window.places, pose.centre, pose.angle) + picture.middle[:, None]
     template = picture.template
     h, w = template.weight.shape
     shown = np.all((at > -EDGE) & (at < np.array([[w], [h]]) - 1 + EDGE), axis=0)
     left = window.pixels.ravel() - pose.offset - pose.gain * picture.read(at)[0]
+    shown = shown if window.free is None else shown & window.free
     left = np.where(shown, left, 0.0).reshape(window.pixels.shape)
     y, x = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
     seen = np.stack([x, y]) - picture.middle[:, None]

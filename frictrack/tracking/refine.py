@@ -33,7 +33,7 @@ class Fine:
 
     at: Array
     angle: Array  # rad, x toward y
-    sigma: Array  # (n, 2) px, from the template's noise times the root of `misfit`
+    sigma: Array  # (n, 3) of x, y (px) and the angle (rad), from the template's noise times the root of `misfit`
     score: Array
     gain: Array
     offset: Array  # DN
@@ -142,7 +142,7 @@ def _summarise(
     gain = _divisor(coefficients)
     left = np.maximum(given.power - np.einsum("ni,ni->n", coefficients, right), 0.0)
     misfit = left / np.maximum(given.n_pixels - UNKNOWNS, 1)
-    spread = np.sqrt(np.maximum(np.diagonal(np.linalg.inv(normal + _RIDGE), axis1=1, axis2=2)[:, 2:4], 0.0))
+    spread = np.sqrt(np.maximum(np.diagonal(np.linalg.inv(normal + _RIDGE), axis1=1, axis2=2)[:, 2:], 0.0))
     angle = coefficients[:, 4] / gain
     return Fine(
         at=at + _swing(angle, at),

@@ -61,8 +61,8 @@ class SmoothPath:
 
 def matters(sharp: Fine, fine: Fine, axes: Mask) -> bool:
     """Whether places found with short waves are surer, or stand elsewhere by more than noise would move them."""
-    one, other = (float(np.median(np.hypot(*f.sigma.T))) for f in (sharp, fine))
-    moved = (sharp.at - fine.at)[:, axes] / fine.sigma[:, axes]
+    one, other = (float(np.median(np.hypot(*f.sigma[:, :2].T))) for f in (sharp, fine))
+    moved = (sharp.at - fine.at)[:, axes] / fine.sigma[:, :2][:, axes]
     return one < SURER * other or float(np.median(np.abs(moved - np.median(moved, axis=0)))) > ELSEWHERE
 
 

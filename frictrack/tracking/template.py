@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.waves import BAND, Shifts, shifts
 
@@ -26,6 +26,7 @@ class Template:
     weight: Array
     level: float  # DN that is taken off every picture before it is multiplied, for the sake of single precision
     bands: tuple[float, float] = (BAND, BAND)  # cycles/px along y and x, up to which it has waves
+    belongs: Mask | None = None  # pixels (h, w) of the rectangle that are the target's; None for all
 
     @property
     def shifts(self) -> Shifts:

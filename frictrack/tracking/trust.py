@@ -21,17 +21,17 @@ SURE = 4.0  # standard errors above one from which it is no accident
 
 
 def inflation(cuts: Patch, fine: Fine, template: Template, share: Patch | None = None) -> Array:
-    """Factors (2,) by which the standard deviations of x and y exceed those of white noise; 1 where none is seen.
+    """Factors (3,) by which the deviations of x, y and the angle exceed those of white noise; 1 where none is seen.
 
     `share` (n, h, w) is the share of its weight that each pixel has kept.
     """
-    slopes = template.columns(fine.turned_back())[:, 2:4] @ template.pictures  # (n, 2, h w)
+    slopes = template.columns(fine.turned_back())[:, 2:5] @ template.pictures  # (n, 3, h w)
     left = residual(cuts, fine, template) if share is None else residual(cuts, fine, template) * share
     parts = slopes * (left.reshape(len(cuts), 1, -1) * template.root)
     white = np.sum(parts**2, axis=(0, 2))
-    factor = np.ones(2)
+    factor = np.ones(3)
     for block in BLOCKS:
-        sums = _block_sums(parts.reshape(-1, *cuts.shape[1:]), block).reshape(len(cuts), 2, -1)
+        sums = _block_sums(parts.reshape(-1, *cuts.shape[1:]), block).reshape(len(cuts), 3, -1)
         count = sums.shape[2]
         if count < 8:
             break

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array
-from frictrack.tracking.follow import FLAT, LEAST_SCORE, LEAVES, NOISIER, SHARE, UNREAD, Followed, nowhere
+from frictrack.tracking.follow import FLAT, LEAST_SCORE, LEAVES, NOISIER, SHARE, UNREAD, UNSETTLED, Followed, nowhere
 from frictrack.tracking.hidden import HIDDEN, HIDDEN_SHARE
 from frictrack.tracking.learn import learn, without_border
 from frictrack.tracking.match import Patch
@@ -68,31 +68,32 @@ class TurnedTrack:
             at = pose.centre - middle
             out.corner[i] = np.rint(at)
             row = Fine(
-                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma[:2], pose.score)),
+                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma, pose.score)),
                 *(np.array([q]) for q in (pose.gain, pose.offset, pose.misfit, pose.settled)),
             )  # fmt: skip
             out.fine.put(np.array([i]), row)
         return out
 
 
-def frames_to_beat(film: Recording, followed: Followed, template: Template, start: Array, first: int) -> float | None:
+def frames_to_beat(
+    film: Recording, followed: Followed, picture: TurnedPicture, start: Array, first: int
+) -> float | None:
     """In how many frames a turning target must be seen to be followed as one; None where it does not turn.
 
     It turns farther than small rotations tell: seen in the angles, or in the frames lost first. What is seen only after
     it was lost must bring back clearly more frames: what happens to a target after its slide must not cost the slide.
     """
-    radius = TurnedPicture(template).radius
     angle = followed.fine.angle[followed.found]
     found = float(np.sum(followed.found))
-    if np.mean(np.abs(angle - np.median(angle)) * radius > LARGEST_SWING) > OFTEN:
+    if np.mean(np.abs(angle - np.median(angle)) * picture.radius > LARGEST_SWING) > OFTEN:
         return AS_MANY * found
-    return CLEARLY_MORE * found if _turns_where_lost(film, followed, template, start, first) else None
+    return CLEARLY_MORE * found if _turns_where_lost(film, followed, picture, start, first) else None
 
 
-def _turns_where_lost(film: Recording, followed: Followed, template: Template, start: Array, first: int) -> bool:
+def _turns_where_lost(film: Recording, followed: Followed, picture: TurnedPicture, start: Array, first: int) -> bool:
     """Whether a turned picture matches clearly better where the target was lost first."""
     lost = [i for i in _lost_first(followed, first) if followed.reason[i] not in (LEAVES, UNREAD, FLAT)]
-    return any(_has_turned(film, followed, TurnedPicture(template), i, first, start) for i in lost)
+    return any(_has_turned(film, followed, picture, i, first, start) for i in lost)
 
 
 def _lost_first(followed: Followed, first: int) -> list[int]:
@@ -115,8 +116,8 @@ def _has_turned(film: Recording, followed: Followed, picture: TurnedPicture, i: 
 class _Turning:
     """Follows one turning target through a film."""
 
-    def __init__(self, film: Recording, template: Template, usual: float = np.nan) -> None:
-        self.film, self.picture, self.misfit = film, TurnedPicture(template), usual
+    def __init__(self, film: Recording, picture: TurnedPicture, usual: float = np.nan) -> None:
+        self.film, self.picture, self.misfit = film, picture, usual
         self.score = 1.0
 
     def follow(self, start: Pose, first: int, progress: Progress | None = None) -> TurnedTrack:
@@ -160,7 +161,7 @@ class _Turning:
             return None, LEAVES
         if self._good(pose):
             return pose, self._trusted(pose)
-        return None, f"match score {pose.score:.2f} below {self._least:.2f}"
+        return None, UNSETTLED if pose.score >= self._least else f"match score {pose.score:.2f} below {self._least:.2f}"
 
     @property
     def _least(self) -> float:
@@ -286,55 +287,59 @@ def _turned_patch(picture: TurnedPicture, angle: float, scale: float) -> tuple[P
 
 
 def follow_turning(
-    film: Recording, template: Template, start: Array, first: int, least: float, progress: Progress | None = None
+    film: Recording, picture: TurnedPicture, start: Array, first: int, least: float, progress: Progress | None = None
 ) -> TurnedTrack | None:
     """Track of a target whose rectangle's corner is at `start` (2,) in frame `first`; its picture is learnt from it.
 
     None where it is seen in fewer frames than `least`, see `frames_to_beat`.
     """
-    begin = Pose(np.asarray(start, dtype=np.float64) + TurnedPicture(template).middle, 0.0, offset=template.level)
-    rough = _Turning(film, without_border(template)).follow(begin, first, progress)
+    begin, once = _begin(picture, start), picture.showing(without_border(picture.template))
+    rough = _Turning(film, once).follow(begin, first, progress)
     if rough.count < least:
         return None
-    learnt = _taught(film, rough, template, first) or without_border(template)
+    learnt = _taught(film, rough, picture, first) or once
     usual = _usual_misfit(film, rough, learnt, first)
     track = _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
     return track if track.count >= least else None
 
 
 def follow_known(
-    film: Recording, template: Template, start: Array, first: int, progress: Progress | None = None
+    film: Recording, picture: TurnedPicture, start: Array, first: int, progress: Progress | None = None
 ) -> Followed:
     """The same with a picture that another film has taught."""
-    begin = Pose(np.asarray(start, dtype=np.float64) + TurnedPicture(template).middle, 0.0, offset=template.level)
-    rough = _Turning(film, template).follow(begin, first, progress)
-    usual = _usual_misfit(film, rough, template, first)
-    return _Turning(film, template, usual).follow(rough.poses[first] or begin, first, progress).as_followed()
+    begin = _begin(picture, start)
+    rough = _Turning(film, picture).follow(begin, first, progress)
+    usual = _usual_misfit(film, rough, picture, first)
+    return _Turning(film, picture, usual).follow(rough.poses[first] or begin, first, progress).as_followed()
 
 
-def _usual_misfit(film: Recording, rough: TurnedTrack, template: Template, first: int) -> float:
+def _begin(picture: TurnedPicture, start: Array) -> Pose:
+    """The pose of a rectangle whose corner is at `start` (2,) px."""
+    return Pose(np.asarray(start, dtype=np.float64) + picture.middle, 0.0, offset=picture.template.level)
+
+
+def _usual_misfit(film: Recording, rough: TurnedTrack, picture: TurnedPicture, first: int) -> float:
     """Misfit of frames that show nothing but target and noise: that of the better ones."""
     found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
     rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, JUDGED).astype(int))] if found else []
-    picture = TurnedPicture(template)
     poses = [refine_pose(film.frame(i), pose, picture) for i in rows if (pose := rough.poses[i]) is not None]
     misfit = [pose.misfit for pose in poses if pose.settled]
-    return max(float(np.quantile(misfit, CLEAR)), template.least_misfit) if misfit else np.nan
+    return max(float(np.quantile(misfit, CLEAR)), picture.template.least_misfit) if misfit else np.nan
 
 
-def _taught(film: Recording, rough: TurnedTrack, template: Template, first: int) -> Template | None:
-    """The template learnt from frames spread over the film; None where these are too few to teach."""
+def _taught(film: Recording, rough: TurnedTrack, picture: TurnedPicture, first: int) -> TurnedPicture | None:
+    """The picture learnt from frames spread over the film; None where these are too few to teach."""
     found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
     if len(found) < MIN_FRAMES:
         return None
     rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, TEACHING).astype(int))]
     frames = [film.frame(i) for i in rows]
-    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], _smooth(template)
+    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], _smooth(picture.template)
     for _ in range(ROUNDS):
-        template = _learnt(frames, poses, TurnedPicture(template))
-        picture = TurnedPicture(without_border(template))
-        poses = [refine_pose(frame, pose, picture) for frame, pose in zip(frames, poses, strict=True)]
-    return without_border(template)
+        template = _learnt(frames, poses, picture.showing(template))
+        inner = picture.showing(without_border(template))
+        poses = [refine_pose(frame, pose, inner) for frame, pose in zip(frames, poses, strict=True)]
+    return picture.showing(without_border(template))
 
 
 def _smooth(template: Template) -> Template:
@@ -355,5 +360,5 @@ def _learnt(frames: list[Patch], poses: list[Pose], picture: TurnedPicture) -> T
     n = len(chosen)
     gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
     still = np.zeros((n, 2))
-    fine = Fine(still, np.zeros(n), still, np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
+    fine = Fine(still, np.zeros(n), np.zeros((n, 3)), np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_))
     return learn(cuts, fine, picture.template)

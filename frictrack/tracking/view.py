@@ -43,9 +43,13 @@ class View:
     def cleaned(self, cuts: Patch, corner: NDArray[np.int64], gain: Array, offset: Array) -> tuple[Patch, Patch]:
         """Cut-outs (n, h, w) as they would be without what stands still, and the share of each pixel's weight."""
         size = cuts.shape[1:]
-        slope, level, share = (_cut(m, corner, size) for m in (self.slope, self.level, self.share))
+        slope, level = (_cut(m, corner, size) for m in (self.slope, self.level))
         a, b = (v[:, None, None].astype(np.float32) for v in (gain, offset))
-        return b + (cuts - b - a * level) / slope, share
+        return b + (cuts - b - a * level) / slope, self.shares(corner, size)
+
+    def shares(self, corner: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
+        """Share of each pixel's weight in cut-outs (n, h, w) at these corners."""
+        return _cut(self.share, corner, size)
 
 
 def _cut(picture: Patch, corner: NDArray[np.int64], size: tuple[int, ...]) -> Patch:

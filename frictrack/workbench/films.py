@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.results import RunResults
@@ -77,7 +80,7 @@ class Bench(Generic[Shown]):
         rows = next((r for r in self.scene.runs if r["name"] == run.name), {"first": 0, "frame": 0})
         ruler = run.scale.get("points") if isinstance(run.scale, dict) and "length" in run.scale else None
         drawn = {"target": run.target, "reference": run.reference, "ruler": ruler}
-        shapes = {key: [*shape] for key, shape in drawn.items() if isinstance(shape, tuple | list)}
+        shapes = {key: _in_box(shape) for key, shape in drawn.items() if isinstance(shape, tuple | list)}
         where = {key: rows[key] for key in ("first", "frame")}
         return {**where, "tracks": _tracks(measured, self.scene) if measured else [], "shapes": shapes}
 
@@ -87,6 +90,14 @@ class Bench(Generic[Shown]):
 
     def _wanted(self, asked: dict[str, Any]) -> None:
         self.show(self.linked.film["label"], int(asked["frame"]))
+
+
+def _in_box(shape: Sequence[Any]) -> list[Any]:
+    """A shape as the page draws it: an outline by the rectangle round it."""
+    if len(shape) < 3 or isinstance(shape[0], int | float):
+        return [*shape]
+    low, high = np.min(shape, axis=0), np.max(shape, axis=0)
+    return [*low.tolist(), *(high - low).tolist()]
 
 
 def _tracks(run: RunResults, scene: Scene) -> list[dict[str, Any]]:

@@ -1,12 +1,15 @@
 """What a run says of its own measurement: peak locking, scores, backward tracking, faults of the time base."""
 
 from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
+from frictrack.tracking.checks.rest import at_rest, moves_with
 from frictrack.tracking.checks.timing import corrected, slips, timing_note
 
 __all__ = [
+    "at_rest",
     "corrected",
     "forward_backward",
     "key_frames",
+    "moves_with",
     "peak_locking",
     "scores",
     "self_test",

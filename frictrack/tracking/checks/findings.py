@@ -13,6 +13,7 @@ from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
 SMOOTH = 15  # frames of the local cubic about which residuals are taken
+MIN_TRAVEL = 2.0  # px: over less, a motion and what repeats from pixel to pixel cannot be told apart
 HARMONICS = 2
 SURE = 1e-3  # probability of a peak-locking curve of this size from noise alone
 MATTERS = 0.2  # of the standard deviation of a frame, above which its amplitude is told
@@ -106,9 +107,9 @@ def peak_locking(track: Track) -> PeakLocking | None:
     other: a slow target loses precision, not size.
     """
     parts = _stretches(track.found)
-    if not parts:
-        return None
     x, t = track.x_px, track.t
+    if not parts or np.ptp(x[track.found]) < MIN_TRAVEL:
+        return None
     left = np.concatenate([_rest(x[part]) for part in parts])
     waves = np.concatenate([_rest(_waves(x[part])) for part in parts])
     sigma = np.concatenate([track.sigma_px[part] for part in parts])

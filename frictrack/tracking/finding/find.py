@@ -17,6 +17,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.finding.outline import outline
 from frictrack.tracking.finding.scene import Blob, Picture, Scene, sample, without
+from frictrack.tracking.finding.subpixel import most_moving
 from frictrack.tracking.match import Rectangle, correlate, vertex
 
 LEAST_TRAVEL = 1.5  # px
@@ -56,20 +57,30 @@ def find_target(recording: Recording) -> Rectangle:
 def locate(recording: Recording) -> tuple[Rectangle, int]:
     """Rectangle of the body that moves farthest, slightly inside its outline, and the frame it refers to.
 
-    Raises `FrictrackError` when the film has no contrast, nothing moves, or two bodies move apart.
+    Where nothing travels by more than a pixel or two, it is the patch whose smaller motion stands out of the noise
+    most; where none does, the patch that is tracked best. Raises `FrictrackError` when the film has no contrast, no
+    patch has enough texture, or two bodies move apart.
     """
     scene, bodies = _looked(sample(recording))
     if not bodies and scene.shake.any():  # perhaps what filled the picture was the body, and no shake
         scene, bodies = _looked(sample(recording, steady=False))
     if not bodies:
-        raise FrictrackError(
-            f"{recording.path.name}: expected a moving target but nothing moves by more than "
-            f"{LEAST_TRAVEL:g} px; check the film, or give target = [x, y, w, h]"
-        )
+        return _subtle(recording, scene)
     rivals = [body for body in bodies[1:] if _rivals(scene, bodies[0], body)]
     if rivals:
         raise FrictrackError(_which(recording, scene, (bodies[0], rivals[0])))
     return drawn(scene, bodies[0])
+
+
+def _subtle(recording: Recording, scene: Scene) -> tuple[Rectangle, int]:
+    """The patch that moves by less than bodies are seen by, in the first of the sampled frames."""
+    found = most_moving(scene)
+    if found is None:
+        raise FrictrackError(
+            f"{recording.path.name}: expected a moving target but nothing in the film moves or has enough texture to "
+            "be tracked; check the film, or give target = [x, y, w, h]"
+        )
+    return found, scene.index[0]
 
 
 def _looked(scene: Scene) -> tuple[Scene, list[Body]]:

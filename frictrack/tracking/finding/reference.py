@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.finding.scene import Picture, Scene, light, read, sample
+from frictrack.tracking.finding.subpixel import moving_cells
 from frictrack.tracking.match import Rectangle
 
 FRAMES = 9
@@ -32,7 +33,7 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
         return None
     scene = sample(recording)
     still, noise, taken = _still(scene)
-    taken |= _swept(track, recording.shape)
+    taken |= _swept(track, recording.shape) | moving_cells(scene)
     margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
     taken[:margin], taken[-margin:], taken[:, :margin], taken[:, -margin:] = True, True, True, True
     foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])

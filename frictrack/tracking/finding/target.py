@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.polygons import polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
+from frictrack.tracking.areas import bounds, is_polygon
 from frictrack.tracking.finding.find import Body, drawn, locate, moving, pursue
 from frictrack.tracking.finding.scene import Scene, sample
 from frictrack.tracking.match import Rectangle, correlate
 
-Target = Sequence[float] | NDArray[Any] | str | Path | None
+Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path | None
 
 LEAST = 8  # px, shortest side of a target
 GRACE = 0.2  # of its size that a click may lie outside a body's rectangle
@@ -30,14 +32,16 @@ FITS, LIKELY = 0.85, 0.6  # score at which the search ends, and below which it f
 def resolve(recording: Recording, target: Target = None, template: int = 0) -> tuple[Rectangle, int]:
     """Rectangle (x, y, w, h) px of the target and the number of the frame that it refers to.
 
-    `target` is a rectangle [x, y, w, h] or a click [x, y] in frame `template`, a picture of the target (a path or
-    a 2-D array, at the film's scale), or None: the body that moves. Raises `FrictrackError` when that does not
-    describe anything in this film.
+    `target` is a rectangle [x, y, w, h], an outline [[x, y], ...] or a click [x, y] in frame `template`, a picture of
+    the target (a path or a 2-D array, at the film's scale), or None: the body that moves. Raises `FrictrackError` when
+    that does not describe anything in this film.
     """
     if target is None:
         return locate(recording)
     if isinstance(target, str | Path):
         return _pictured(recording, _picture(Path(target)), Path(target).name)
+    if is_polygon(target):
+        return _checked(np.array(bounds(polygon(target)), dtype=np.float64), recording), template
     if np.ndim(target) == 2:
         return _pictured(recording, np.asarray(target), "the template picture")
     numbers = np.asarray(target, dtype=np.float64)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replaced
+from frictrack.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
 
@@ -22,6 +23,7 @@ WIDTH = 640  # px, least; smaller pictures are enlarged
 BAR = 22  # px of text below the picture, for each track
 # Blue, green, red: orange for the target, then blue, green and pink.
 COLOURS = ((28, 159, 255), (255, 196, 46), (90, 220, 120), (200, 120, 255))
+LEFT_OUT = (60, 60, 230)  # of what counts nothing: red
 SHIFT = 4  # binary digits of a pixel in which OpenCV draws
 
 Canvas = NDArray[np.uint8]
@@ -106,20 +108,37 @@ def _drawn(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> Canva
         colour = COLOURS[k % len(COLOURS)]
         _trail(picture, track, i, zoom, colour)
         if i < len(track) and track.found[i] and track.target is not None:
-            points = _points(corners(track, i), zoom)
-            cv2.polylines(picture, [points], True, colour, 2, cv2.LINE_AA, SHIFT)
+            cv2.polylines(picture, [_points(corners(track, i), zoom)], True, colour, 2, cv2.LINE_AA, SHIFT)
+            areas = [_points(one, zoom) for one in drawn_areas(track, i)]
+            cv2.polylines(picture, areas, True, LEFT_OUT, 1, cv2.LINE_AA, SHIFT)
         cv2.putText(bar, _words(track, i), (6, BAR * k + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
     return np.vstack([picture, bar])
 
 
 def corners(track: Track, i: int) -> Array:
-    """Corners (4, 2) px of the target's rectangle in frame i, turned by its angle."""
+    """Corners (n, 2) px of the target's outline in frame i, turned by its angle."""
+    return _moved(track, track.outline or box(track), i)
+
+
+def box(track: Track) -> Polygon:
+    """Corners of the target's rectangle in its own frame: the outer edges of its pixels."""
     assert track.target is not None
-    w, h = track.target[2:]
+    return polygon(list(track.target))
+
+
+def drawn_areas(track: Track, i: int) -> list[Array]:
+    """Corners (n, 2) px of the parts that are excluded, where they are in frame i, and of the obstacles."""
+    return [_moved(track, one, i) for one in track.exclude] + [np.array(one) for one in track.obstacles]
+
+
+def _moved(track: Track, outline: Polygon, i: int) -> Array:
+    """A polygon of the target's own frame as frame i shows it (n, 2), px."""
+    assert track.target is not None
+    x, y, w, h = track.target
     angle = float(np.nan_to_num(track.angle[i]))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    box = 0.5 * np.array([[-w, -h], [w, -h], [w, h], [-w, h]])
-    return np.asarray(box @ turn.T + (track.x_px[i], track.y_px[i]), dtype=np.float64)
+    off = np.array(outline) - (x + (w - 1) / 2, y + (h - 1) / 2)
+    return np.asarray(off @ turn.T + (track.x_px[i], track.y_px[i]), dtype=np.float64)
 
 
 def _trail(picture: Canvas, track: Track, i: int, zoom: int, colour: tuple[int, int, int]) -> None:
@@ -136,13 +155,18 @@ def _points(at: Array, zoom: int) -> NDArray[Any]:
     return np.rint(((at + 0.5) * zoom - 0.5) * 2**SHIFT).astype(np.int32)
 
 
+def _deviation(track: Track, i: int) -> str:
+    """Standard deviation of the angle in frame i, degrees."""
+    return "" if track.sigma_angle is None else f" +/- {np.degrees(track.sigma_angle[i]):.2g}"
+
+
 def _words(track: Track, i: int) -> str:
     if i >= len(track):
         return track.name
     head = f"{track.name}  frame {i}  {1e3 * track.t[i]:.2f} ms  "
     if not track.found[i]:
         return f"{head}lost: {track.reason[i]}"
-    turned = f"  {np.degrees(track.angle[i]):+.2f} deg" if np.isfinite(track.angle[i]) else ""
+    turned = f"  {np.degrees(track.angle[i]):+.2f}{_deviation(track, i)} deg" if np.isfinite(track.angle[i]) else ""
     return (
         f"{head}x {track.x_px[i]:.3f}  y {track.y_px[i]:.3f} px  sigma {track.sigma_px[i]:.4f}  "
         f"score {track.score[i]:.3f}{turned}"

@@ -9,23 +9,34 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Polygon
 
 from frictrack.files import replaced
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
-from frictrack.tracking.show.overlay import corners
+from frictrack.tracking.show.overlay import box, corners, drawn_areas
 
+LINE_FONT = 1700.0  # points over characters: a line of so many fits the width
 FRAMES = 5  # and one panel for the target itself
-MARK, PATH = "#ff9f1c", "#2ec4ff"
+MARK, PATH, LEFT_OUT = "#ff9f1c", "#2ec4ff", "#e63946"
 OTHERS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
 
 def target_line(track: Track) -> str:
-    """The lines for the study file that repeat this track: its rectangle, and its frame if not the first."""
+    """The lines for the study file that repeat this track: its rectangle or outline, its frame if not the first."""
     x, y, w, h = _rectangle(track)
-    line = f"target = [{x}, {y}, {w}, {h}]"
-    return line if track.template == 0 else f"{line}\ntemplate = {track.template}"
+    lines = [f"target = {_listed(track.outline)}" if track.outline else f"target = [{x}, {y}, {w}, {h}]"]
+    if track.template:
+        lines.append(f"template = {track.template}")
+    for name, several in (("exclude", track.exclude), ("obstacles", track.obstacles)):
+        if several:
+            lines.append(f"{name} = [{', '.join(_listed(one) for one in several)}]")
+    return "\n".join(lines)
+
+
+def _listed(corners: Sequence[tuple[float, float]]) -> str:
+    """A polygon as it stands in the study file."""
+    return "[" + ", ".join(f"[{x:g}, {y:g}]" for x, y in corners) + "]"
 
 
 def contact_sheet(recording: Recording, track: Track, path: str | Path, others: Sequence[Track] = ()) -> Path:
@@ -49,7 +60,8 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
         panel.set_axis_off()
     _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
     figure.suptitle(_headline(recording, track), fontsize=14)
-    figure.supxlabel(target_line(track).replace("\n", "      "), fontsize=18, family="monospace")
+    line = target_line(track).replace("\n", "      ")
+    figure.supxlabel(line, fontsize=min(18.0, LINE_FONT / len(line)), family="monospace")
     with replaced(Path(path)) as part:
         FigureCanvasAgg(figure).print_png(str(part))
     return Path(path)
@@ -84,7 +96,14 @@ def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) ->
     _show(panel, picture, bit_depth)
     panel.plot(track.x_px, track.y_px, color=PATH, lw=1.5)
     panel.add_patch(Polygon(corners(track, i), fill=False, ec=MARK, lw=2.5))
+    _areas(panel, track, i)
     panel.set_title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", fontsize=14)
+
+
+def _areas(panel: Axes, track: Track, i: int) -> None:
+    """What counts nothing in frame i, hatched."""
+    for one in drawn_areas(track, i):
+        panel.add_patch(Polygon(one, fill=False, ec=LEFT_OUT, lw=1.5, hatch="//"))
 
 
 def _other(panel: Axes, track: Track, i: int, colour: str) -> None:
@@ -100,7 +119,9 @@ def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
     """The target with a little of what surrounds it."""
     x, y, w, h = _rectangle(track)
     _show(panel, picture, bit_depth)
-    panel.add_patch(Rectangle((x - 0.5, y - 0.5), w, h, fill=False, ec=MARK, lw=2.5))
+    panel.add_patch(Polygon(track.outline or box(track), fill=False, ec=MARK, lw=2.5))
+    for one in (*track.exclude, *track.obstacles):
+        panel.add_patch(Polygon(one, fill=False, ec=LEFT_OUT, lw=1.5, hatch="//"))
     margin = 0.3 * max(w, h)
     panel.set_xlim(x - margin, x + w + margin)
     panel.set_ylim(y + h + margin, y - margin)

@@ -1,0 +1,110 @@
+"""Areas that somebody has drawn: the target's outline, parts that are not of it, and what stands before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.polygons import Polygon, check_within, inside, polygon, polygons
+from frictrack.records import Mask
+from frictrack.tracking.match import Rectangle
+from frictrack.tracking.view import View
+
+LEAST_PIXELS = 64  # of a target that its outline and exclusions must leave
+
+
+@dataclass(frozen=True)
+class Areas:
+    """A target with what was drawn in and before it.
+
+    Parameters
+    ----------
+    target
+        Whatever `track` takes for a target; an outline [[x, y], ...] is a polygon of it.
+    exclude
+        Polygons or rectangles in the target's own frame that move with it and are no part of it, px.
+    obstacles
+        Polygons or rectangles fixed in the picture, behind which the target passes, px.
+
+    Raises
+    ------
+    FrictrackError
+        For what is no polygon, see `frictrack.polygons.polygon`.
+
+    Examples
+    --------
+    >>> Areas([40, 30, 64, 48], obstacles=[[90, 0, 12, 128]]).obstacles
+    (((89.5, -0.5), (101.5, -0.5), (101.5, 127.5), (89.5, 127.5)),)
+
+    """
+
+    target: Any = None
+    exclude: Sequence[Any] = ()
+    obstacles: Sequence[Any] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("exclude", "obstacles"):
+            object.__setattr__(self, name, polygons(getattr(self, name)))
+
+    @property
+    def outline(self) -> Polygon:
+        """Corners of the target, where it is given by them."""
+        return polygon(self.target) if is_polygon(self.target) else ()
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raise `FrictrackError` where a polygon leaves the picture (h, w)."""
+        if self.outline:
+            check_within(self.outline, shape, "a target")
+        for what, several in (("an area to exclude", self.exclude), ("an obstacle", self.obstacles)):
+            for one in several:
+                check_within(one, shape, what)
+
+    def counts(self, rectangle: Rectangle) -> Mask | None:
+        """Pixels (h, w) of the target's rectangle that belong to it; None where all do."""
+        if not (self.outline or self.exclude):
+            return None
+        x, y, w, h = rectangle
+        belongs = inside(self.outline, (h, w), (x, y)) if self.outline else np.ones((h, w), np.bool_)
+        for one in self.exclude:
+            belongs &= ~inside(one, (h, w), (x, y))
+        left = int(np.count_nonzero(belongs))
+        if left < LEAST_PIXELS:
+            raise FrictrackError(
+                f"expected a target of at least {LEAST_PIXELS} pixels but its outline and exclusions leave {left}; "
+                "draw the target larger or exclude less"
+            )
+        return belongs
+
+    def blocked(self, shape: tuple[int, int]) -> Mask | None:
+        """Pixels (H, W) of the picture before which an obstacle stands; None without any."""
+        if not self.obstacles:
+            return None
+        return np.any([inside(one, shape) for one in self.obstacles], axis=0)
+
+
+def is_polygon(target: Any) -> bool:
+    """Whether a target is given as corners [[x, y], ...]: no numbers, no path, no picture."""
+    if isinstance(target, np.ndarray):
+        return target.ndim == 2 and target.shape[1] == 2
+    return isinstance(target, list | tuple) and len(target) > 0 and all(isinstance(c, list | tuple) for c in target)
+
+
+def bounds(outline: Polygon) -> tuple[int, int, int, int]:
+    """The rectangle (x, y, w, h) of the pixels whose centres can lie within an outline."""
+    at = np.array(outline)
+    low, high = np.ceil(at.min(axis=0)).astype(int), np.floor(at.max(axis=0)).astype(int)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+
+
+def obstructed(view: View | None, blocked: Mask | None) -> View | None:
+    """What stands still before the target, with the obstacles that were drawn."""
+    if blocked is None:
+        return view
+    free = (~blocked).astype(np.float32)
+    if view is None:
+        return View(np.ones_like(free), np.zeros_like(free), free)
+    return View(view.slope, view.level, np.minimum(view.share, free))

@@ -1,0 +1,310 @@
+"""Motion of less than a pixel: which windows of the picture move by more than their noise.
+
+For a motion u that is small against the texture, frame k differs from the mean picture R of the frames by
+
+    I_k - R = -u_k . grad R + a_k R + b_k + noise        a_k, b_k: the window's own light
+
+and u_k is least squares in each window (Lucas & Kanade 1981, Proc. IJCAI, p. 674). A window moves where the motions of
+all frames explain more than noise would (F test). All sums are taken over small cells once, so that any window is a
+few additions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from frictrack.records import Array, Mask
+from frictrack.tracking.finding.scene import Scene
+from frictrack.tracking.match import Rectangle
+
+CELL, MAX_CELLS = 4, 16_000  # px, smallest side of a cell; and how many of them the picture has at most
+SMOOTHED = 0.7  # px, by which the mean picture is blurred before its slopes are taken
+SIDES = 4, 6, 8, 12, 16, 24, 32  # cells, of the windows that are tried
+SHAPES = (1, 1), (1, 2), (2, 1)  # their height to width
+EACH = 6  # cells, side of the windows that are asked whether all moves alike
+ALPHA = 1e-4  # probability that noise alone moves any of the windows
+DECIDES = 6.0  # log-likelihood ratio times two that tells motion from rest, strong evidence (Kass & Raftery 1995)
+STANDS_OUT = 0.25  # of the largest power, that a first window must have
+BELONGS = 0.9  # of what that ratio is for what moves altogether: at most one part in twenty of a target may rest
+ROUNDS = 4  # of taking in what moves with a window
+WORSE = 1.5  # times its deviation: a window that is so much less sure of the motion teaches nothing more
+UNEVEN = 2.0  # times the noise that goes with the light: more is something that changes
+MIN_SIDE = 2  # cells, of a target
+STILL_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only motion against the others counts
+PLAIN = 1.5  # times the gradients that noise makes in the mean picture: less is no texture
+MAX_SHAKE = 1.0  # px, of the whole picture, up to which the linear model holds
+USUAL_SIDE = 48  # px, of a patch that is chosen for its texture alone
+MAX_SIGMA = 0.05  # px in one frame, on the worse axis: beyond, a patch cannot be tracked
+PARAMETERS = 4  # of a window in a frame: two of motion, two of light
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Motion of some windows in all frames, and what that is worth."""
+
+    motion: Array  # (m, k, 2) px
+    information: Array  # (m, 2, 2), inverse covariance of one frame's motion times the variance of the noise
+    noise: Array  # (m,) variance of a pixel, DN^2
+    pixels: Array  # (m,)
+    light: Array  # (m,) mean grey value
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.motion.shape[1]
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation of the motion in one frame (m,) px on the worse axis; infinite without texture."""
+        false = PLAIN * self.pixels * self.noise / (2 * self.frames)
+        weakest = np.linalg.eigvalsh(self.information)[:, 0] - false
+        return np.where(weakest > 0, np.sqrt(self.noise / np.maximum(weakest, 1e-300)), np.inf)
+
+    def moving(self, common: Array | None = None) -> Mask:
+        """Windows (m,) that move by more than noise, and by more than what else happens in them."""
+        free = self.freedom_of_motion(common)
+        explained = self.power(common)
+        noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._freedom) * self.noise
+        return ~noisy & (explained > self._unexplained)
+
+    def power(self, common: Array | None = None) -> Array:
+        """What the motion explains (m,), DN^2, other than in proportion to a `common` motion (k, 2)."""
+        off = self.motion
+        if common is not None:  # an error of the linear model is in proportion to it
+            basis = np.linalg.qr(common)[0]
+            off = off - basis @ (basis.T @ off)
+        return np.asarray(np.einsum("mki,mij,mkj->m", off, self.information, off))
+
+    def freedom_of_motion(self, common: Array | None = None) -> int:
+        """Free numbers of the motion in all frames; the mean picture has taken one frame's, a common motion two."""
+        return 2 * max(self.frames - 1 - (0 if common is None else 2), 1)
+
+    def agreement(self, motion: Array) -> Array:
+        """Log-likelihood ratio times two (m,) of a `motion` (k, 2) against rest."""
+        off = self.motion - motion
+        left = np.einsum("mki,mij,mkj->m", off, self.information, off)
+        return np.asarray((self.power() - left) / self.noise)
+
+    def mean(self, among: Mask) -> Array:
+        """Mean motion (k, 2) of some windows, by their information."""
+        weight = (self.information / self.noise[:, None, None])[among]
+        both = np.einsum("mij,mkj->ik", weight, self.motion[among])
+        return np.asarray(np.linalg.solve(weight.sum(axis=0), both).T)
+
+    @property
+    def _freedom(self) -> Array:
+        return (self.frames - 1) * np.maximum(self.pixels - PARAMETERS, 1)
+
+    @property
+    def _unexplained(self) -> Array:
+        """What is left (m,) beyond the noise that goes with the light of a window, DN^2."""
+        expected = np.median(self.noise) * np.maximum(self.light / max(float(np.median(self.light)), 1e-9), 1.0)
+        return np.asarray(self._freedom * (self.noise - UNEVEN * expected))
+
+
+@dataclass(frozen=True, eq=False)
+class CellSums:
+    """Sums over all cells above and left of each corner; those of any window follow by subtraction."""
+
+    cell: int
+    normal: Array  # (h + 1, w + 1, 4, 4)
+    right: Array  # (h + 1, w + 1, 4, k)
+    power: Array  # (h + 1, w + 1)
+    level: float  # DN, mean of the picture
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells (h, w)."""
+        return self.power.shape[0] - 1, self.power.shape[1] - 1
+
+    def windows(self, boxes: NDArray[np.int64]) -> Windows:
+        """Motion of windows (m, 4): x, y, w, h in cells."""
+        x, y, w, h = boxes.T
+        normal, right, power = (
+            s[y + h, x + w] - s[y, x + w] - s[y + h, x] + s[y, x] for s in (self.normal, self.right, self.power)
+        )
+        ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12
+        normal = normal + ridge * np.eye(PARAMETERS)
+        found = np.linalg.solve(normal, right)
+        k, pixels = right.shape[2], w * h * self.cell**2
+        left = np.maximum(power - np.einsum("mik,mik->m", found, right), 0.0)
+        light = normal[:, 2, 3] / pixels + self.level
+        free = (k - 1) * np.maximum(pixels - PARAMETERS, 1)
+        information = np.linalg.inv(np.linalg.inv(normal)[:, :2, :2])
+        motion = -found[:, :2].transpose(0, 2, 1)
+        return Windows(motion, information, np.maximum(left / free, 1 / 12 / k), pixels, light)
+
+    def agreement(self, window: Windows, common: Array | None) -> Array:
+        """By how much each cell (h, w) moves with a window (one) rather than with the `common` motion.
+
+        Log-likelihood ratio times two, without what the noise of the motion takes from it, less the share that a cell
+        must reach which moves altogether.
+        """
+        motion, noise = window.motion[0], window.noise[0]
+        normal, right = (_each(s)[:, :, :2] for s in (self.normal, self.right))
+        normal, off = normal[..., :2], motion if common is None else motion - common
+        rest = right if common is None else right + np.einsum("yxij,kj->yxik", normal, common)
+        chance = len(motion) * noise * np.einsum("yxij,ij->yx", normal, np.linalg.inv(window.information[0]))
+        whole = np.einsum("ki,yxij,kj->yx", off, normal, off) - chance
+        ratio = -2 * np.einsum("ki,yxik->yx", off, rest) - whole
+        return np.asarray((ratio - BELONGS * np.maximum(whole, 0)) / noise)
+
+
+def _each(sums: Array) -> Array:
+    """Cumulated sums (h + 1, w + 1, ...) -> those of each cell."""
+    return np.asarray(np.diff(np.diff(sums, axis=0), axis=1))
+
+
+def cell_sums(scene: Scene) -> CellSums:
+    """The sums of a scene's sampled frames, in the light of the background."""
+    mean = np.zeros(scene.frames[0].shape)
+    for frame in _evened(scene):
+        mean += frame / len(scene.frames)
+    cell = max(CELL, int(np.ceil(np.sqrt(mean.size / MAX_CELLS))))
+    gy, gx = np.gradient(cv2.GaussianBlur(mean, (0, 0), SMOOTHED))
+    columns = [gx, gy, mean - mean.mean(), np.ones_like(mean)]
+    normal = [[_cumulated(one * other, cell) for other in columns] for one in columns]
+    right, power = [], np.zeros(np.array(normal[0][0].shape))
+    for frame in _evened(scene):
+        differs = frame - mean
+        right.append([_cumulated(column * differs, cell) for column in columns])
+        power += _cumulated(differs**2, cell)
+    both = np.moveaxis(np.array(normal), (0, 1), (2, 3)), np.moveaxis(np.array(right), (0, 1), (3, 2))
+    return CellSums(cell, *both, power, float(mean.mean()))
+
+
+def _evened(scene: Scene) -> Iterator[Array]:
+    """The sampled frames, each in the light of the background."""
+    for frame, light in zip(scene.frames, scene.light, strict=True):
+        yield frame.astype(np.float64) / light
+
+
+def _cumulated(picture: Array, cell: int) -> Array:
+    """A picture (H, W) summed over cells and from the upper left corner on: (h + 1, w + 1)."""
+    h, w = (side // cell for side in picture.shape)
+    cells = picture[: h * cell, : w * cell].reshape(h, cell, w, cell).sum(axis=(1, 3))
+    return np.pad(np.cumsum(np.cumsum(cells, axis=0), axis=1), ((1, 0), (1, 0)))
+
+
+def _boxes(shape: tuple[int, int], sides: Sequence[int] = SIDES) -> NDArray[np.int64]:
+    """Windows (m, 4) of all sizes that fit, half overlapping, in cells."""
+    found = []
+    for side in sides:
+        for tall, wide in SHAPES:
+            h, w = side * tall, side * wide
+            if h > shape[0] or w > shape[1]:
+                continue
+            y, x = (np.unique([*range(0, n - s, max(s // 2, 1)), n - s]) for n, s in ((shape[0], h), (shape[1], w)))
+            xx, yy = np.meshgrid(x, y)
+            found.append(np.stack([xx.ravel(), yy.ravel(), np.full(xx.size, w), np.full(xx.size, h)], axis=1))
+    return np.concatenate(found).astype(np.int64) if found else np.zeros((0, 4), np.int64)
+
+
+def most_moving(scene: Scene) -> Rectangle | None:
+    """The rectangle (x, y, w, h) px whose motion stands out most; where none does, the best textured; None without."""
+    sums = cell_sums(scene)
+    boxes = _boxes(sums.shape)
+    if len(boxes) == 0 or len(scene.frames) < 2:
+        return None
+    windows = sums.windows(boxes)
+    if not windows.moving().any():
+        return _textured(sums, boxes, windows)
+    common = common_motion(windows, sums)
+    moving = windows.moving() & windows.moving(common)
+    if not moving.any():  # all that is seen moves alike
+        moving, common = windows.moving(), None
+    known = moving & np.isfinite(windows.sigma)
+    seed = boxes[_purest(windows, known if known.any() else moving, common)]
+    return _in_pixels(_fitted(sums, seed, common), sums.cell)
+
+
+def _purest(windows: Windows, among: Mask, common: Array | None) -> int:
+    """Of the windows whose motion stands out most, the one that moves farthest: in the others some part rests."""
+    power = np.where(among, windows.power(common), 0.0)
+    chance = windows.freedom_of_motion(common) * windows.noise
+    size = (power - chance) / np.trace(windows.information, axis1=1, axis2=2)
+    return int(np.argmax(np.where(power > STANDS_OUT * power.max(), size, -np.inf)))
+
+
+def common_motion(windows: Windows, sums: CellSums) -> Array | None:
+    """Motion (k, 2) of all that is seen, where hardly anything rests: the camera shakes. Otherwise None."""
+    moving = windows.moving()
+    if not moving.any():
+        return None
+    motion = windows.motion[np.argmax(np.where(moving, windows.power(), -np.inf))]
+    each = sums.windows(_boxes(sums.shape, (EACH,)))
+    agreement = each.agreement(motion)
+    follows, rests = agreement > DECIDES, agreement < -DECIDES
+    if not follows.any() or rests.sum() > STILL_SHARE * (rests.sum() + follows.sum()):
+        return None
+    usual = np.median(each.motion[follows], axis=0)
+    alike = follows & ~each.moving(usual)
+    return each.mean(alike) if alike.any() else np.asarray(usual)
+
+
+def moving_cells(scene: Scene) -> Mask:
+    """Where (H, W) the picture moves by more than its noise, against the rest of it; nowhere where it shakes much."""
+    out = np.zeros(scene.frames[0].shape, np.bool_)
+    if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE or len(scene.frames) < 2:
+        return out
+    sums = cell_sums(scene)
+    boxes = _boxes(sums.shape, SIDES[:5])
+    if len(boxes) == 0:
+        return out
+    windows = sums.windows(boxes)
+    for x, y, w, h in boxes[windows.moving(common_motion(windows, sums))] * sums.cell:
+        part = out[y : y + h, x : x + w]
+        if not part.any():  # else smaller windows, which come first, have shown where it moves
+            part[:] = True
+    return out
+
+
+def _textured(sums: CellSums, boxes: NDArray[np.int64], windows: Windows) -> Rectangle | None:
+    """The patch of a usual size, or the smallest, that is tracked best."""
+    side = int(np.clip(USUAL_SIDE // sums.cell, SIDES[0], None))
+    size = np.max(boxes[:, 2:], axis=1)
+    sigma = np.where(size <= max(side, int(size.min())), windows.sigma, np.inf)
+    best = int(np.argmin(sigma))
+    return _in_pixels(boxes[best], sums.cell) if sigma[best] < MAX_SIGMA else None
+
+
+def _fitted(sums: CellSums, box: NDArray[np.int64], common: Array | None) -> NDArray[np.int64]:
+    """The window (4,) that takes in what moves with a first one and leaves out what rests."""
+    for _ in range(ROUNDS):
+        window = sums.windows(box[None])
+        better = _largest(sums.agreement(window, common))
+        if better is None or np.array_equal(better, box):
+            break
+        if sums.windows(better[None]).sigma[0] > WORSE * window.sigma[0]:
+            break
+        box = better
+    return box
+
+
+def _largest(values: Array) -> NDArray[np.int64] | None:
+    """The box (x, y, w, h) over which values (h, w) have the largest sum; None where that is not positive.
+
+    For each top row, the best bottom row and columns by running sums (Kadane's method: Bentley 1984, CACM 27:865).
+    """
+    total = np.pad(np.cumsum(np.cumsum(values, axis=0), axis=1), ((1, 0), (1, 0)))
+    best, found = 0.0, None
+    for top in range(len(values) + 1 - MIN_SIDE):
+        rows = total[top + MIN_SIDE :] - total[top]
+        low = np.minimum.accumulate(rows[:, :-MIN_SIDE], axis=1)
+        gain = rows[:, MIN_SIDE:] - low
+        bottom, right = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if gain[bottom, right] > best:
+            left = int(np.argmin(rows[bottom, : right + 1]))
+            best, found = float(gain[bottom, right]), (left, top, int(right) + MIN_SIDE - left, int(bottom) + MIN_SIDE)
+    return None if found is None else np.array(found, dtype=np.int64)
+
+
+def _in_pixels(box: NDArray[np.int64], cell: int) -> Rectangle:
+    x, y, w, h = (int(v) * cell for v in box)
+    return x, y, w, h
