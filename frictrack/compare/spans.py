@@ -14,7 +14,7 @@ from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_
 from frictrack.compare.looks import Bump, limits
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
-from frictrack.fit.series import SeriesPiece
+from frictrack.fit.series import SeriesPiece, compact
 from frictrack.fit.simulated.linearised import Linearised, linearised, place, traces
 from frictrack.fit.simulated.pieces import Rows
 from frictrack.fit.simulated.problem import Response
@@ -51,6 +51,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     its noise, that goes with what the span lacks; `p` is for the whole search over spans. A blow too short to be
     resolved reaches as far as the run's own low-pass smears it.
     """
+    solution = compact(solution)
     found = _found(solution, runs) if missing is None else _named(solution, runs, missing)
     told = [_told(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
     return sorted(told, key=lambda s: -s["share_of_error"])

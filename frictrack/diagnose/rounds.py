@@ -100,8 +100,10 @@ def _reach(effect: Effect, top: float) -> float:
     return max(NEAR, top / 2) if effect.memory or effect.modifies else NEAR
 
 
-def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str, float]) -> list[Tried]:
-    """Trials in order of their evidence, simulated as far as they are near the best."""
+def _simulated(
+    law: Beside, solution: Solution, trials: list[Trial], p: dict[str, float], least: float = -np.inf
+) -> list[Tried]:
+    """Trials in order of their evidence, simulated as far as they are near the best, or near the `least` of use."""
     own, misfit = information(solution), bare(law)
     promised = {t.effect.name: misfit - t.misfit - _paid(law, t.layout) for t in trials}
     out: list[Tried] = []
@@ -109,7 +111,7 @@ def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str
         name = t.effect.name
         told = Tried(t.effect, None, promised[name], p[name], along=(law, t))
         told = replace(told, objection=implausible(t.layout, t.p, t.effect))
-        if not told.objection and _is_worth(out, told):
+        if not told.objection and _is_worth(out, told, least):
             try:
                 grown = simulated(law, t)
                 told = replace(told, solution=grown, delta_bic=own - information(grown))
@@ -120,10 +122,10 @@ def _simulated(law: Beside, solution: Solution, trials: list[Trial], p: dict[str
     return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
 
 
-def _is_worth(done: list[Tried], new: Tried) -> bool:
-    """Whether a trial is worth a simulation: the first that passes, and what may be as good as the best."""
+def _is_worth(done: list[Tried], new: Tried, least: float) -> bool:
+    """Whether a trial is worth a simulation: what may be as good as the best so far, and as the `least` of use."""
     known = [t.delta_bic for t in done if t.solution is not None and not t.objection]
-    near = not known or new.delta_bic > AS_GOOD * max(known) - NEAR - 2 * SAME
+    near = new.delta_bic > AS_GOOD * max([least, *known]) - NEAR - 2 * SAME
     return near and new.p < ALPHA / 2 and len(known) < MOST_SIMULATED
 
 
@@ -159,8 +161,8 @@ def _stands_for(other: Tried, best: Tried, true: tuple[Beside, Trial] | None, un
     return rival.misfit - trial.misfit < NEAR * unit and (unit > 1 or shortfall(law, trial, rival) < SAME)
 
 
-def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:
-    """Effects found one after the other, each looked at again beside all the others.
+def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Tried]:
+    """Effects found one after the other on top of the law at the `start`, each looked at again beside all the others.
 
     One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
     two plainer ones, and what could stand in its place is told. The law of the last one has them all.
@@ -175,11 +177,13 @@ def reviewed(found: list[Tried], own: Sequence[Effect], tell: Tell) -> list[Trie
             rest = without(whole, name)
         except FrictrackError:  # without it there is no law that could be followed
             continue
+        if rest.objective > start.objective + SAME:  # it has more to explain with: it has run away
+            continue
         worth = information(rest) - information(whole)
         if worth <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
             continue
-        tried_again = _alternatives(rest, own, old)
+        tried_again = _alternatives(rest, own, old, least=worth)
         best = tried_again[0]
         stays = best.effect.name == name or best.solution is None or best.delta_bic < worth + SAME
         if stays or best.law.objective > LEAVES_NOISE * best.law.problem.n_frames:
@@ -213,10 +217,11 @@ def _parted(best: Tried, others: Sequence[Tried], own: Sequence[Effect]) -> list
     for one in [t for t in others if t.delta_bic > SAME and _is_plain(t.effect, runs)][:MOST_PARTED]:
         try:
             law = _simulated_law(one)
-            two = _alternatives(law, own, one, lambda e: _is_plain(e, runs))[0]
+            pairs = _alternatives(law, own, one, lambda e: _is_plain(e, runs), information(law) - top)
         except FrictrackError:
             continue
-        if two.solution is not None and information(two.law) < top:
+        two = next((t for t in pairs if t.solution is not None), None)
+        if two is not None and information(two.law) < top:
             top = information(two.law)
             found = [replace(one, solution=law), two]
     return found
@@ -240,9 +245,16 @@ def _with_law(found: list[Tried], law: Solution) -> list[Tried]:
 
 
 def _alternatives(
-    rest: Solution, own: Sequence[Effect], old: Tried, which: Callable[[Effect], bool] = lambda effect: True
+    rest: Solution,
+    own: Sequence[Effect],
+    old: Tried,
+    which: Callable[[Effect], bool] = lambda effect: True,
+    least: float = -np.inf,
 ) -> list[Tried]:
-    """Everything that could stand where an effect was taken out, best first; nothing is drawn again."""
+    """Everything that could stand where an effect was taken out, best first; nothing is drawn again.
+
+    What does not promise about the `least` evidence that is of use is not simulated.
+    """
     law = beside(rest)
     series = one_series(law)
     data: Array = series.own[:, 0]
@@ -251,7 +263,8 @@ def _alternatives(
         e = old.effect if effect.kind == old.effect.kind else effect
         scans = [scan(law, f, series) for f in families(law, known(rest, e))]
         trials.append(tried(law, e, scans, data))
-    return _simulated(law, rest, deepened(law, trials), dict.fromkeys((t.effect.name for t in trials), old.p))
+    p = dict.fromkeys((t.effect.name for t in trials), old.p)
+    return _simulated(law, rest, deepened(law, trials), p, least)
 
 
 def finished(best: Tried) -> Tried:

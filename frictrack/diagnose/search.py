@@ -115,7 +115,7 @@ def _search(
             break
         else:
             before = [t.effect.name for t in found]
-            found = reviewed(found, own, told)
+            found = reviewed(start, found, own, told)
             if [t.effect.name for t in found] == before:
                 break
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")

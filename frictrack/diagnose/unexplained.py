@@ -9,6 +9,7 @@ import numpy as np
 from frictrack.diagnose.axes import smooth_forces
 from frictrack.diagnose.formulas import formulas
 from frictrack.diagnose.reduced import reduced
+from frictrack.fit.series import compact
 from frictrack.fit.simulated.solve import Solution
 
 
@@ -18,7 +19,9 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
     `factor` is what multiplies the curve along a run, as a study file writes it. `beside` is the law with what was
     found so far: the curve is what that leaves; the formulas stand beside the law itself where they can.
     """
-    smooth = smooth_forces(reduced(beside or solution))
+    law = compact(solution)
+    beside = law if beside is None or beside is solution else compact(beside)
+    smooth = smooth_forces(reduced(beside))
     best = smooth[0]
     return {
         "axis": best.axis.name,
@@ -28,5 +31,5 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": formulas(solution, beside),
+        "formulas": formulas(law, beside),
     }

@@ -9,6 +9,7 @@ import numpy as np
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.lines import Line
 from frictrack.diagnose.repeats import Repeats, repeats
+from frictrack.fit.series import compact
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array
 from frictrack.words import AXES
@@ -28,6 +29,7 @@ class Where:
 
 def where_it_fails(solution: Solution, rng: np.random.Generator) -> Where:
     """What the failure of a fitted law has in common from run to run, in words, numbers and curves."""
+    solution = compact(solution)
     pieces, line = deconvolved(solution)
     return Where(repeats(solution, rng), figures_of(pieces, line))
 

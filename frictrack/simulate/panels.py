@@ -74,7 +74,7 @@ class Linear:
         ax, av = a_x.reshape(-1, 3, 1), a_v.reshape(-1, 3, 1)
         stiffness = np.eye(3) - ax * h**2 * _AA - av * h * _A
         start = np.concatenate([ax, ax * h * NODES[:, None] + av], axis=2)
-        self._inverse = np.linalg.inv(stiffness)
+        self._inverse = _inverse(stiffness)
         self._start = self._inverse @ start  # node response to the panel's first x and v
         self._end = np.stack([panels.h[:, None] ** 2 * _BA, panels.h[:, None] * _B], axis=1)  # (p, 2, 3)
         self.panels = panels
@@ -114,6 +114,23 @@ class Linear:
         if info:
             raise FrictrackError("the motion could not be integrated: the linear system is singular")
         return np.asarray(edges.reshape(-1, 2, k))
+
+
+def _inverse(a: Array) -> Array:
+    """Inverse of 3 x 3 matrices (p, 3, 3) by their cofactors: short panels put them near the unit matrix.
+
+    Raises FrictrackError where one is singular.
+    """
+    m = np.ascontiguousarray(a.transpose(1, 2, 0))
+    out = np.empty_like(m)
+    for i in range(3):
+        for j in range(3):
+            k, n, q, r = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            out[j, i] = m[k, q] * m[n, r] - m[k, r] * m[n, q]
+    size = m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0]
+    if not size.all():
+        raise FrictrackError("the motion could not be integrated: the linear system is singular")
+    return np.ascontiguousarray((out / size).transpose(2, 0, 1))
 
 
 def _chain(step: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from frictrack.fit.simulated.growth import grow
 from frictrack.fit.simulated.pieces import Piece, spans_of
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.scan import per_run_coefficients
-from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.simulated.solve import Solution, continued, promising, refine
 from frictrack.fit.simulated.trial import TIE_ALPHA, is_loose
 from frictrack.fit.unknowns.layout import LEVEL, Layout
 from frictrack.fit.unknowns.scatter import restraint
@@ -45,6 +45,14 @@ class Explanation:
     solution: Solution
     gain: float
     believed: Solution
+    _filmed: dict[tuple[Film, int], Piece] = field(default_factory=dict, repr=False, compare=False)
+
+    def filmed(self, film: Film, fine: int) -> Piece:
+        """What the camera would see of a planned run, with `fine` panels per frame at least; worked out once."""
+        key = film, max([fine, *(e.fine for e in self.believed.problem.model.effects)])
+        if key not in self._filmed:
+            self._filmed[key] = filmed(self.believed, film, fine)
+        return self._filmed[key]
 
 
 def explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
@@ -122,7 +130,7 @@ class Duel:
         Raises FrictrackError where the run cannot be made, or its motion cannot be followed under the rival.
         """
         truth, rival = self.truth.believed, self.rival.solution
-        piece = filmed(truth, film, max(e.fine for e in rival.problem.model.effects))
+        piece = self.truth.filmed(film, max(e.fine for e in rival.problem.model.effects))
         span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * film.rate)[0]
         tau = spread(truth, piece.run + 1)
         layout, p = extended(self.fitted, span, film.phase, free=True)
@@ -150,14 +158,22 @@ class _Recalled(Problem):
         self._fitted = fitted
         there = {name: i for i, name in enumerate(layout.names)}
         self._there = [there[name] for name in fitted.problem.layout.names]
+        self._recalled = [_few(r) for r in fitted.responses]
 
     def _respond(self, i: int, p: Array, start: Array) -> Response:
         if i == len(self._fitted.responses):
             return super()._respond(i, p, start)
-        about = self._fitted.responses[i]
+        about = self._recalled[i]
         active = [self._there[k] for k in about.active]
         left = about.r - about.jac @ (p[active] - self._fitted.p[about.active])
         return replace(about, active=active, r=left, r_full=left)
+
+
+def _few(response: Response) -> Response:
+    """The same linear answer in as few rows as it has unknowns: turned, and without those that are zero."""
+    upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
+    none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
+    return replace(response, jac=upper[:, :-1], r=upper[:, -1], r_full=upper[:, -1], q=none)
 
 
 def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
@@ -195,9 +211,9 @@ def _placed(rival: Solution, layout: Layout, piece: Piece, begin: tuple[Array, A
     tried = []
     for trial in _trials(rival, layout, p, piece):
         with suppress(FrictrackError):  # a start too wild to be integrated
-            tried.append(refine(problem, trial, [start], tau=tau, free=own, max_steps=1))
-    tried.sort(key=lambda s: s.objective)
-    found = [refine(problem, s.p, s.starts, tau=tau, free=own, max_steps=OWN_STEPS) for s in tried[:CLOSEST]]
+            tried.append(promising(problem, trial, [start], tau=tau, free=own))
+    tried.sort(key=lambda t: t[0])
+    found = [continued(s, tau, free=own, max_steps=OWN_STEPS) for _, s in tried[:CLOSEST]]
     best = min(found, key=lambda s: s.objective, default=None)
     return (p, start) if best is None else (best.p, best.starts[0])
 

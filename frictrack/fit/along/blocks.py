@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.interpolate import CubicSpline
 
@@ -27,8 +28,10 @@ Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 class Block:
     """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white with standard deviation one.
 
-    `path` at the n samples; `friction` (n,) is the measured force there, N, at the reference load; `rest` the part of
-    the squared data that no force along the path changes; `highest` the frequency up to which lines are looked for, Hz.
+    `path` at the n samples, `brief` at the compared ones alone where these are few: enough for what remembers nothing,
+    whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the reference load; `rest`
+    the part of the squared data that no force along the path changes; `highest` the frequency up to which lines are
+    looked for, Hz.
     """
 
     run: int
@@ -39,6 +42,7 @@ class Block:
     friction: Array
     rest: float = 0.0
     highest: float = np.inf
+    brief: Path | None = None
 
 
 def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> Block:
@@ -99,6 +103,20 @@ def chain_block(piece: Piece, chain: Chain, noise: float) -> Block:
         rest=max(float(measured @ measured - data @ data), 0.0),
         highest=VISIBLE * chain.cutoff,
     )
+
+
+def picked(rows: Array, at: NDArray[np.int_]) -> Array:
+    """Rows (..., n) at the compared samples `at` (m,); those that hold these alone stay as they are.
+
+    Examples
+    --------
+    >>> picked(np.arange(4.0), np.array([1, 3]))
+    array([1., 3.])
+    >>> picked(np.array([5.0, 7.0]), np.array([1, 3]))
+    array([5., 7.])
+
+    """
+    return rows if rows.shape[-1] == len(at) else rows[..., at]
 
 
 def path_of(piece: Piece) -> Path:

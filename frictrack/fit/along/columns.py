@@ -96,7 +96,7 @@ class Along:
         self.size = int(edges[-1])
         self.data = np.concatenate([b.data for b in self.blocks])
         self._mine = [np.unique([i for at in place.values() for i in at if i >= 0]) for place in self.place]
-        self._tiled: dict[tuple[int, int], Path] = {}
+        self._tiled: dict[tuple[int, int, int], Path] = {}
         self._plans: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
 
     # --- where numbers stand
@@ -187,7 +187,7 @@ class Along:
         p = len(numbers) if group.numbers else 1
         effect = group.model.effects[0]
         phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-        own, path = self._values(g, b, numbers[:p])[effect.name], self._path(b, p, level)
+        own, path = self._values(g, b, numbers[:p])[effect.name], self._path(g, b, p, level)
         for q in QUADRATURES:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
 
@@ -195,15 +195,20 @@ class Along:
         """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
         group = self.groups[g]
         p = len(numbers) if group.numbers or group.phases else 1
-        return _by_individual(group.columns(self._path(b, p, level), self._values(g, b, numbers[:p])), p)
+        return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, numbers[:p])), p)
 
-    def _path(self, b: int, p: int, level: float) -> Path:
-        path = self.blocks[b].path if p == 1 else self.end_to_end(b, p)
+    def _way(self, g: int, b: int) -> Path:
+        """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
+        block = self.blocks[b]
+        return block.path if block.brief is None or self.groups[g].model.memory else block.brief
+
+    def _path(self, g: int, b: int, p: int, level: float) -> Path:
+        path = self._way(g, b) if p == 1 else self.end_to_end(g, b, p)
         return path if level == 1.0 else replace(path, load=path.load * level)
 
     def _values(self, g: int, b: int, numbers: Array) -> Values:
         """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
-        n, run = len(self.blocks[b].path.t), self.blocks[b].run
+        n, run = len(self._way(g, b).t), self.blocks[b].run
         if self.layout.rules:
             return self._followed(g, b, numbers)
         fixed, places = self._plan(g, run)
@@ -238,26 +243,26 @@ class Along:
             if s.effect in whole and s.run in (None, block.run) and not s.linear:
                 whole[s.effect][s.parameter] = numbers[:, i]
         follow(model, tuple(r for r in self.layout.rules if not r.parameter.linear), whole)
-        mine = self.groups[g].model
+        mine, n = self.groups[g].model, len(self._way(g, b).t)
         return {
-            e.name: {q.name: spread(whole[e.name][q.name], len(block.path.t), q.role == "depth") for q in e.nonlinear}
+            e.name: {q.name: spread(whole[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
             for e in mine.effects
         }
 
-    def end_to_end(self, b: int, p: int) -> Path:
-        """One path through p individuals laid end to end."""
-        if (b, p) not in self._tiled:
+    def end_to_end(self, g: int, b: int, p: int) -> Path:
+        """One path through p individuals laid end to end, as a group is evaluated along a block."""
+        path = self._way(g, b)
+        n = len(path.t)
+        if (b, p, n) not in self._tiled:
             if len(self._tiled) > 2 * len(self.blocks):
                 self._tiled.clear()
-            path = self.blocks[b].path
-            n = len(path.t)
             long: dict[str, Any] = {
                 name: np.tile(value, p)
                 for name, value in vars(path).items()
                 if isinstance(value, np.ndarray) and value.shape == (n,)
             }
-            self._tiled[b, p] = replace(path, starts=tuple(range(0, n * p, n)), **long)
-        return self._tiled[b, p]
+            self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **long)
+        return self._tiled[b, p, n]
 
     # --- the law in the layout's own unknowns
 

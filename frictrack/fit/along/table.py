@@ -291,7 +291,7 @@ def _solve(schur: Array, right: Array, full: Array) -> Array:
     floor = ABSORBED * full
     if count == 1:
         own = schur[:, :, 0]
-        return np.where(own > floor, right / np.maximum(own, 1e-300), 0.0)
+        return right / np.where(own > floor, own, np.inf)
     if count == 2:
         a, b, d = schur[:, 0, 0], schur[:, 0, 1], schur[:, 1, 1]
         det = a * d - b * b

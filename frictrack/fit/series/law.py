@@ -16,10 +16,11 @@ from scipy.stats import t as student
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.along import Along, Block, Projected, State, search_of
+from frictrack.fit.along.blocks import picked
 from frictrack.fit.along.misfit import Misfit, Reduced
 from frictrack.fit.heldout import UNSEEN, _predictable
 from frictrack.fit.papers import searched, spread_of
-from frictrack.fit.series.problem import SeriesProblem, spans_of_series
+from frictrack.fit.series.problem import SeriesProblem, brief, spans_of_series
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.sure.covariance import covariance_of
@@ -84,9 +85,10 @@ def _block(piece: Piece) -> Block:
         run=piece.run,
         path=piece.path,
         data=piece.y * weight,
-        forward=lambda rows: rows[..., piece.at] * weight,
-        picture=lambda rows: np.zeros_like(rows[..., piece.at]),
+        forward=lambda rows: picked(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(picked(rows, piece.at)),
         friction=-piece.a_hat / piece.path.load,
+        brief=brief(piece, piece.path.x, piece.path.v, 1.0),
     )
 
 

@@ -18,6 +18,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.begin import Begin, Reference, begin_of
 from frictrack.fit.simulated.pieces import Piece, _path
 from frictrack.fit.simulated.problem import Problem, Response
+from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.fit.unknowns.layout import Layout
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
@@ -25,6 +26,7 @@ from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
 from frictrack.simulate.dynamics import Linear, Motion6, Panels
 
+SPARSE = 2  # samples of a path for each that is compared, from which these are worth a path of their own
 QUIET = 1e-9  # of the largest friction: less noise than that is none
 ALONG = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # what a path has frame by frame beside x and v
 HELD = 0.5  # of the median friction: what a mass at rest must hold to be on one side
@@ -111,6 +113,45 @@ class SeriesProblem(Problem):
             on_start=np.zeros((0, len(active))),
             r_full=residual,
         )
+
+
+def brief(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
+    """The path of a motion x, v (n,) at the compared frames alone; None where they are most of its samples."""
+    if SPARSE * len(piece.at) > len(piece.path.t):
+        return None
+    return piece.at_frames(x[piece.at], v[piece.at], level)
+
+
+def compact(solution: Solution) -> Solution:
+    """The same law along the compared frames alone, where friction was measured and nothing in the law remembers.
+
+    What lies between frames of which few are kept says nothing then, but takes time.
+    """
+    problem = solution.problem
+    if not is_series(problem) or problem.model.memory:
+        return solution
+    pieces = [_shortened(p) for p in problem.pieces]
+    if all(new is old for new, old in zip(pieces, problem.pieces, strict=True)):
+        return solution
+    short, held = problem.over(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
+    return refine(short, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
+
+
+def _shortened(piece: Piece) -> Piece:
+    """A piece whose path holds its compared frames alone, where they are few."""
+    path = brief(piece, piece.path.x, piece.path.v, 1.0)
+    if path is None:
+        return piece
+    return replace(
+        piece,
+        panels=Frames(path.t),
+        at=np.arange(len(path.t)),
+        x_hat=path.x,
+        v_hat=path.v,
+        a_hat=piece.a_hat[piece.at],
+        known=piece.known[piece.at],
+        path=path,
+    )
 
 
 def is_series(problem: Problem) -> bool:

@@ -18,7 +18,8 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
-from frictrack.fit.along.blocks import Block
+from frictrack.fit.along.blocks import Block, picked
+from frictrack.fit.series.problem import brief
 from frictrack.fit.simulated.problem import Problem, Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.simulated.traced import is_traced, traced
@@ -36,7 +37,8 @@ class Strip:
     """One piece: rows of forces along its path (k, m) to whitened rows (k, n) at the frames.
 
     `path` is the motion about which the law is linearised, at the edges of the panels, its level one where laws are
-    `traced`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns first.
+    `traced`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns first. `brief` is the
+    path at the compared frames alone, where friction was measured and they are few.
     """
 
     problem: Problem
@@ -48,7 +50,8 @@ class Strip:
     basis: Array
     starts: int
     _rows: Rows | None = field(repr=False)
-    _long: dict[int, Path] = field(default_factory=dict, repr=False)
+    brief: Path | None = None
+    _long: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
 
     @property
     def run(self) -> int:
@@ -60,8 +63,9 @@ class Strip:
 
         `values` holds numbers that all have in common, and arrays (count,).
         """
-        n = len(self.path.t)
-        long = self.path if count == 1 else self._end_to_end(count)
+        path = self.way(effect)
+        n = len(path.t)
+        long = path if count == 1 else self._end_to_end(path, count)
         spread = {k: _spread(v, n, effect.parameter(k).role == "depth") for k, v in values.items()}
         if effect.modifies:
             inner = self.modified(effect)
@@ -77,7 +81,7 @@ class Strip:
         piece = self.response.piece
         frames = piece.at // piece.per_frame
         if pictured or self._rows is None:  # where friction itself is measured, a force is seen as it is
-            return piece.whitened(raw[:, frames].T).T
+            return piece.whitened(picked(raw, frames).T).T
         moved = self._rows(raw)[:, frames] * (-(1 + self.response.shift_slope) / piece.mass)
         return piece.whitened(moved.T).T
 
@@ -97,7 +101,7 @@ class Strip:
         A delay has no size to grow with a coefficient: the columns that it makes of the others' have each their own.
         """
         model: Model = self.problem.model
-        columns = model.force_columns(self.path, self.values)
+        columns = model.force_columns(self.way(effect), self.values)
         reshaped = [e.name for e in model.effects if e.kind in effect.modifies and e.name in columns]
         if not effect.sized:
             return np.concatenate([columns[name] for name in reshaped], axis=1)
@@ -120,19 +124,25 @@ class Strip:
             forward=lambda rows: _each(rows, lambda flat: self.unstarted(self.weighed(flat, False))),
             picture=lambda rows: _each(rows, lambda flat: self.unstarted(self.weighed(flat, True))),
             friction=forces[0],
+            brief=None if self.brief is None else replace(self.brief, load=self.brief.load / self.shown),
         )
 
-    def _end_to_end(self, count: int) -> Path:
+    def way(self, effect: Effect) -> Path:
+        """Where an effect is evaluated: what neither remembers nor reshapes what does, where friction is compared."""
+        remembers = effect.memory or (effect.modifies and self.problem.model.memory)
+        return self.path if self.brief is None or remembers else self.brief
+
+    def _end_to_end(self, path: Path, count: int) -> Path:
         """One path through the individuals of a population laid end to end."""
-        if count not in self._long:
-            n = len(self.path.t)
+        n = len(path.t)
+        if (count, n) not in self._long:
             long: dict[str, Any] = {
                 name: np.tile(value, count)
-                for name, value in vars(self.path).items()
+                for name, value in vars(path).items()
                 if isinstance(value, np.ndarray) and value.shape == (n,)
             }
-            self._long[count] = replace(self.path, starts=tuple(range(0, n * count, n)), **long)
-        return self._long[count]
+            self._long[count, n] = replace(path, starts=tuple(range(0, n * count, n)), **long)
+        return self._long[count, n]
 
 
 def _each(rows: Array, of: Callable[[Array], Array]) -> Array:
@@ -204,10 +214,10 @@ def _strip(solution: Solution, response: Response) -> Strip:
     own = u[:, size > LEAST * max(float(size[0]), 1e-300)]
     basis = np.concatenate([response.q, own], axis=1)
     if not problem.simulates:
-        path, rows = piece.along(motion.x, motion.v, shown), None
+        path, rows, few = piece.along(motion.x, motion.v, shown), None, brief(piece, motion.x, motion.v, shown)
     else:
-        path, rows = _edge_path(response, shown), Rows(_linear(problem, solution.p, response))
-    return Strip(problem, response, values, level, shown, path, basis, response.q.shape[1], rows)
+        path, rows, few = _edge_path(response, shown), Rows(_linear(problem, solution.p, response)), None
+    return Strip(problem, response, values, level, shown, path, basis, response.q.shape[1], rows, few)
 
 
 def _linear(problem: Problem, p: Array, response: Response) -> Linear:

@@ -12,7 +12,7 @@ from frictrack.fit.simulated.beside import Beside, beside
 from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Problem
 from frictrack.fit.simulated.scan import families, one_series, scan
-from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
+from frictrack.fit.simulated.solve import Solution, refine, resettled, settle_scatter
 from frictrack.fit.simulated.trial import PULSE_PRICE, Trial, deepened, tried
 from frictrack.fit.simulated.turns import follows, in_turn, known, untied
 from frictrack.fit.unknowns.layout import Layout
@@ -129,7 +129,7 @@ def _simulated(law: Beside, trial: Trial) -> Solution:
 
 def settled(solution: Solution) -> Solution:
     """A law that `grow` has tried, refined to its end."""
-    return settle_scatter(solution.problem, solution.p, solution.starts, solution.tau or 0.03)
+    return resettled(solution, solution.tau or 0.03)
 
 
 def rebuilt(problem: Problem, layout: Layout) -> Problem:

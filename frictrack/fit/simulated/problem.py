@@ -45,6 +45,27 @@ class Response:
         return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
 
 
+@dataclass(frozen=True)
+class _Simulated:
+    """The last motion of a piece, from which the next one sets out: unknowns p, start, and accelerations a (3 p,).
+
+    `pushed` (3 p, A + 2) is their change per unit of the `active` unknowns and of the start.
+    """
+
+    p: Array | None
+    start: Array
+    a: Array
+    pushed: Array
+    active: list[int]
+
+    def foreseen(self, p: Array, start: Array) -> Array | None:
+        """Accelerations (3 p,) at other unknowns to first order; None where that is further than they themselves."""
+        if self.p is None or len(p) != len(self.p):
+            return None
+        change = self.pushed @ np.concatenate([(p - self.p)[self.active], start - self.start])
+        return self.a + change if np.max(np.abs(change)) < np.max(np.abs(self.a)) else None
+
+
 class Problem:
     """A model over some runs: evaluates every piece for given unknowns and starts.
 
@@ -58,7 +79,7 @@ class Problem:
         paths = [piece.path for piece in self.pieces]
         if lacking := [said for effect in model.effects if (said := effect.lacks(paths))]:
             raise FrictrackError("; ".join(lacking))
-        self._guess = [piece.a_hat for piece in self.pieces]
+        self._last = [_Simulated(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces]
 
     def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
         """The same kind of measurement under another layout, or over other pieces."""
@@ -80,7 +101,9 @@ class Problem:
     def _respond(self, i: int, p: Array, start: Array) -> Response:
         piece = self._timed(self.pieces[i], p)
         motion, linear = self._simulate(i, piece, p, start)
-        return self.seen(piece, p, (motion, linear), motion.x_edge[piece.at])
+        pushed, moved = self.answered(piece, p, motion, linear)
+        self._last[i] = _Simulated(p, np.array(start), motion.a, pushed, self.layout.active(piece.run))
+        return self._seen(piece, p, (motion, linear), (motion.x_edge[piece.at], moved))
 
     def _timed(self, piece: Piece, p: Array) -> Piece:
         """A piece by the clock that the law gives to its run."""
@@ -93,9 +116,13 @@ class Problem:
 
         `about` is the motion at which the law is linearised, and its linear response.
         """
-        motion, linear = about
+        return self._seen(piece, p, about, (x, self.answered(piece, p, *about)[1]))
+
+    def _seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], shown: tuple[Array, Array]) -> Response:
+        """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
+        (motion, linear), (x, moved) = about, shown
         active = self.layout.active(piece.run)
-        x_sens = self.moved(piece, p, motion, linear)[:, 0, :]
+        x_sens = moved[:, 0, :]
         shift, slope, direct = self._picture(piece, p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
@@ -132,19 +159,30 @@ class Problem:
 
         return law
 
-    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
-        """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
+    def answered(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> tuple[Array, Array]:
+        """Change of the acceleration at the nodes (3 p, A + 2), and of position and speed at the frames (n, 2, A + 2).
+
+        Each is per unit of every active unknown, and of the start.
+        """
         active = self.layout.active(piece.run)
         g = self._inputs(piece, p, motion, active)
-        _, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
-        return edges[piece.at]
+        pushed, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
+        return pushed, edges[piece.at]
+
+    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
+        """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
+        return self.answered(piece, p, motion, linear)[1]
 
     def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
         where = float(start[0]), float(start[1])
-        law = self.acceleration(piece, p)
-        motion, linear = solve(law, piece.panels, where, self._guess[i], memory=self.model.memory)
-        self._guess[i] = motion.a
-        return motion, linear
+        law, memory, last = self.acceleration(piece, p), self.model.memory, self._last[i]
+        foreseen = last.foreseen(p, start)
+        if foreseen is not None:
+            try:
+                return solve(law, piece.panels, where, foreseen, memory=memory)
+            except FrictrackError:  # too far to be foreseen: from where it was
+                pass
+        return solve(law, piece.panels, where, last.a, memory=memory)
 
     def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
         """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""

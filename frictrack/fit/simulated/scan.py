@@ -66,7 +66,7 @@ class Family:
 
     def chunks(self, strips: list[Strip]) -> Iterator[slice]:
         """Points to be taken at once."""
-        longest = max(len(strips[i].path.t) for i in self.members)
+        longest = max(len(strips[i].way(self.effect).t) for i in self.members)
         some = max(1, CROWD // longest)
         for first in range(0, len(self.values), some):
             yield slice(first, min(first + some, len(self.values)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -14,6 +14,7 @@ from frictrack.fit.unknowns.layout import balanced, settle
 from frictrack.fit.unknowns.scatter import Basis, basis_of, prior_departure, prior_rows, restraint, restraint_rows
 from frictrack.records import Array, Mask
 
+SPREADS = 4  # estimates of the spread of the levels, at most
 PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
 FIRST_DAMPING, MOST_DAMPED = 1e-8, 1e8
 UNDAMPED = 1e-12  # damping with which a step is Gauss-Newton's
@@ -125,13 +126,42 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
 
     `free` (P,) tells which unknowns may move; default all. A step that promises less than `enough` is not taken.
     """
+    walk = _walk(problem, p, tau, free)
+    return _walked(walk, walk.at(p, list(starts)), max_steps, enough)
+
+
+def continued(
+    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, enough: float = ENOUGH
+) -> Solution:
+    """Refine a law further from where it stands, at another spread of the levels; nothing is simulated again there."""
+    held = restraint(solution.problem.layout, solution.p, tau)
+    objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(held @ held)
+    state = replace(solution, tau=tau, objective=objective)
+    return _walked(_walk(solution.problem, solution.p, tau, free), state, max_steps, enough)
+
+
+def promising(
+    problem: Problem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
+) -> tuple[float, Solution]:
+    """The objective that the first step from p (P,) promises, and the law at p; one simulation of each piece."""
+    walk = _walk(problem, p, tau, free)
+    state = walk.at(p, list(starts))
+    return state.objective - _step(state, FIRST_DAMPING, (walk.low, walk.high))[1], state
+
+
+def _walk(problem: Problem, p: Array, tau: float, free: Mask | None) -> _Walk:
+    """A refinement in which only what is `free` may move; default all."""
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
+    return _Walk(problem, tau, low, high, free is None)
+
+
+def _walked(walk: _Walk, state: Solution, max_steps: int, enough: float) -> Solution:
+    """Steps of Levenberg and Marquardt from a state until one promises less than `enough`."""
+    problem, (low, high), damping = walk.problem, (walk.low, walk.high), FIRST_DAMPING
     if any(getattr(piece, "turns", False) for piece in problem.pieces):
         enough = max(enough, KINKED)
-    walk = _Walk(problem, tau, low, high, free is None)
-    state, damping = walk.at(p, list(starts)), FIRST_DAMPING
     for _ in range(max_steps):
         least = enough * max(1.0, state.objective / max(problem.n_frames, 1))
         step, promised = _step(state, damping, (low, high))
@@ -207,14 +237,24 @@ def settle_scatter(
     enough: float = ENOUGH,
 ) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
-    for _ in range(4):
-        solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
+    solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
+    return _settled(solution, max_steps, enough)
+
+
+def resettled(solution: Solution, tau: float) -> Solution:
+    """The same from a law that was simulated already, to the end."""
+    return _settled(continued(solution, tau), 20, ENOUGH)
+
+
+def _settled(solution: Solution, max_steps: int, enough: float) -> Solution:
+    """The spread of the levels and the law at it in turn, from a law refined at some spread."""
+    for _ in range(SPREADS):
         basis = solution.basis
-        if not basis.random or problem.layout.levels_free:
+        if not basis.random or solution.problem.layout.levels_free:
             return solution
         data = solution.unlevelled()
-        new = basis.spread(basis.u.T @ data, float(data @ data))
-        p, starts, old, tau = solution.p, solution.starts, tau, new
+        old, new = solution.tau, basis.spread(basis.u.T @ data, float(data @ data))
+        solution = continued(solution, new, max_steps=max_steps, enough=enough)
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break
-    return refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
+    return solution
