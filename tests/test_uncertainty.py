@@ -428,6 +428,15 @@ def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):
     assert said == "<code>coulomb.F_c</code> and <code>viscous.F_v</code> trade places"
 
 
+def test_profiles_of_a_rejected_model_carry_the_wider_deviation_with_its_mark(sure):
+    summary = sure[-1].summary()
+    wider = {name: {**p, "std_misfit": 3 * (p["std"] or 0.0)} for name, p in summary["parameters"].items()}
+    plain, marked = (plots.profiles(summary | more) for more in ({}, {"misfit": {"axis": "x"}, "parameters": wider}))
+    assert len(marked.axes[0].lines) == len(plain.axes[0].lines) + 1
+    assert not any("†" in text.get_text() for text in plain.legends[0].get_texts())
+    assert any("†" in text.get_text() for text in marked.legends[0].get_texts())
+
+
 def test_an_open_profile_is_drawn_and_said():
     runs, _ = study(specs=NEVER_SLOW, sigma=5e-5, rng=np.random.default_rng(1))
     fitted = fit("tustin", runs)

@@ -70,13 +70,19 @@ def trends(done: Sequence[Done]) -> list[Trend]:
     """Trends of every parameter and of the noise over the studies, and of the friction level over all their runs."""
     first = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
     units = {name: unit for one in done for name, unit in one.units.items()}
-    found = [_trend(name, unit, _column(first, name), _column(first, f"{name} std")) for name, unit in units.items()]
+    found = [_trend(name, unit, _column(first, name), _deviations(first, name)) for name, unit in units.items()]
     noise = [_mean(_column(one.rows, "noise_um")) for one in done]
     found.append(_trend("noise of the displacement", "µm", np.array(noise)))
     fitted = [row for one in done for row in one.rows if row.get("role") == "fit"]
     found.append(_trend("friction level of the run", "1", _column(fitted, "level"), along="run"))
     told = [one for one in found if one is not None]
     return [replace(one, p=min(1.0, one.p * len(told))) for one in told]
+
+
+def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
+    """Standard deviations of a parameter, with what the law misses where it was rejected."""
+    wider = _column(rows, f"{name} std_misfit")
+    return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
 
 
 def _trend(name: str, unit: str, y: Array, s: Array | None = None, along: str = "study") -> Trend | None:

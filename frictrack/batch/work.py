@@ -133,6 +133,7 @@ def _done(path: Path, result: dict[str, Any], failed: Reasons) -> Done:
         "domain": fit["domain"],
         **{name: p["value"] for name, p in fit["parameters"].items()},
         **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
+        **{f"{name} std_misfit": p["std_misfit"] for name, p in fit["parameters"].items() if "std_misfit" in p},
     }
     rows = [shared | _run_row(run) for run in fit["per_run"]]
     rows += [{"run": run, "reason": why} for run, why in failed.items()]

@@ -32,7 +32,7 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     figure = blank(2.3 * rows + 0.8, _title(found))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax, (name, told) in zip(panels.flat, found.items(), strict=False):
-        _panel(ax, name, told, summary["parameters"].get(name, {}).get("std"))
+        _panel(ax, name, told, summary["parameters"].get(name, {}))
     for ax in panels.flat[len(found) :]:
         ax.set_axis_off()
     for ax in panels[:, 0]:
@@ -43,6 +43,9 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
         Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
         Patch(color=style.NOISE, label=f"{100 * _level(found):.0f} % interval"),
     ]
+    if summary.get("misfit"):
+        label = "† with what the rejected model misses"
+        handles.append(Line2D([], [], color=style.MEASURED, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
@@ -58,17 +61,18 @@ def _title(found: Mapping[str, Any]) -> str:
     return f"Not bounded on both sides: {', '.join(unclosed)}"
 
 
-def _panel(ax: Axes, name: str, told: Mapping[str, Any], std: float | None) -> None:
+def _panel(ax: Axes, name: str, told: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
     limit = float(norm.ppf(0.5 + told["level"] / 2)) ** 2
     values, rise = np.array(told["values"]), np.array(told["rise"])
     factor, unit = scaled(values, told["unit"])
     low, high = _reach(values, rise, told, limit)
     ends = [end if told[key] is None else told[key] for key, end in (("low", low), ("high", high))]
     ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE, lw=0, zorder=0)
-    if std:
-        along = np.linspace(low, high, DRAWN)
-        curve = ((along - told["value"]) / std) ** 2
-        ax.plot(factor * along, curve, color=style.MODEL, lw=1.2, ls=(0, (4, 1.5)))
+    for key, colour, dashes in (("std", style.MODEL, (4, 1.5)), ("std_misfit", style.MEASURED, (4, 1, 1, 1))):
+        if quoted.get(key):
+            along = np.linspace(low, high, DRAWN)
+            curve = ((along - told["value"]) / quoted[key]) ** 2
+            ax.plot(factor * along, curve, color=colour, lw=1.2, ls=(0, dashes))
     along, curve = _smooth(values, rise, told["value"])
     ax.plot(factor * along, curve, color=style.BLUE, lw=1.5)
     ax.plot(factor * values, rise, color=style.BLUE, **(style.DOTS | {"markersize": 5.0}))
