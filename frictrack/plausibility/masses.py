@@ -127,7 +127,7 @@ def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
         return None
     line = _line(one.mass, power)
     words = (
-        f"a mass of {one.mass:g} kg is exactly that of the other runs ({usual:g} kg) with the point elsewhere, and "
+        f"a mass of {one.mass:g} kg is that of the other runs ({usual:g} kg) with the decimal point elsewhere, and "
         f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
         'plausible = "checked" ends this'
     )
