@@ -590,9 +590,12 @@ def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     stated = {"a": 4000.0, "b": None, "c": 4000.0, "d": 4010.0, "e": 1000.0}
     found = {f.run: f for f in implausible_clocks(runs, stated)}
     assert set(found) == {"c"}
-    assert "but fps = 4000 is given: one of the two is wrong" in str(found["c"])
-    assert found["c"].correction == "fps = 3156"
+    assert "but fps = 4000 is given, which the other runs have: its times are probably" in str(found["c"])
+    assert "to be multiplied by 0.789; one of the two is wrong" in str(found["c"])
+    assert found["c"].correction == ""
     assert found["c"].contradicts
+    (found,) = implausible_clocks({"a": runs["a"], "b": runs["b"], "d": runs["d"]}, {"a": 5000.0})
+    assert found.correction == "fps = 4000"  # as the other runs have it
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1 / 60, "min")])
