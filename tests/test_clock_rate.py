@@ -12,7 +12,7 @@ from runs import BASE, FPS, MASS, SIX, Slider, Spec, integrate, measured
 from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.effects import LIBRARY, Path, Span
-from frictrack.fit import fit, restore, state
+from frictrack.fit import bootstrap, fit, restore, state
 from frictrack.fit.predict import predicted
 from frictrack.fit.simulated.begin import reference_of
 from frictrack.fit.simulated.pieces import pieces_of
@@ -53,6 +53,13 @@ def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
         assert abs(estimate.value - truth) < 4 * estimate.std
     again = restore(runs, state(found))
     assert again.parameters["clock_rate.rate[r2]"].value == pytest.approx(own.value, rel=1e-9)
+
+
+@pytest.mark.parametrize("scratch", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs(scratch):
+    found = fit("coulomb,viscous,clock_rate", recorded({2: 1.05}, sigma=1e-5))
+    drawn = bootstrap(found, draws=24, scratch=scratch).summary()["parameters"]["clock_rate.rate[r2]"]
+    assert drawn["std"] == pytest.approx(found.parameters["clock_rate.rate[r2]"].std, rel=0.5)  # 15 % by chance
 
 
 def test_a_run_that_is_foretold_has_a_right_clock():

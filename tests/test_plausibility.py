@@ -384,6 +384,17 @@ def test_a_mass_that_is_a_power_of_ten_off_is_named_among_runs_of_several_masses
     assert (finding.run, finding.correction, finding.grade) == ("light", 'mass = "0.15 kg"', "warning")
 
 
+def test_drag_tells_a_mass_although_its_share_differs_with_the_speed():
+    def dragged(v0: float, mass: float = 0.35) -> tuple[Array, Array]:
+        return moved(lambda t, x, v: -0.2 * GRAVITY - 0.3 / mass * v * abs(v), 0.0, v0, 0.5 / v0)
+
+    speeds = (1.5, 2.5, 4.0, 2.5)
+    runs = [run_of(*dragged(v0), name=f"r{i}", seed=i, noise=1e-6) for i, v0 in enumerate(speeds)]
+    assert implausible_masses(runs) == ()
+    (finding,) = implausible_masses([*runs[:3], replace(runs[3], mass=3.5)])
+    assert (finding.run, finding.correction, finding.grade) == ("r3", 'mass = "0.35 kg"', ERROR)
+
+
 def test_a_mass_that_is_ten_times_as_large_is_right_where_the_motion_says_so():
     runs = family(0.4)
     heavy = run_of(*struck(0.2, 2.5, 0.4, mass=3.5), name="heavy", mass=3.5)
@@ -579,9 +590,12 @@ def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     stated = {"a": 4000.0, "b": None, "c": 4000.0, "d": 4010.0, "e": 1000.0}
     found = {f.run: f for f in implausible_clocks(runs, stated)}
     assert set(found) == {"c"}
-    assert "but fps = 4000 is given: one of the two is wrong" in str(found["c"])
-    assert found["c"].correction == "fps = 3156"
+    assert "but fps = 4000 is given, which the other runs have: its times are probably" in str(found["c"])
+    assert "to be multiplied by 0.789; one of the two is wrong" in str(found["c"])
+    assert found["c"].correction == ""
     assert found["c"].contradicts
+    (found,) = implausible_clocks({"a": runs["a"], "b": runs["b"], "d": runs["d"]}, {"a": 5000.0})
+    assert found.correction == "fps = 4000"  # as the other runs have it
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1 / 60, "min")])

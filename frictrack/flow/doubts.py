@@ -35,11 +35,11 @@ def doubted(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[s
     'undetermined'
 
     """
-    known = {name.split(":")[0] for name in (*diagnosis["model"], *diagnosis["missing"])}
-    left = [f for f in findings if f.contradicts and not known.intersection(SAME_CAUSE.get(f.kind, ()))]
-    if not left:
+    contradictions = [f for f in findings if f.contradicts]
+    known = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
+    first = [_gap(f) for f in contradictions if not known.intersection(SAME_CAUSE.get(f.kind, ()))]
+    if not first:
         return dict(diagnosis)
-    first = [_gap(finding) for finding in left]
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
 
 

@@ -51,7 +51,7 @@ def _found(rates: Mapping[str, float], stated: Mapping[str, float | None]) -> It
         if given is not None and (unit := _unit(given / rate)):
             yield _in_unit(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", unit)
         elif given is not None and abs(rate / given - 1) > DISAGREE:
-            yield _clock(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", f"fps = {rate:.5g}")
+            yield _stated(name, rate, given, usual)
         elif DISAGREE < abs(rate / usual - 1) < OTHER_CAMERA:
             yield _clock(name, f"the time stamps say {rate:.5g} Hz where the other runs have {usual:.5g} Hz")
 
@@ -68,6 +68,15 @@ def _in_unit(run: str, words: str, unit: tuple[str, str]) -> Finding:
     return Finding("fps", f"{words}; {advice}", line, run, ERROR, contradicts=True)
 
 
+def _stated(run: str, rate: float, given: float, usual: float) -> Finding:
+    """A stated rate and another one in the stamps: which is right, where the other runs (`usual`, or NaN) tell."""
+    words = f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given"
+    if abs(given / usual - 1) <= DISAGREE:
+        likely = f"{words}, which the other runs have: its times are probably to be multiplied by {rate / given:.5g}"
+        return _clock(run, likely)
+    return _clock(run, words, f"fps = {rate:.5g}")
+
+
 def _clock(run: str, words: str, correction: str = "") -> Finding:
     advice = "one of the two is wrong and every force goes with its square; give the true times or frame rate"
-    return Finding("fps", f"{words}: {advice}", correction, run, contradicts=True)
+    return Finding("fps", f"{words}; {advice}", correction, run, contradicts=True)

@@ -57,9 +57,9 @@ class Weighed:
         return float(self.run.mass or np.nan)
 
     @property
-    def viscous(self) -> float | None:
-        """Coefficient of the friction that goes with the speed, N s/m, as the typed mass has it."""
-        return None if self.rate is None else self.rate * self.mass
+    def by_speed(self) -> tuple[float, float] | None:
+        """Coefficient of friction that goes with the speed (N s/m), and with its square (N s^2/m^2), by this mass."""
+        return None if self.rate is None else (self.rate * self.mass, self.rate * self.mass / self.slide.speed)
 
 
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
@@ -120,19 +120,33 @@ def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
     """A mass that is a power of ten off: by friction that goes with the speed, else by the masses of the others."""
     usual = _usual([w.mass for w in others])
     power = _exact_power(one.mass, usual)
-    common = _common([w.viscous for w in others if w.viscous is not None])
-    if one.viscous is not None and common is not None:
-        off = float(np.log10(one.viscous / common))
-        return _by_viscous(one, others, power if power and abs(off - power) < abs(off) else _power(one.viscous, common))
+    off = _off_by_speed(one, others)
+    if off is not None:
+        return _by_viscous(one, others, power if power and abs(off - power) < abs(off) else _whole(off))
     if not power:
         return None
     line = _line(one.mass, power)
     words = (
-        f"a mass of {one.mass:g} kg is exactly that of the other runs ({usual:g} kg) with the point elsewhere, and "
+        f"a mass of {one.mass:g} kg is that of the other runs ({usual:g} kg) with the decimal point elsewhere, and "
         f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
         'plausible = "checked" ends this'
     )
     return Finding("mass", words, line, one.run.name)
+
+
+def _off_by_speed(one: Weighed, others: Sequence[Weighed]) -> float | None:
+    """Decades by which the friction of one run that goes with the speed is off that of the others; None if unknown.
+
+    It may go with the speed or with its square: that counts in which the others agree better.
+    """
+    known = [w.by_speed for w in others if w.by_speed is not None]
+    if one.by_speed is None or not known:
+        return None
+    found = [(own, each) for own, *each in zip(one.by_speed, *known, strict=True) if _common(each) is not None]
+    if not found:
+        return None
+    own, each = min(found, key=lambda pair: np.ptp(np.log10(pair[1])))
+    return float(np.log10(own / np.median(each)))
 
 
 def _by_viscous(one: Weighed, others: Sequence[Weighed], power: int) -> Finding | None:
@@ -185,7 +199,11 @@ def _power(own: float | None, common: float | None) -> int:
     """The power of ten, other than 0, by which two numbers differ; 0 where they do not differ by one."""
     if own is None or common is None or own <= 0:
         return 0
-    decades = float(np.log10(own / common))
+    return _whole(float(np.log10(own / common)))
+
+
+def _whole(decades: float) -> int:
+    """The whole number that decades are; 0 where they are none."""
     power = round(decades)
     return power if abs(decades - power) < MAX_SPREAD_DECADES else 0
 

@@ -15,6 +15,7 @@ from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
 ROWS, MOST = 40, 12  # rows of a bin of speed, and bins
 FEWEST = 4  # bins that can show a trend
 CERTAIN = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
+TINY = np.finfo(float).tiny  # what is smaller has lost its digits
 STILL = 0.01  # of the smallest variance of a bin, that a sample at rest has at the least: weights stay finite
 # Relative deviation of the variance of n fourth differences by their median absolute value: its efficiency is 37 %
 # (Huber & Ronchetti 2009, Robust Statistics, section 1.2), and each shares its noise with its neighbours (2.63).
@@ -44,7 +45,7 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
 
     """
     squares, size = _binned(t, x, slowest)
-    if len(squares) < FEWEST:
+    if len(squares) < FEWEST or not (np.min(size) > TINY and np.min(squares) > TINY and np.all(np.isfinite(size))):
         return 0.0, 0.0
     variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
     design = np.stack([np.ones_like(squares), squares], axis=1)

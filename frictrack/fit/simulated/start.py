@@ -36,6 +36,7 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
+    pieces = [p.timed(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_turns(model, pieces, names, spans)
