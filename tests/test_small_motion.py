@@ -102,3 +102,18 @@ def test_a_reference_that_moves_as_the_target_does_tells_no_shake() -> None:
     assert moves_with(target, other)
     assert not moves_with(target, wall)
     assert not moves_with(wall, target)  # what rests does not move with anything
+
+
+def test_the_noise_of_a_picture_from_one_frame_draws_no_place_of_a_short_film() -> None:
+    """Four frames teach no picture: that of the first is moved together with its noise, and its deviation holds."""
+    shifts, error, stated = np.array([0.0, 0.15, 0.3, 0.45]), [], []
+    for seed in range(40):
+        rng = np.random.default_rng([11, seed])
+        texture = 120 + speckle((56, 72), rng, contrast=26.0)
+        frames = [expose(moved(texture, x, 0.0), rng) for x in shifts]
+        result = track(Film(lambda i, f=frames: f[i], 4, (56, 72), fps=1000.0), [18, 14, 36, 28])
+        error.append((result.x_px - result.x_px[0] - shifts)[1:])
+        stated.append(result.sigma_px[1:])
+    bias = np.mean(error, axis=0)
+    assert np.max(np.abs(bias)) < 0.005  # 40 films tell it to 0.0012 px
+    assert np.sqrt(np.mean((np.array(error) / stated) ** 2)) == pytest.approx(1.0, abs=0.2)

@@ -140,3 +140,23 @@ def test_a_target_that_does_not_turn_stays_upright() -> None:
     result = track(film, RECTANGLE)
     assert np.max(np.abs(result.angle)) < 2e-3
     assert np.std(result.x_px - true[0]) < 4e-3
+
+
+def test_a_small_turning_body_in_a_large_rectangle_is_not_held_by_the_background() -> None:
+    """Twelve frames, three quarters of the rectangle are black, and a bar that rests stands in its edge."""
+    n, arm = 12, np.array([45.0, 9.0])
+
+    def draw(i: int) -> Array:
+        seen = seen_from(np.array([85.0, 55.0, -np.radians(2.0) * i]))
+        cover = 1 / (
+            1 + np.exp(2 * np.minimum(*(np.max(np.abs(s) - arm[:, None], axis=0) for s in (seen, seen[::-1]))))
+        )
+        picture = (cover * texture(seen)).reshape(SHAPE)
+        picture[5:105, 34:38] = 90.0
+        return picture
+
+    frames = [np.clip(np.rint(draw(i)), 0, 255).astype(np.uint8) for i in range(n)]
+    result = track(Film(lambda i: frames[i], n, SHAPE, fps=10.0), [36, 6, 98, 98])
+    assert result.found.all()
+    assert np.max(np.abs(result.angle + np.radians(2.0) * np.arange(n))) < 1e-3
+    assert np.max(np.hypot(result.x_px - 84.5, result.y_px - 54.5)) < 0.3  # 0.7 px off the centre of the turn

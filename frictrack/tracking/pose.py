@@ -26,6 +26,7 @@ SETTLED = 1e-3  # px, the last step
 CYCLES = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
 AGAIN = 4  # rounds of leaving out what does not fit
 LEAST_LEFT = 0.25  # of the pixels that must still count
+PLAIN = 0.1  # of the mean squared slope: less is no texture
 LEAST_GAIN = 1e-3
 MARGIN = 6.0  # px round the target that are looked at
 ODD_SHARE = 0.005  # of the picture's variance, left unexplained: less is the error of a picture that was turned
@@ -145,6 +146,8 @@ def refine_pose(
     if pose.settled and pose.misfit < MISFITS * level:
         return pose
     robust = _without_what_does_not_fit(window, start, picture, level)
+    if not robust.settled and pose.settled:  # the start was too far off to say what fits; this pose is near
+        robust = _without_what_does_not_fit(window, pose, picture, _noise(window, pose, picture, np.nan))
     if not robust.settled:
         return pose
     agrees = pose.settled and unexplained(pose.score, pose.misfit, level) < ODD_SHARE
@@ -153,8 +156,9 @@ def refine_pose(
 
 def _noise(window: _Window, pose: Pose, picture: TurnedPicture, usual: float) -> float:
     """Misfit of pixels that show nothing but target and noise, as the better half of them have it."""
-    rated, given = _rated(window, pose, picture)
-    level = max(_scale(rated[given]) ** 2 if given.any() else 0.0, picture.template.least_misfit)
+    rated, slopes = _rated(window, pose, picture)
+    tells = _textured(slopes)
+    level = max(_scale(rated[tells]) ** 2 if tells.any() else 0.0, picture.template.least_misfit)
     return level if np.isnan(usual) else min(level, usual)
 
 
@@ -239,14 +243,17 @@ def _score(normal: Array, right: Array, power: float) -> float:
 
 
 def _without_what_does_not_fit(window: _Window, start: Pose, picture: TurnedPicture, usual: float) -> Pose:
-    """The pose from pixels that fit the start, then each better pose."""
+    """The pose from pixels that fit the start, then each better pose.
+
+    What is left must hold enough of the slopes that tell the pose: a plain background fits anywhere.
+    """
     pose, share = start, np.ones(window.pixels.size)
-    counts = picture.weight(turned_back(window.places, start.centre, start.angle) + picture.middle[:, None]) > 0
     for k in range(AGAIN):
-        rated, given = _rated(window, pose, picture)
-        scale = 2 * np.sqrt(usual) if k == 0 else _scale(rated[(share > 0.5) & given])
+        rated, slopes = _rated(window, pose, picture)
+        given = slopes > 0
+        scale = 2 * np.sqrt(usual) if k == 0 else _scale(rated[(share > 0.5) & _textured(slopes)])
         share = _fit_share(window, rated / max(scale, 1e-6), given)
-        if np.sum(share) < LEAST_LEFT * np.count_nonzero(counts):
+        if share @ slopes < LEAST_LEFT * np.sum(slopes):
             return replace(pose, settled=False)
         better = _fitted(window, pose, picture, share)
         if not better.settled:
@@ -255,11 +262,20 @@ def _without_what_does_not_fit(window: _Window, start: Pose, picture: TurnedPict
     return pose
 
 
-def _rated(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array, Mask]:
-    """What the target does not explain (n,), in standard deviations of the template's noise; and where it is."""
+def _rated(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array, Array]:
+    """What the target does not explain (n,), in standard deviations of the template's noise; and its squared slopes.
+
+    The slopes are 0 outside the target, and only there.
+    """
     columns, weight = _columns(window, pose, picture)
     left = window.pixels.ravel() - pose.offset - pose.gain * columns[0]
-    return np.where(weight > 0, left * np.sqrt(weight), 0.0), weight > 0
+    slopes = np.where(weight > 0, np.maximum(weight * (columns[2] ** 2 + columns[3] ** 2), 1e-300), 0.0)
+    return np.where(weight > 0, left * np.sqrt(weight), 0.0), slopes
+
+
+def _textured(slopes: Array) -> Mask:
+    """Pixels (n,) that would not fit at a wrong pose: a plain background fits anywhere."""
+    return np.asarray(slopes > PLAIN * np.mean(slopes))
 
 
 def _fit_share(window: _Window, rated: Array, given: Mask) -> Array:

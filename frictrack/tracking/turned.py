@@ -31,7 +31,8 @@ AS_MANY, CLEARLY_MORE = 0.98, 1.1  # times the frames of a target that does not 
 OFTEN = 0.1  # of the frames, in which small rotations are no longer linear
 LARGEST_SWING = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
 FASTEST = np.radians(25.0)  # rad a frame
-BETTER = 0.15  # by this much must a turned picture match better than the upright one, for the target to have turned
+BETTER = 0.15  # by this much must a turned picture match better than the upright one, for the target to have turned ...
+LEFT = 0.25  # ... or leave this share of the variance that the upright one does not explain
 REACH = 24  # px searched round the prediction
 NEAR = 0.8  # of the usual score: a match near the prediction that is as good ends the search
 SMALL, LARGE = 20, 400_000  # px of a target's shorter side, and of a picture, to which they are reduced for searching
@@ -110,7 +111,9 @@ def _has_turned(film: Recording, followed: Followed, picture: TurnedPicture, i: 
     frame = film.frame(i)
     found = _searched(frame, Pose(at + picture.middle, 0.0), picture, 1.0)
     upright = float(np.nan_to_num(followed.fine.score[i]))
-    return found is not None and found.settled and found.score > max(SHARE, upright + BETTER)
+    if found is None or not found.settled or found.score < SHARE:
+        return False
+    return found.score > upright + BETTER or 1 - found.score**2 < LEFT * (1 - upright**2)
 
 
 class _Turning:
@@ -223,12 +226,20 @@ def _searched(
     best: Pose | None = None
     for angles, reach in rounds if everywhere else rounds[:1]:
         start = _matched(frame, predicted, picture, angles, reach)
-        found = None if start is None else refine_pose(frame, start, picture, usual)
-        if found is not None and (best is None or found.score > best.score):
+        found = None if start is None else _polished(frame, start, picture, usual)
+        if found is not None and (best is None or (found.settled, found.score) > (best.settled, best.score)):
             best = found
         if best is not None and best.settled and best.score >= NEAR * usual_score:
             break
     return best
+
+
+def _polished(frame: Patch, start: Pose, picture: TurnedPicture, usual: float) -> Pose:
+    """The pose from a rough match, whose own misfit says which pixels fit, then from a good start by the usual one."""
+    rough = refine_pose(frame, start, picture, trusted=True)
+    if np.isnan(usual) or not rough.settled:
+        return rough
+    return refine_pose(frame, rough, picture, usual, trusted=True)
 
 
 def _matched(frame: Patch, predicted: Pose, picture: TurnedPicture, angles: Array, reach: int) -> Pose | None:
