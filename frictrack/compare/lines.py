@@ -18,6 +18,7 @@ from frictrack.records import Array
 
 PERIODS = 3.0
 FINER = 12  # looks between two frequencies of the scan
+CROWD = 32  # waves whose traces are made at once: what they need stays in the cache
 EVERY = 2  # of the library's frequencies, a quarter of a Rayleigh cell apart
 
 
@@ -56,7 +57,16 @@ def scanned(law: Linearised) -> Array:
 
 def seen(response: Response, f: Array) -> Array:
     """Traces of sines and cosines in one piece, (n, 2 G)."""
-    return traces(response, waves(response.piece.panels.t, f))
+    return wave_traces(response, response.piece.panels.t, f)
+
+
+def wave_traces(response: Response, along: Array, f: Array, dry: Array | None = None) -> Array:
+    """Traces (n, 2 G) in one piece of forces that wave along its nodes (3 p,) with frequencies (G,), times `dry`."""
+    out = np.empty((len(response.r), 2 * len(f)))
+    for first in range(0, len(f), CROWD):
+        made = waves(along, f[first : first + CROWD])
+        out[:, 2 * first : 2 * (first + CROWD)] = traces(response, made if dry is None else made * dry[:, None])
+    return out
 
 
 def strongest_line(law: Linearised) -> Line | None:
@@ -117,7 +127,7 @@ def strongest_ripple(law: Linearised) -> Ripple | None:
     at = [nodes(law.solution, r) for r in law.responses]
     gram, data, on = np.zeros((len(f), 2, 2)), np.zeros((len(f), 2)), np.zeros((law.u.shape[1], len(f), 2))
     for rows, response, n in zip(law.rows, law.responses, at, strict=True):
-        made = traces(response, waves(n.x, f) * n.dry[:, None])
+        made = wave_traces(response, n.x, f, n.dry)
         cube = made.reshape(len(made), len(f), 2)
         gram += np.einsum("nfi,nfj->fij", cube, cube, optimize=True)
         data += (law.r[rows] @ made).reshape(len(f), 2)

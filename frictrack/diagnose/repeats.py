@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare.lines import waves
+from frictrack.compare.lines import wave_traces
 from frictrack.compare.looks import Nodes, course, nodes
 from frictrack.diagnose.along import Repeat, ordered, told
 from frictrack.diagnose.axes import each_alone, smooth_forces
@@ -268,7 +268,7 @@ def _wave(apart: _Runs) -> tuple[Array, float]:
     And the evidence for such a wave in all of them.
     """
     f = 1 / periods(apart.law.solution.problem.layout.span)
-    made = [traces(r, waves(n.x, f) * n.dry[:, None]) for r, n in zip(apart.law.responses, apart.at, strict=True)]
+    made = [wave_traces(r, n.x, f, n.dry) for r, n in zip(apart.law.responses, apart.at, strict=True)]
     runs = apart.waved(made)
     gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
     whole = _Waved(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))

@@ -25,6 +25,7 @@ from frictrack.records import Array
 
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case
 LEAVES_NOISE = 1.2  # chi-squared per frame up to which a law is trusted to say what its parts are
+HOPELESS = 10.0  # chi-squared per frame from which no effect of a law is exchanged: too much of it is wrong
 MOST_SIMULATED = 6
 PLAIN = 3  # unknowns of an effect that is no mixture of others
 MOST_PARTED = 6  # effects beside which a second one is looked for then
@@ -165,7 +166,8 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
     """Effects found one after the other on top of the law at the `start`, each looked at again beside all the others.
 
     One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
-    two plainer ones, and what could stand in its place is told. The law of the last one has them all.
+    two plainer ones, and what could stand in its place is told. The law of the last one has them all. While a law
+    leaves far more than noise, it only loses what is needless.
     """
     kept = list(found)
     for old in found:
@@ -182,6 +184,8 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
         worth = information(rest) - information(whole)
         if worth <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
+            continue
+        if whole.objective > HOPELESS * whole.problem.n_frames:
             continue
         tried_again = _alternatives(rest, own, old, least=worth)
         best = tried_again[0]

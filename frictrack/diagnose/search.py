@@ -69,14 +69,17 @@ def diagnose(
     if whole is not None:
         whole, coarse = thinned(whole)
         found = _search(fit, whole, (own, beside), (np.random.default_rng(seed), tell))
-        said = None if found.last.leaves_misfit else _concluded(fit, found, beside)
+        said = None if found.last.leaves_misfit else _concluded(fit, found, beside, tell)
         if said is not None and said.verdict != "unexplained":
+            tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
     start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
     start, coarse = (start, "") if fit.measured else thinned(start)
-    said = _concluded(fit, _search(fit, start, (own, beside), (np.random.default_rng(seed), tell)), beside)
+    found = _search(fit, start, (own, beside), (np.random.default_rng(seed), tell))
+    said = _concluded(fit, found, beside, tell)
+    tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     return replace(said, remarks=[*said.remarks, *filter(None, [left_out, coarse])])
 
 
@@ -121,16 +124,21 @@ def _search(
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
-    tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
     return _Search(start, first, last, found, again)
 
 
-def _concluded(fit: Fit, search: _Search, beside: Beside | None) -> Diagnosis:
+def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress) -> Diagnosis:
     """The verdict of a search, and where it fails."""
+
+    def told(what: str) -> None:
+        tell(MOST_ROUNDS, MOST_ROUNDS, what)
+
+    told("weighing what was found")
     start, first, last, found, again = search.start, search.first, search.last, search.found, search.again
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
+    told("looking at where the law fails")
     known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
     seen = [] if fit.measured else evidence(start, fit.runs, again[0], beside, known)
     where = where_it_fails(start, again[1])
@@ -138,7 +146,8 @@ def _concluded(fit: Fit, search: _Search, beside: Beside | None) -> Diagnosis:
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
     if found and not fit.measured:
         concluded = _against_formulas(concluded, start, last.solution)
-    return replace(concluded, next_experiment=_next(concluded, first, last, found))
+    told("planning the next experiment")
+    return replace(concluded, next_experiment=_next(concluded, first, last, found, told))
 
 
 def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
@@ -264,14 +273,16 @@ def _listed(first: Round, found: list[Tried], hold: _Held) -> list[Candidate]:
     return out
 
 
-def _next(concluded: Diagnosis, first: Round, last: Round, found: list[Tried]) -> list[dict[str, Any]]:
+def _next(
+    concluded: Diagnosis, first: Round, last: Round, found: list[Tried], told: Callable[[str], None]
+) -> list[dict[str, Any]]:
     """What to film or measure next, where something is unexplained, or candidates are not told apart well enough."""
     if concluded.verdict == "unexplained":
-        return for_unexplained(last.solution if concluded.missing or not found else first.solution)
+        return for_unexplained(last.solution if concluded.missing or not found else first.solution, told)
     best = [t.effect.name for t in found[:1]]
     order = sorted(first.passing, key=lambda t: t.effect.name not in best)
     passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
-    return settling(first.solution, passing, found[0].indistinguishable_from if best else ())
+    return settling(first.solution, passing, found[0].indistinguishable_from if best else (), told)
 
 
 def _fails_at(fit: Fit, found: list[Tried]) -> list[dict[str, Any]]:

@@ -167,7 +167,16 @@ def films(
     duels = {(a.effect, b.effect): Duel(a, b) for a, b in permutations(among, 2)}
     for entry in (e for e in menu(among[0].solution) if not keys or e.key in keys):
         tell(f"weighing an experiment: {entry.key}")
-        yield Offer(entry.key, entry.words, "film", {pair: _after(duel, entry) for pair, duel in duels.items()})
+        yield Offer(entry.key, entry.words, "film", _both_ways(duels, entry))
+
+
+def _both_ways(duels: dict[Pair, Duel], entry: Experiment) -> dict[Pair, float]:
+    """Expected evidence of a run for every pair, whichever is true; once it is too little, the reverse is not asked."""
+    out: dict[Pair, float] = {}
+    for (true, other), duel in duels.items():
+        parted = out.get((other, true), PARTED) >= PARTED
+        out[true, other] = _after(duel, entry) if parted else 0.0
+    return out
 
 
 def _after(duel: Duel, entry: Experiment) -> float:

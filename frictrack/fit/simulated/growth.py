@@ -20,6 +20,7 @@ from frictrack.models import Model
 from frictrack.records import Array
 
 TRIAL_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
+TRIAL_SHARE = 1e-3  # likewise of the chi-squared beyond the noise, where a law leaves much
 TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
 
 
@@ -115,16 +116,21 @@ def _simulated(law: Beside, trial: Trial) -> Solution:
     starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in seen.responses]
     if not problem.simulates:
         starts = problem.first_starts()
-    tau = seen.tau or 0.03
+    tau, enough = seen.tau or 0.03, _enough(trial.misfit, problem.n_frames)
     try:
-        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
+        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS, enough=enough)
     except FrictrackError:  # the law is no motion yet: without the effect it was one
         there = dict(zip(seen.problem.layout.names, seen.p, strict=True))
         mine = [s.linear and s.effect == trial.effect.name for s in layout.slots]
         kept = zip(layout.names, trial.p, mine, strict=True)
         p = np.array([there.get(n, 0.0 if gone else value) for n, value, gone in kept])
         first = refine(problem, p, seen.starts, tau=tau, free=layout.coefficients, max_steps=4)
-        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
+        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS, enough=enough)
+
+
+def _enough(misfit: float, frames: int) -> float:
+    """Fall of chi-squared, in units of what a frame leaves, that a step of a trial must promise."""
+    return max(TRIAL_FALL, TRIAL_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
 
 
 def settled(solution: Solution) -> Solution:
