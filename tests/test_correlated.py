@@ -86,6 +86,15 @@ def test_what_moves_the_mass_is_not_called_noise(rng, moved):
         assert correlated_noise([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
 
 
+def test_a_lost_frame_and_a_blow_are_not_called_noise(rng):
+    """A jump and a kink have wide spectra."""
+    lengths = ((400, 4.0), (480, 4.5), (350, 3.5))
+    jumps = [slid(n, v0) + 1e-3 * (np.arange(n) > n // 3) for n, v0 in lengths]
+    kinks = [slid(n, v0) - 0.5 / FPS * np.maximum(np.arange(n) - n // 2, 0) for n, v0 in lengths]
+    for moving in (jumps, kinks, jumps[:1], kinks[:1]):
+        assert correlated_noise([x + RMS * rng.standard_normal(len(x)) for x in moving]) is None
+
+
 def test_short_stretches_have_no_spectrum():
     assert correlated_noise([]) is None
     assert correlated_noise([np.arange(30.0)]) is None

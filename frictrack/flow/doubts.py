@@ -36,6 +36,8 @@ def doubted(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[s
 
     """
     contradictions = [f for f in findings if f.contradicts]
+    if not contradictions:
+        return dict(diagnosis)
     known = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
     first = [_gap(f) for f in contradictions if not known.intersection(SAME_CAUSE.get(f.kind, ()))]
     if not first:

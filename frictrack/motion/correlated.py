@@ -24,6 +24,7 @@ import numpy as np
 from scipy.signal.windows import dpss
 from scipy.stats import chi2
 
+from frictrack.motion.noise import MEDIAN_TO_SIGMA, ORDER, OUTLIER
 from frictrack.records import Array
 
 MIN_FRAMES = 64  # of a stretch that has a spectrum
@@ -40,6 +41,7 @@ UPDATES = 300
 CHANCE = 1e-3  # that white noise is called correlated
 MIN_RUNS = 3  # that show what belongs to the instrument
 MAX_BINS = 400  # of a spectrum
+NUMBERS = 2  # of a shape: correlation and share
 BEYOND = 0.1  # cycles per frame: from here on the spectrum decides
 LINE = 3.0  # times the smooth spectrum: through so many tapers white noise passes it once in 10 000
 
@@ -73,10 +75,11 @@ def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
     True
 
     """
-    shapes = _shapes(min(map(len, stretches), default=0))
+    smooth = [_undisturbed(x) for x in stretches]
+    shapes = _shapes(min(map(len, smooth), default=0))
     if not len(shapes):
         return None
-    spectra = [_Spectrum.of(x) for x in stretches]
+    spectra = [_Spectrum.of(x) for x in smooth]
     if not _is_seen(spectra, shapes):
         return None
     best = shapes[int(np.argmax(np.sum(_evidence(spectra, shapes), axis=0)))]
@@ -88,19 +91,30 @@ def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
 
 
 def _is_seen(spectra: Sequence[_Spectrum], shapes: Array) -> bool:
-    """Whether noise of one of such shapes (R, 2) is clear beyond a tenth of the frame rate.
+    """Whether noise of one of such shapes (R, 2) is clear beyond a tenth of the frame rate, and alike in all runs.
 
-    Several runs may show it from half of that on, where it is alike in all: noise belongs to the instrument, while what
-    moves the mass differs from run to run.
+    It belongs to the instrument, while what moves the mass differs from run to run. Several runs that agree may show it
+    from half of that frequency on.
     """
-    clear = float(chi2.isf(CHANCE, shapes.shape[1]))
-    if np.max(np.sum(_evidence([s.beyond(BEYOND) for s in spectra], shapes), axis=0)) > clear:
-        return True
-    each = _evidence([s.beyond(BEYOND / 2) for s in spectra], shapes)
+    lowest = [BEYOND, BEYOND / 2] if len(spectra) >= MIN_RUNS else [BEYOND]
+    return any(_agree(_evidence([s.beyond(f) for s in spectra], shapes)) for f in lowest)
+
+
+def _agree(each: Array) -> bool:
+    """Whether evidence (k, R) of runs for shapes is clear for one of them, which suits every run."""
     best = int(np.argmax(np.sum(each, axis=0)))
     differs = float(np.sum(np.max(each, axis=1) - each[:, best]))
-    alike = differs < float(chi2.isf(CHANCE, max(shapes.shape[1] * (len(each) - 1), 1)))
-    return len(each) >= MIN_RUNS and alike and float(np.sum(each[:, best])) > clear
+    alike = differs < float(chi2.isf(CHANCE, max(NUMBERS * (len(each) - 1), 1)))
+    return alike and float(np.sum(each[:, best])) > float(chi2.isf(CHANCE, NUMBERS))
+
+
+def _undisturbed(x: Array) -> Array:
+    """The longest part (m,) of a stretch without a jump or a kink: their spectrum would be taken for noise."""
+    d = np.abs(np.diff(x, ORDER))
+    if not len(d):
+        return x
+    jumps = np.flatnonzero(d > OUTLIER * MEDIAN_TO_SIGMA * np.median(d)) + ORDER // 2
+    return max(np.split(x, np.unique(np.concatenate([jumps, jumps + 1]))), key=len) if len(jumps) else x
 
 
 def _shapes(n: int) -> Array:
