@@ -35,10 +35,11 @@ BELONGS = 0.9  # of what that ratio is for what moves altogether: at most one pa
 ROUNDS = 4  # of taking in what moves with a window
 WORSE = 1.5  # times its deviation: a window that is so much less sure of the motion teaches nothing more
 UNEVEN = 2.0  # times the noise that goes with the light: more is something that changes
+MAX_MOTION = 1.0  # px, rms: beyond, the linear model says nothing
 MIN_SIDE = 2  # cells, of a target
 STILL_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only motion against the others counts
 PLAIN = 1.5  # times the gradients that noise makes in the mean picture: less is no texture
-MAX_SHAKE = 1.0  # px, of the whole picture, up to which the linear model holds
+MAX_SHAKE = 0.3  # px, of the whole picture: beyond, the linear model says little of what moves against the rest
 USUAL_SIDE = 48  # px, of a patch that is chosen for its texture alone
 MAX_SIGMA = 0.05  # px in one frame, on the worse axis: beyond, a patch cannot be tracked
 PARAMETERS = 4  # of a window in a frame: two of motion, two of light
@@ -71,7 +72,7 @@ class Windows:
         free = self.freedom_of_motion(common)
         explained = self.power(common)
         noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._freedom) * self.noise
-        return ~noisy & (explained > self._unexplained)
+        return ~noisy & self.explained
 
     def power(self, common: Array | None = None) -> Array:
         """What the motion explains (m,), DN^2, other than in proportion to a `common` motion (k, 2)."""
@@ -102,10 +103,11 @@ class Windows:
         return (self.frames - 1) * np.maximum(self.pixels - PARAMETERS, 1)
 
     @property
-    def _unexplained(self) -> Array:
-        """What is left (m,) beyond the noise that goes with the light of a window, DN^2."""
+    def explained(self) -> Mask:
+        """Windows (m,) in which a small motion explains more than it leaves beyond the noise of their light."""
         expected = np.median(self.noise) * np.maximum(self.light / max(float(np.median(self.light)), 1e-9), 1.0)
-        return np.asarray(self._freedom * (self.noise - UNEVEN * expected))
+        small = np.sqrt(np.mean(np.sum(self.motion**2, axis=2), axis=1)) < MAX_MOTION
+        return np.asarray(small & (self.power() >= self._freedom * (self.noise - UNEVEN * expected)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,8 +241,8 @@ def common_motion(windows: Windows, sums: CellSums) -> Array | None:
         return None
     motion = windows.motion[np.argmax(np.where(moving, windows.power(), -np.inf))]
     each = sums.windows(_boxes(sums.shape, (EACH,)))
-    agreement = each.agreement(motion)
-    follows, rests = agreement > DECIDES, agreement < -DECIDES
+    agreement, alike = each.agreement(motion), each.explained
+    follows, rests = alike & (agreement > DECIDES), alike & (agreement < -DECIDES)
     if not follows.any() or rests.sum() > STILL_SHARE * (rests.sum() + follows.sum()):
         return None
     usual = np.median(each.motion[follows], axis=0)
@@ -249,7 +251,7 @@ def common_motion(windows: Windows, sums: CellSums) -> Array | None:
 
 
 def moving_cells(scene: Scene) -> Mask:
-    """Where (H, W) the picture moves by more than its noise, against the rest of it; nowhere where it shakes much."""
+    """Where (H, W) the picture moves by more than its noise; nowhere where hardly any of it rests: it shakes."""
     out = np.zeros(scene.frames[0].shape, np.bool_)
     if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE or len(scene.frames) < 2:
         return out
@@ -258,7 +260,9 @@ def moving_cells(scene: Scene) -> Mask:
     if len(boxes) == 0:
         return out
     windows = sums.windows(boxes)
-    for x, y, w, h in boxes[windows.moving(common_motion(windows, sums))] * sums.cell:
+    if common_motion(windows, sums) is not None:
+        return out
+    for x, y, w, h in boxes[windows.moving()] * sums.cell:
         part = out[y : y + h, x : x + w]
         if not part.any():  # else smaller windows, which come first, have shown where it moves
             part[:] = True
