@@ -24,6 +24,7 @@ from frictrack.flow.plausible import Findings
 from frictrack.flow.stages import Progress, RunWork, copied, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
+from frictrack.flow.tables import uneven_runs
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
@@ -157,7 +158,8 @@ class Session:
         found = self._summary(group)
         twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
         more = {"scale_error": self._scale_error(), "warnings": self.findings.summary}
-        return {**found, "remarks": [*found["remarks"], *twice], **more}
+        uneven = uneven_runs([work.get("displacement") for work in self.runs if work.run.table])
+        return {**found, "remarks": [*found["remarks"], *twice, *uneven], **more}
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""

@@ -6,7 +6,10 @@ tau. Fourth differences, from which any smooth motion is gone, show it by bins o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.stats import linregress
 
 from frictrack.records import Array
 from frictrack.samples.clock import speed
@@ -15,6 +18,7 @@ from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
 ROWS, MOST = 40, 12  # rows of a bin of speed, and bins
 FEWEST = 4  # bins that can show a trend
 CERTAIN = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
+MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
 TINY = np.finfo(float).tiny  # what is smaller has lost its digits
 STILL = 0.01  # of the smallest variance of a bin, that a sample at rest has at the least: weights stay finite
 # Relative deviation of the variance of n fourth differences by their median absolute value: its efficiency is 37 %
@@ -57,6 +61,27 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
             return 0.0, 0.0
         variance = np.maximum(design @ found, 1e-3 * np.max(size[:, 0]))
     return float(np.sqrt(found[1])), float(np.sqrt(max(found[0], STILL * np.min(size[:, 0]))))
+
+
+def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
+    """Jitter of samples (s, rms) by which the noise of several records grows with their speed; 0 where it does not.
+
+    Parameters
+    ----------
+    records : sequence of tuple
+        Even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
+
+    """
+    found = [_binned(*record) for record in records]
+    seen = [(squares, size) for squares, size in found if len(squares) and np.min(size) > TINY]
+    means = [(np.mean(squares), np.average(size[:, 0], weights=size[:, 1])) for squares, size in seen]
+    if len(means) < MIN_RECORDS:
+        return 0.0
+    squares, variances = np.array(means).T
+    if np.ptp(squares) <= 1e-6 * np.max(squares):
+        return 0.0
+    line = linregress(squares, variances)
+    return float(np.sqrt(line.slope)) if line.slope > 0 and line.pvalue < ALPHA else 0.0
 
 
 def _binned(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
