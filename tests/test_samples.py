@@ -272,10 +272,10 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
 def test_runs_at_one_speed_each_show_their_jitter_together():
     def runs(share):
         rng, t = np.random.default_rng(3), np.arange(400) / FPS
-        late = [share / FPS * rng.standard_normal(400) for _ in range(5)]
+        late = [share / FPS * rng.standard_normal(400) for _ in range(7)]
         return [
             (t, v * (t + tau) + 1e-5 * rng.standard_normal(400), 0.0)
-            for v, tau in zip((1, 2, 4, 5, 6), late, strict=True)
+            for v, tau in zip((1, 2, 3, 4, 5, 6, 7), late, strict=True)
         ]
 
     assert all(unevenness(t, x)[0] == 0.0 for t, x, _ in runs(0.05))
