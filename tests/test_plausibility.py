@@ -263,6 +263,13 @@ def test_runs_that_slow_down_both_ways_tell_a_wrong_sign_and_a_missing_incline(a
     assert found[0].contradicts
 
 
+def test_a_course_on_which_runs_speed_up_one_way_ends_the_work():
+    (finding,) = implausible_inclines(both_ways(25.0, 0.3))
+    assert finding.grade == ERROR
+    assert "runs toward -x speed up by" in finding.words
+    assert 'plausible = "checked" goes on' in finding.words
+
+
 def test_friction_that_is_the_same_both_ways_or_is_driven_tells_no_incline():
     level = both_ways(0.0, 0.3)
     assert implausible_inclines(level) == ()
@@ -554,6 +561,21 @@ def test_an_incline_of_the_wrong_sign_ends_the_work_before_the_fit(tmp_path: Pat
     fit = session.fit()
     assert fit["warnings"] == []
     assert fit["parameters"]["coulomb.F_c"]["mu"]["value"] == pytest.approx(0.2, rel=0.05)
+
+
+def test_what_all_runs_show_together_is_confirmed_by_all_of_them(tmp_path: Path) -> None:
+    for run in both_ways(20.0, 0.5):
+        rows = np.c_[run.displacement.t, run.displacement.x]
+        np.savetxt(tmp_path / f"{run.name}.csv", rows, delimiter=",", header="t_s,x_m", comments="")
+    tables = "".join(f'\n[[run]]\ntable = "r{i}.csv"\nincline = "-20 deg"\n' for i in range(6))
+    path = tmp_path / "study.toml"
+    path.write_text(f'[study]\nmass = 0.35\nmodel = ["coulomb", "viscous"]\n{tables}')
+    with pytest.raises(FrictrackError, match='the sign is wrong: give incline = "20 deg"'):
+        Session(open_study(path)).bring_up_to("motion")
+    edit(path, "mass = 0.35", 'mass = 0.35\nplausible = "checked"')
+    session = Session(open_study(path))
+    session.bring_up_to("motion")
+    assert session.findings.summary == []
 
 
 def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ import pytest
 
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.flow.tables import even_table, tabled
+from frictrack.flow.tables import even_table, tabled, uneven_runs
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
 from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
-from frictrack.samples.unevenness import unevenness
+from frictrack.samples.unevenness import common_unevenness, unevenness
 from frictrack.study import RunTable, TableData
 from frictrack.tracking.checks.timing import corrected, slips
 from tests.test_timing import a_track
@@ -267,6 +267,23 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     assert seen.notes[0].startswith("samples jitter by ")
     assert seen.notes[0].endswith("deviations with it")
     assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
+
+
+def test_runs_at_one_speed_each_show_their_jitter_together():
+    def runs(share):
+        rng, t = np.random.default_rng(3), np.arange(400) / FPS
+        late = [share / FPS * rng.standard_normal(400) for _ in range(7)]
+        return [
+            (t, v * (t + tau) + 1e-5 * rng.standard_normal(400), 0.0)
+            for v, tau in zip((1, 2, 3, 4, 5, 6, 7), late, strict=True)
+        ]
+
+    assert all(unevenness(t, x)[0] == 0.0 for t, x, _ in runs(0.05))
+    assert common_unevenness(runs(0.05)) == pytest.approx(0.05 / FPS, rel=0.2)
+    assert common_unevenness(runs(0.0)) == 0.0
+    assert common_unevenness(runs(0.05)[:3]) == 0.0
+    x = [displaced(one[1]) for one in runs(0.05)]
+    assert "as if samples jittered by" in uneven_runs(x)[0]
 
 
 @pytest.mark.parametrize("coarse", [0.0, 5e-5])

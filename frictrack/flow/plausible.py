@@ -92,6 +92,7 @@ class Findings:
     def _take(self, findings: Iterable[Finding]) -> None:
         """Note the new ones of runs that the user has not checked. Raises `FrictrackError` with all errors."""
         checked = {run.name for run in self.study.runs if run.plausible}
+        checked |= {""} if len(checked) == len(self.study.runs) else set()  # what concerns all runs
         new = [f for f in findings if f.run not in checked and not self._is_known(f)]
         for finding in new:
             if finding.grade != ERROR and not self._is_known(finding):

@@ -24,6 +24,7 @@ from frictrack.flow.plausible import Findings
 from frictrack.flow.stages import Progress, RunWork, copied, digest, hashed, silent
 from frictrack.flow.stored import stored
 from frictrack.flow.summary import summary
+from frictrack.flow.tables import uneven_runs
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.results import Results, plain
@@ -157,7 +158,8 @@ class Session:
         found = self._summary(group)
         twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
         more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._in_records()}
-        return {**found, "remarks": [*found["remarks"], *twice], **more}
+        uneven = uneven_runs([work.get("displacement") for work in self.runs if work.run.table])
+        return {**found, "remarks": [*found["remarks"], *twice, *uneven], **more}
 
     def _in_records(self) -> list[dict[str, str]]:
         """What was found in the displacement of every run before it was used, not what was looked for in vain."""

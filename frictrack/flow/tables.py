@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from frictrack.samples import quantum, rounding_noise, screened
 from frictrack.samples.clock import Clock, is_even, jittered_clock, rounded_clock, speed
 from frictrack.samples.screen import frame_numbers, length, listed
 from frictrack.samples.slips import Course, Slip, corrected, faults
-from frictrack.samples.unevenness import unevenness
+from frictrack.samples.unevenness import common_unevenness, unevenness
 from frictrack.study import RunTable, TableData, read_table
 
 if TYPE_CHECKING:
@@ -77,8 +78,7 @@ def _uneven(seen: Displacement) -> Displacement:
     if len(seen) < FEWEST or not is_even(seen.t):
         return seen
     interval = float(np.median(np.diff(seen.t)))
-    coarse = max(seen.pixel_pitch or 0.0, seen.resolution)
-    late, still = unevenness(seen.t, seen.x, coarse / interval)
+    late, still = unevenness(seen.t, seen.x, _coarse(seen))
     if not late:
         return seen
     moved = late * np.abs(speed(seen.t, seen.x))
@@ -88,6 +88,24 @@ def _uneven(seen: Displacement) -> Displacement:
         "with it"
     )
     return replace(seen, sigma_x=np.hypot(still, moved), notes=(*seen.notes, note))
+
+
+def uneven_runs(displacements: Sequence[Displacement]) -> tuple[str, ...]:
+    """What the noise of all tables together says of their samples: a run at nearly one speed cannot show its jitter."""
+    even = [d for d in displacements if len(d) >= FEWEST and is_even(d.t)]
+    late = common_unevenness([(d.t, d.x, _coarse(d)) for d in even])
+    if not late:
+        return ()
+    share = 100 * late / float(np.median([np.median(np.diff(d.t)) for d in even]))
+    return (
+        f"the noise of the runs grows with their speed, as if samples jittered by {share:.2g} % of the interval (rms) "
+        "although their time stamps are even, or the picture were blurred",
+    )
+
+
+def _coarse(seen: Displacement) -> float:
+    """Speed of half a pixel or half a step a sample, m/s: up to it the error of either grows with the speed."""
+    return 0.5 * max(seen.pixel_pitch or 0.0, seen.resolution) / float(np.median(np.diff(seen.t)))
 
 
 def _table_sigma(seen: Displacement) -> Array:

@@ -12,7 +12,7 @@ from math import asin, degrees, sin
 
 import numpy as np
 
-from frictrack.plausibility.finding import Finding
+from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MAX_PULL_RATIO, sign_error
 from frictrack.plausibility.legs import MIN_SIGMAS, Leg, legs_of
 from frictrack.records import GRAVITY, Run
@@ -58,8 +58,8 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        At most one: an error where the opposite sign agrees with the motion, a warning where no incline is stated and
-        runs slow down more than twice as much one way as the other.
+        At most one: an error where the opposite sign agrees with the motion. Where no incline is stated, an error if
+        runs speed up one way, and a warning if they slow down more than twice as much one way as the other.
 
     Examples
     --------
@@ -128,4 +128,7 @@ def _missing(pull: _Pull) -> Finding:
         f"{pull.words}, as on a course that {rises} toward +x by {abs(angle):.2g} deg; measure the angle and give it "
         f"as {line}, or give what else pulls the mass as its drive"
     )
-    return Finding("incline", words, line, contradicts=True)
+    if min(pull.forth, pull.back) > 0:
+        return Finding("incline", words, line, contradicts=True)
+    words = f'{words} (if it is free on a level course, plausible = "checked" goes on)'  # no friction speeds a mass up
+    return Finding("incline", words, line, grade=ERROR, contradicts=True)

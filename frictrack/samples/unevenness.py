@@ -6,7 +6,10 @@ tau. Fourth differences, from which any smooth motion is gone, show it by bins o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.stats import t as student
 
 from frictrack.records import Array
 from frictrack.samples.clock import speed
@@ -15,6 +18,8 @@ from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
 ROWS, MOST = 40, 12  # rows of a bin of speed, and bins
 FEWEST = 4  # bins that can show a trend
 CERTAIN = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
+MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
+SAME_SPEED = 1e-6  # relative difference of squares that is none
 TINY = np.finfo(float).tiny  # what is smaller has lost its digits
 STILL = 0.01  # of the smallest variance of a bin, that a sample at rest has at the least: weights stay finite
 # Relative deviation of the variance of n fourth differences by their median absolute value: its efficiency is 37 %
@@ -47,16 +52,49 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
     squares, size = _binned(t, x, slowest)
     if len(squares) < FEWEST or not (np.min(size) > TINY and np.min(squares) > TINY and np.all(np.isfinite(size))):
         return 0.0, 0.0
-    variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
+    (still, slope), sigma, _ = _line(squares, size)
+    if slope <= CERTAIN * sigma:
+        return 0.0, 0.0
+    return float(np.sqrt(slope)), float(np.sqrt(max(still, STILL * np.min(size[:, 0]))))
+
+
+def _line(squares: Array, size: Array) -> tuple[Array, float, float]:
+    """Variance at rest and its slope over squared speeds, the deviation of that slope, and chi-squared.
+
+    `size` (k, 2) are variances and the numbers of their rows, which tell their deviations.
+    """
     design = np.stack([np.ones_like(squares), squares], axis=1)
+    variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
     for _ in range(3):  # deviations by the fitted variances themselves
         weight = np.sqrt(size[:, 1]) / (RELATIVE * variance)
-        found, *_ = np.linalg.lstsq(design * weight[:, None], size[:, 0] * weight, rcond=None)
-        covariance = np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
-        if found[1] <= CERTAIN * np.sqrt(covariance[1, 1]):
-            return 0.0, 0.0
+        rows, right = design * weight[:, None], size[:, 0] * weight
+        found, *_ = np.linalg.lstsq(rows, right, rcond=None)
         variance = np.maximum(design @ found, 1e-3 * np.max(size[:, 0]))
-    return float(np.sqrt(found[1])), float(np.sqrt(max(found[0], STILL * np.min(size[:, 0]))))
+    sigma = float(np.sqrt(np.linalg.pinv(rows.T @ rows)[1, 1]))
+    return np.asarray(found, dtype=np.float64), sigma, float(np.sum((right - rows @ found) ** 2))
+
+
+def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
+    """Jitter of samples (s, rms) by which the noise of several records grows with their speed; 0 where it does not.
+
+    Parameters
+    ----------
+    records : sequence of tuple
+        Even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
+
+    """
+    found = [_binned(*record) for record in records]
+    seen = [(squares, size) for squares, size in found if len(squares) and np.min(size) > TINY]
+    if len(seen) < MIN_RECORDS:
+        return 0.0
+    squares = np.array([np.mean(one) for one, _ in seen])
+    size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in seen])
+    if np.ptp(squares) <= SAME_SPEED * np.max(squares):
+        return 0.0
+    (_, slope), sigma, chi2 = _line(squares, size)
+    freedom = len(seen) - 2  # records differ in their noise, too: their scatter counts
+    away = slope / (sigma * max(1.0, np.sqrt(chi2 / freedom)))
+    return float(np.sqrt(slope)) if slope > 0 and student.sf(away, freedom) < ALPHA else 0.0
 
 
 def _binned(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.finding.scene import Picture, Scene, light, read, sample
-from frictrack.tracking.finding.subpixel import MAX_SHAKE, moving_cells
+from frictrack.tracking.finding.subpixel import moving_cells
 from frictrack.tracking.match import Rectangle
 
 FRAMES = 9
@@ -33,9 +33,7 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
         return None
     scene = sample(recording)
     still, noise, taken = _still(scene)
-    taken |= _swept(track, recording.shape)
-    if np.ptp(np.stack([track.x_px, track.y_px])[:, track.found], axis=1).max(initial=0.0) < MAX_SHAKE:
-        taken |= moving_cells(scene)  # where nothing sweeps over the picture, parts may move by less than is seen above
+    taken |= _swept(track, recording.shape) | moving_cells(scene)
     margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
     taken[:margin], taken[-margin:], taken[:, :margin], taken[:, -margin:] = True, True, True, True
     foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])
