@@ -1,0 +1,109 @@
+"""What saves time in a diagnosis gives what the long way gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from runs import measured
+from test_series import swing
+
+from frictrack import effects
+from frictrack.compare.lines import seen, waves
+from frictrack.diagnose.experiments.expected import _few
+from frictrack.errors import FrictrackError
+from frictrack.fit import fit
+from frictrack.fit.series import compact, weighed
+from frictrack.fit.simulated.beside import beside
+from frictrack.fit.simulated.growth import _enough
+from frictrack.fit.simulated.linearised import traces
+from frictrack.fit.simulated.scan import families
+from frictrack.fit.simulated.solve import continued, promising, refine, resettled, settle_scatter
+from frictrack.simulate.panels import _inverse
+
+MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]
+
+
+@pytest.fixture(scope="module")
+def cell():
+    """A long swing whose friction was measured, averaged over blocks."""
+    return weighed(fit("coulomb,viscous", [swing(n=12_000, hertz=2.0)]).solution)[0]
+
+
+@pytest.fixture(scope="module")
+def slide():
+    t = np.arange(300) / 2000
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(300)
+    runs = [measured(t, v * t - 2.0 * t**2 + noise, sigma=1e-5, name=str(v)) for v in (1.5, 2.0, 2.5)]
+    return fit("coulomb,viscous", runs).solution
+
+
+def test_an_effect_without_memory_is_the_same_at_the_compared_frames(cell):
+    (strip,) = beside(cell).strips
+    assert strip.brief is not None
+    assert len(strip.brief.t) * 2 <= len(strip.path.t)
+    compared = 0
+    for effect in MEMORYLESS:
+        for family in families(beside(cell), effect)[:1]:
+            point = family.point(len(family.values) // 2)
+            whole = effect.columns(strip.path, point)[strip.response.piece.at]
+            np.testing.assert_array_equal(effect.columns(strip.brief, point), whole)
+            compared += 1
+    assert compared > 10
+
+
+def test_a_compact_law_leaves_and_answers_what_the_whole_one_does(cell):
+    short = compact(cell)
+    assert len(short.problem.pieces[0].path.t) == len(cell.problem.pieces[0].t)
+    np.testing.assert_allclose(short.residual, cell.residual, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(short.jac, cell.jac, rtol=1e-12)
+
+
+def test_a_law_that_remembers_keeps_its_whole_path():
+    solution = weighed(fit("coulomb,viscous,presliding", [swing(n=6000)]).solution)[0]
+    assert compact(solution) is solution
+
+
+def test_a_law_continued_is_the_law_refined_again(slide):
+    again = refine(slide.problem, slide.p, slide.starts, tau=0.05)
+    on = continued(slide, 0.05)
+    np.testing.assert_allclose(on.p, again.p, rtol=1e-6)
+    assert on.objective == pytest.approx(again.objective, rel=1e-9)
+    whole = settle_scatter(slide.problem, slide.p, slide.starts, 0.05)
+    assert resettled(slide, 0.05).objective == pytest.approx(whole.objective, rel=1e-9)
+
+
+def test_a_step_promises_what_it_brings_where_the_law_is_linear(slide):
+    off = slide.p * 1.01
+    promised, state = promising(slide.problem, off, slide.starts, tau=slide.tau)
+    taken = refine(slide.problem, off, slide.starts, tau=slide.tau, max_steps=1)
+    assert promised < state.objective
+    assert promised == pytest.approx(taken.objective, abs=0.02 * (state.objective - taken.objective))
+
+
+def test_few_rows_hold_all_of_a_linear_answer(slide):
+    response = slide.responses[0]
+    few, step = _few(response), np.arange(1.0, response.jac.shape[1] + 1)
+    for change in (0 * step, step, -3 * step):
+        whole = response.r - response.jac @ change
+        short = few.r - few.jac @ change
+        assert short @ short == pytest.approx(whole @ whole, rel=1e-10)
+    assert len(few.r) <= len(step) + 1
+
+
+def test_matrices_of_panels_are_inverted():
+    a = np.eye(3) + 0.3 * np.random.default_rng(2).standard_normal((50, 3, 3))
+    np.testing.assert_allclose(_inverse(a) @ a, np.broadcast_to(np.eye(3), a.shape), atol=1e-10)
+    a[7] = 0.0
+    with pytest.raises(FrictrackError, match="the linear system is singular"):
+        _inverse(a)
+
+
+def test_waves_are_traced_some_at_a_time(slide):
+    response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)
+    whole = traces(response, waves(response.piece.panels.t, f))
+    np.testing.assert_allclose(seen(response, f), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
+
+
+def test_a_trial_goes_to_its_end_where_little_is_left_and_stops_early_where_much_is():
+    assert _enough(1000.0, 1000) == 0.1
+    assert _enough(1e8, 1000) == pytest.approx(1.0, rel=1e-3)
