@@ -77,7 +77,7 @@ def test_a_wrong_clock_is_named_and_the_error_falls():
     assert (said.verdict, said.missing) == ("missing", ["clock_rate"])
     best = said.candidates[0]
     assert best.heldout_after < 0.9 * best.heldout_before
-    assert "in run r1, whose true times would be its recorded ones times 1.02" in best.words["here"]
+    assert "n run r1, whose true times would be its recorded ones times 1.02" in best.words["here"]
 
 
 @pytest.mark.slow
