@@ -264,8 +264,9 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     (tmp_path / "a.csv").write_text("t_s,x_m")
     run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
     seen = tabled(TableData(t, x), run)
-    assert seen.notes[0].startswith("samples jitter by ")
-    assert seen.notes[0].endswith("deviations with it")
+    assert seen.notes[0].startswith("the noise grows with the speed, ")
+    assert "as if samples jittered by " in seen.notes[0]
+    assert seen.notes[0].endswith("deviations grow with it")
     assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
 
 

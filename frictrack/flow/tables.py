@@ -83,11 +83,12 @@ def _uneven(seen: Displacement) -> Displacement:
         return seen
     moved = late * np.abs(speed(seen.t, seen.x))
     note = (
-        f"samples jitter by {100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their "
-        f"time stamps are even: the noise grows with the speed, up to {length(float(np.max(moved)))}, and deviations "
-        "with it"
+        f"the noise grows with the speed, up to {length(float(np.max(moved)))}, as if samples jittered by "
+        f"{100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
+        "deviations grow with it"
     )
-    return replace(seen, sigma_x=np.hypot(still, moved), notes=(*seen.notes, note))
+    sigma = np.hypot(max(still, rounding_noise(seen.resolution)), moved)
+    return replace(seen, sigma_x=sigma, notes=(*seen.notes, note))
 
 
 def uneven_runs(displacements: Sequence[Displacement]) -> tuple[str, ...]:
