@@ -164,7 +164,7 @@ class Session:
     def _in_records(self) -> list[dict[str, str]]:
         """What was found in the displacement of every run before it was used, not what was looked for in vain."""
         notes = [(work.run.name, note) for work in self.runs for note in work.get("displacement").notes]
-        return [{"run": run, "words": note} for run, note in notes if not note.startswith("no ")]
+        return [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
