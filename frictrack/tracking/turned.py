@@ -27,7 +27,7 @@ from frictrack.tracking.waves import EDGE
 
 Progress = Callable[[int, int, str], None]
 
-AS_MANY, CLEARLY_MORE = 0.98, 1.1  # times the frames of a target that does not turn
+AS_MANY, CLEARLY_MORE = 0.98, 2.0  # times the frames of a target that does not turn
 OFTEN = 0.1  # of the frames, in which small rotations are no longer linear
 LARGEST_SWING = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
 FASTEST = np.radians(25.0)  # rad a frame
@@ -82,7 +82,8 @@ def frames_to_beat(
     """In how many frames a turning target must be seen to be followed as one; None where it does not turn.
 
     It turns farther than small rotations tell: seen in the angles, or in the frames lost first. What is seen only after
-    it was lost must bring back clearly more frames: what happens to a target after its slide must not cost the slide.
+    it was lost must bring back as many frames as were seen: a mass that slides and then falls off the course has
+    turned, too, and its slide is what matters.
     """
     angle = followed.fine.angle[followed.found]
     found = float(np.sum(followed.found))
@@ -121,11 +122,15 @@ class _Turning:
 
     def __init__(self, film: Recording, picture: TurnedPicture, usual: float = np.nan) -> None:
         self.film, self.picture, self.misfit = film, picture, usual
-        self.score = 1.0
+        self.score, self.missable = 1.0, np.inf
 
-    def follow(self, start: Pose, first: int, progress: Progress | None = None) -> TurnedTrack:
-        """All frames, both ways from frame `first`, in which the target is at `start`."""
+    def follow(self, start: Pose, first: int, progress: Progress | None = None, least: float = 0.0) -> TurnedTrack:
+        """All frames, both ways from frame `first`, in which the target is at `start`.
+
+        It ends where `least` frames can no longer be reached.
+        """
         n = self.film.n_frames
+        self.missable = n - least
         track = TurnedTrack([None] * n, np.full(n, UNREAD, dtype=object), self.picture.template)
         for frames in (range(first, n), range(first - 1, -1, -1)):
             self._follow_frames(frames, start, track, progress)
@@ -140,7 +145,10 @@ class _Turning:
                 frame = self.film.frame(i)
             except FrictrackError:
                 continue
+            if self.missable < 0:
+                return
             pose, reason = self._found(frame, i, known)
+            self.missable -= pose is None
             gone = pose is None and i != frames.start and track.reason[i - frames.step] == LEAVES
             track.reason[i] = LEAVES if gone else reason
             if pose is not None:
@@ -305,12 +313,12 @@ def follow_turning(
     None where it is seen in fewer frames than `least`, see `frames_to_beat`.
     """
     begin, once = _begin(picture, start), picture.showing(without_border(picture.template))
-    rough = _Turning(film, once).follow(begin, first, progress)
+    rough = _Turning(film, once).follow(begin, first, progress, least)
     if rough.count < least:
         return None
     learnt = _taught(film, rough, picture, first) or once
     usual = _usual_misfit(film, rough, learnt, first)
-    track = _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress)
+    track = _Turning(film, learnt, usual).follow(rough.poses[first] or begin, first, progress, least)
     return track if track.count >= least else None
 
 
