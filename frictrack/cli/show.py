@@ -14,6 +14,7 @@ from rich.table import Table
 
 from frictrack.cli.cells import number, plus_minus
 from frictrack.cli.cells import table as _table
+from frictrack.cli.findings import in_records
 from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
 from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
 from frictrack.cli.unexplained import evidence, unexplained
@@ -30,7 +31,6 @@ ERRORS = {
     "relative_force_error": ("relative force error", "force / %", 100.0),
     "reduced_chi2": ("reduced chi²", "chi²", 1.0),
 }  # key of `errors` -> words, column head with its unit, factor
-MOST_FINDINGS = 8  # in the records that the terminal shows
 MOST_STUDIES = 100  # in the table of a batch; the page has more
 UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
 
@@ -180,14 +180,6 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     for remark in result.get("remarks", []):
         out.print(escape(remark))
     next_experiment(out, result.get("next_experiment") or [])
-
-
-def in_records(out: Console, findings: list[dict[str, Any]]) -> None:
-    """What was found in the records before they were used; the rest of a long list is left to the report."""
-    for found in findings[:MOST_FINDINGS]:
-        out.print(escape(f"{found['run']}: {found['words']}"))
-    if (more := len(findings) - MOST_FINDINGS) > 0:
-        out.print(f"and {more} more findings in the records; the report lists them")
 
 
 def candidates(found: list[dict[str, Any]]) -> Table:

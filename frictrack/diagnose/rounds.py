@@ -166,7 +166,7 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
     """Effects found one after the other on top of the law at the `start`, each looked at again beside all the others.
 
     One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
-    two plainer ones, and what could stand in its place is told. The law of the last one has them all. While a law
+    two plainer ones, and what could stand in its place is named. The law of the last one has them all. While a law
     leaves far more than noise, it only loses what is needless.
     """
     kept = list(found)

@@ -130,15 +130,15 @@ def _search(
 def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress) -> Diagnosis:
     """The verdict of a search, and where it fails."""
 
-    def told(what: str) -> None:
+    def progress(what: str) -> None:
         tell(MOST_ROUNDS, MOST_ROUNDS, what)
 
-    told("weighing what was found")
+    progress("weighing what was found")
     start, first, last, found, again = search.start, search.first, search.last, search.found, search.again
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
-    told("looking at where the law fails")
+    progress("looking at where the law fails")
     known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
     seen = [] if fit.measured else evidence(start, fit.runs, again[0], beside, known)
     where = where_it_fails(start, again[1])
@@ -146,8 +146,8 @@ def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress)
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
     if found and not fit.measured:
         concluded = _against_formulas(concluded, start, last.solution)
-    told("planning the next experiment")
-    return replace(concluded, next_experiment=_next(concluded, first, last, found, told))
+    progress("planning the next experiment")
+    return replace(concluded, next_experiment=_next(concluded, first, last, found, progress))
 
 
 def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:

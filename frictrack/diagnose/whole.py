@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.simulated.pieces import sections_of
+from frictrack.fit.simulated.sections import sections_of
 from frictrack.fit.simulated.solve import Solution, settle_scatter
 from frictrack.fit.unknowns.rules import MASS
 

@@ -28,8 +28,9 @@ from frictrack.fit.series import (
 )
 from frictrack.fit.simulated.begin import Reference, reference_of
 from frictrack.fit.simulated.growth import grow, without
-from frictrack.fit.simulated.pieces import Piece, sections_of, spans_of
+from frictrack.fit.simulated.pieces import Piece, spans_of
 from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.sections import sections_of
 from frictrack.fit.simulated.segments import divided, segment_frames
 from frictrack.fit.simulated.solve import refine
 from frictrack.fit.simulated.start import solve_model

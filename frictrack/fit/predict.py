@@ -11,8 +11,9 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.fit.series import is_series, series_pieces
 from frictrack.fit.simulated.begin import Reference
-from frictrack.fit.simulated.pieces import Piece, sections_of
+from frictrack.fit.simulated.pieces import Piece
 from frictrack.fit.simulated.problem import Problem
+from frictrack.fit.simulated.sections import sections_of
 from frictrack.fit.simulated.segments import divided, segment_frames
 from frictrack.fit.simulated.solve import Solution, refine
 from frictrack.fit.simulated.start import until_stop

@@ -1,0 +1,18 @@
+"""What was found in the records before they were used, as lines on the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+MOST_FINDINGS = 8  # in the records that the terminal shows
+
+
+def in_records(out: Console, findings: list[dict[str, Any]]) -> None:
+    """What was found in the records before they were used; the rest of a long list is left to the report."""
+    for found in findings[:MOST_FINDINGS]:
+        out.print(escape(f"{found['run']}: {found['words']}"))
+    if (more := len(findings) - MOST_FINDINGS) > 0:
+        out.print(f"and {more} more findings in the records; the report lists them")
