@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.rounds import Round
 from frictrack.diagnose.tests import Scanned
 from frictrack.fit import Fit
 from frictrack.fit.simulated.beside import Strip
-from frictrack.fit.sure.estimate import Estimate
 from frictrack.records import Array
 
 BASIC = ("stribeck", "viscous", "drag", "texture", "vibration")  # effects that a complete law must be able to exclude
@@ -48,7 +48,7 @@ class Undetermined:
 def undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
     """List what the runs of a fit leave open; `curves` hold the detection limits over all settings, by effect."""
     friction = mean_friction(first)
-    found = [*_parameters(fit.parameters), *_vague(fit, first, friction)]
+    found = [*_parameters(fit), *_vague(fit, first, friction)]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
         if scanned.effect.kind in BASIC and name == scanned.effect.kind and len(scanned.scans) == 1:
@@ -93,14 +93,25 @@ def _middle(values: Array) -> int:
     return int(np.argmin(np.sum(away**2, axis=1)))
 
 
-def _parameters(parameters: Mapping[str, Estimate]) -> Sequence[Undetermined]:
-    """Parameters of the law that the runs do not determine, those for the same reason together."""
+def _parameters(fit: Fit) -> Sequence[Undetermined]:
+    """Parameters of the law that the runs do not determine, those for the same reason together.
+
+    The form of an effect whose size is known leaves nothing open: how long a blow shorter than a frame lasted, say.
+    """
     groups: dict[str, list[str]] = {}
-    for address, found in parameters.items():
-        shared = "[" not in address
+    sized = _sized(fit)
+    for address, found in fit.parameters.items():
+        shared = "[" not in address and address.split(".")[0] not in sized
         if shared and found.value is None and found.reason and not found.reason.startswith(GIVEN):
             groups.setdefault(found.reason, []).append(address)
     return [Undetermined(" and ".join(names), *_split(reason)) for reason, names in groups.items()]
+
+
+def _sized(fit: Fit) -> set[str]:
+    """Effects of the law of which a coefficient, in one run at least, exceeds three of its deviations."""
+    heads = {f"{e.name}.{p.name}": e.name for e in fit.model.effects for p in e.linear}
+    there = ((heads.get(address.split("[")[0]), found) for address, found in fit.parameters.items())
+    return {name for name, found in there if name and found.is_significant(MIN_SIGNIFICANCE)}
 
 
 def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:

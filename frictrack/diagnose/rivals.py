@@ -12,6 +12,7 @@ from frictrack.fit.unknowns.layout import Layout
 from frictrack.fit.unknowns.scatter import restraint
 
 SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
+EVEN = 2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
 NEAR = 40.0  # measured difference beyond which the expected one is not worth computing
 
 

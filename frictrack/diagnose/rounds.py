@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.diagnose.admissible import implausible, objection
 from frictrack.diagnose.null import Ensemble, ensemble
-from frictrack.diagnose.rivals import NEAR, SAME, information, price, separation
+from frictrack.diagnose.rivals import EVEN, NEAR, SAME, information, price, separation
 from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -166,11 +166,13 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
     """Effects found one after the other on top of the law at the `start`, each looked at again beside all the others.
 
     One that they made needless goes, one that was only a mixture of several makes way for what explains more, be it
-    two plainer ones, and what could stand in its place is named. The law of the last one has them all. While a law
-    leaves far more than noise, it only loses what is needless.
+    two plainer ones, and what could stand in its place is named. Several of one kind are found again as one: the
+    first was placed while another effect was still missing. The law of the last one has them all. While a law leaves
+    far more than noise, it only loses what is needless.
     """
     kept = list(found)
     for old in found:
+        kin = [k.effect.name for k in kept if k.effect.kind == old.effect.kind]
         whole, name = kept[-1].law, old.effect.name
         if len(kept) < 2 and _unknowns(whole, name) <= PLAIN:
             break
@@ -184,23 +186,43 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
         worth = information(rest) - information(whole)
         if worth <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
-            continue
-        if whole.objective > HOPELESS * whole.problem.n_frames:
-            continue
-        tried_again = _alternatives(rest, own, old, least=worth)
-        best = tried_again[0]
-        stays = best.effect.name == name or best.solution is None or best.delta_bic < worth + SAME
-        if stays or best.law.objective > LEAVES_NOISE * best.law.problem.n_frames:
-            best = replace(old, solution=whole, delta_bic=worth)
-        best = replace(best, indistinguishable_from=rivals(best, tried_again))
-        pair = _parted(best, tried_again, own)
-        others = [k for k in kept if k.effect.name != name]
-        kept = _with_law([*others, *pair], pair[-1].law) if pair else _exchanged(kept, name, best)
+        elif whole.objective <= HOPELESS * whole.problem.n_frames and name == kin[-1]:
+            kept = _replaced(kept, kin, own)
     return kept
 
 
-def _exchanged(kept: list[Tried], name: str, best: Tried) -> list[Tried]:
-    return _with_law([best if k.effect.name == name else k for k in kept], best.law)
+def _replaced(kept: list[Tried], kin: list[str], own: Sequence[Effect]) -> list[Tried]:
+    """What was found, after everything was tried in the place of one effect, or of the several of its kind."""
+    whole, old = kept[-1].law, next(k for k in kept if k.effect.name == kin[0])
+    try:
+        rest = whole
+        for name in kin:
+            rest = without(rest, name)
+    except FrictrackError:
+        return kept
+    worth = information(rest) - information(whole)
+    tried_again = _alternatives(rest, own, old, least=worth)
+    best = tried_again[0]
+    if not _is_better(best, old, worth):
+        if len(kin) > 1:
+            return kept
+        best = replace(old, solution=whole, delta_bic=worth)
+    best = replace(best, indistinguishable_from=rivals(best, tried_again))
+    pair = _parted(best, tried_again, own)
+    new = pair or [best]
+    at = next(i for i, k in enumerate(kept) if k.effect.name == kin[0])
+    later = [k for k in kept[at:] if k.effect.name not in kin]
+    return _with_law([*kept[:at], *new, *later], new[-1].law)
+
+
+def _is_better(best: Tried, old: Tried, worth: float) -> bool:
+    """Whether what was found anew may stand for what was `worth` so much: at once where it is of the same kind."""
+    if best.solution is None:
+        return False
+    if best.effect.kind == old.effect.kind:
+        return best.delta_bic > worth + EVEN
+    clearly = best.delta_bic >= worth + SAME
+    return clearly and best.law.objective <= LEAVES_NOISE * best.law.problem.n_frames
 
 
 def _unknowns(law: Solution, name: str) -> int:

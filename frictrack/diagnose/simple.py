@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
-from frictrack.diagnose.rivals import information, price
+from frictrack.diagnose.rivals import EVEN, information, price
 from frictrack.diagnose.rounds import Round, Tried
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -14,8 +14,6 @@ from frictrack.fit.simulated.growth import simulated, without
 from frictrack.fit.simulated.solve import Solution
 from frictrack.fit.simulated.trial import STRONG, Trial, bare, tried_together
 from frictrack.fit.sure.misfit import dispersion
-
-EVEN = 2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
 
 
 def is_smooth(effect: Effect) -> bool:

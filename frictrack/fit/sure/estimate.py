@@ -39,6 +39,11 @@ class Estimate:
         """The deviation to quote alone: with what the law misses, where it misses anything."""
         return self.std if self.std_misfit is None else self.std_misfit
 
+    def is_significant(self, times: float) -> bool:
+        """Whether the value exceeds so many of its own standard deviations."""
+        std = self.honest_std
+        return self.value is not None and std is not None and abs(self.value) > times * std
+
     def json(self) -> dict[str, Any]:
         """JSON; `interval` and `std_misfit` where there are any."""
         out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
