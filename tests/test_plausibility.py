@@ -80,6 +80,11 @@ def slid(degrees: float, mu: float, seconds: float = 0.4, rest: float = 0.1) -> 
     ("typed", "said", "correction"),
     [
         ({"mass": 350.0, "bare": {"mass"}}, "mass = 350 has no unit and was read as 350 kg", 'mass = "350 g"'),
+        (
+            {"mass": 7e-4, "bare": {"mass"}},
+            'which are 0.7 g; if 0.7 kg were meant give mass = "0.7 kg"',
+            'mass = "0.7 kg"',
+        ),
         ({"mass": 5000.0}, "a mass of 5000 kg lies outside 0.0001 to 1000 kg", 'mass = "5 kg"'),
         ({"mass": 3.5e-7}, "a mass of 3.5e-07 kg lies outside 0.0001 to 1000 kg", 'mass = "0.00035 kg"'),
         ({"pitch": 0.5, "bare": {"scale"}}, "scale = 0.5 has no unit and was read as 0.5 m/px", 'scale = "0.5 mm/px"'),

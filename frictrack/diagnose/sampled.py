@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack.fit.simulated.pieces import Piece
+from frictrack.fit.simulated.segments import knows_its_past
 from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
 from frictrack.fit.unknowns.layout import Layout
 
@@ -70,10 +71,14 @@ def _coarser(layout: Layout, pieces: Sequence[Piece], kept: Sequence[int]) -> La
 
 
 def _spread(pieces: Sequence[Piece]) -> list[int]:
-    """Places of pieces spread evenly over every run, at least one of each."""
+    """Places of pieces spread evenly over every run, at least one of each.
+
+    Those at the beginning of a run that was recorded in motion are left out: what a law remembers there is not known.
+    """
     out: list[int] = []
     for run in sorted({p.run for p in pieces}):
         own = [i for i, p in enumerate(pieces) if p.run == run]
+        own = [i for i in own if knows_its_past(pieces[i])] or own
         count = max(MOST * len(own) // len(pieces), 1)
         out += [own[int(k)] for k in np.linspace(0, len(own) - 1, count).round()]
     return out

@@ -21,7 +21,8 @@ class Range:
 
 MASS = Range(1e-4, 1e3, "kg", "from a pin of a tribometer (ASTM G99: grams) to a block of a large direct-shear machine")
 BARE_MASS = Range(
-    1e-4, 20.0, "kg", "a number without a unit counts as kg; sliders of more than 20 kg are not moved by hand"
+    *(1e-3, 20.0, "kg"),
+    "a number without a unit counts as kg; above 20 kg no slider is moved by hand, below 1 g nobody writes kg",
 )
 PITCH = Range(1e-8, 0.02, "m/px", "from half a wavelength of light to a field of view of 20 m in 1000 px")
 BARE_PITCH = Range(

@@ -97,6 +97,13 @@ def _number(typed: Typed, of: _Quantity, value: float) -> Iterator[Finding]:
             f'{line}, else {of.key} = "{value:g} {of.si}"'
         )
         yield Finding(of.key, words, line, typed.run)
+    elif of.key in typed.bare and of.plausible.low <= value < of.bare.low:
+        line, small = f'{of.key} = "{1e3 * value:g} {of.si}"', f"{1e3 * value:g} {of.meant}"
+        words = (
+            f"{of.key} = {value:g} has no unit and was read as {value:g} {of.si}, which are {small}; if "
+            f'{1e3 * value:g} {of.si} were meant give {line}, else {of.key} = "{small}"'
+        )
+        yield Finding(of.key, words, line, typed.run)
     elif value not in of.plausible:
         likely = value * (1e-3 if value > of.plausible.high else 1e3)
         line = f'{of.key} = "{likely * of.shown[0]:g} {of.shown[1]}"'

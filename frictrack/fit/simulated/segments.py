@@ -66,6 +66,12 @@ def divided(sections: Sequence[Piece], n: int) -> list[Piece]:
     return out
 
 
+def knows_its_past(piece: Piece) -> bool:
+    """Whether a piece begins at rest, or after enough of the motion to tell what a law with memory has kept of it."""
+    before = piece.path.before
+    return bool(piece.path.s[0] == 0 or (before is not None and before.shape[1] >= UNKNOWN))
+
+
 def _is_unknown(piece: Piece) -> bool:
     """Whether nothing is known of the motion before a piece that moves from its first frame on."""
     before = piece.path.before

@@ -106,7 +106,7 @@ def wrong(said: Outcome) -> str:
         for group in said.groups:
             if not set(group) & set(said.allowed):
                 return f"names {' / '.join(group)}"
-    seen = [h for h in said.hidden if NOTED.get(h, "\0") in " ".join(said.findings)]
+    seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in NOTED.get(h, ()))]
     size = max(said.size, default=0.0) / said.fault.louder
     if said.verdict == "complete" and not said.named and not seen and size >= TWICE:
         return f"complete, while {said.hidden[0]} of {size:.1f} limits is hidden"
