@@ -18,8 +18,8 @@ NEAR = 40.0  # measured difference beyond which the expected one is not worth co
 
 def separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
-    ideal = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in best.responses}
-    pieces = [replace(p, y=ideal[p.run, float(p.t[0])]) for p in rival.problem.pieces]
+    ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
+    pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
     problem = rival.problem.over(rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
