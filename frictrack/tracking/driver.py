@@ -18,7 +18,7 @@ from frictrack.tracking.follow import LEAVES, UNREAD, UNSETTLED, Followed, Follo
 from frictrack.tracking.hidden import measure_hidden
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.match import Rectangle, nearest_corner
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.pose import TurnedPicture
 from frictrack.tracking.sharp import drawn_to_pixels
@@ -28,6 +28,7 @@ Progress = Callable[[int, int, str], None]
 
 LEAST_CONTRAST = 3  # grey values
 CHUNK = 256  # frames measured at once
+OFF_CENTRE = 0.55  # px from the corner of its cut-out, beyond which a target is measured on the next one
 # What places stay off slowly, rms: the noise of the picture that was learnt, and blur that changes with the speed. As
 # large as this on films of known truth, of sharp targets and blurred ones, at 0.001 to 0.005 px of noise.
 SLOW_SHARE, LEAST_SLOW = 0.12, 2e-4  # of a frame's standard deviation, and px
@@ -164,16 +165,25 @@ def _measured(
     followed.fine.sigma[:] *= lesson.inflation
     for at in range(0, len(rows), CHUNK):
         part = rows[at : at + CHUNK]
-        corner = np.rint(followed.at[part]).astype(np.int64).clip(0, room)
-        guess = followed.fine[part].moved(followed.corner[part] - corner)
-        followed.fine.put(part, measure(film.cut(part, corner, size), corner, guess, lesson)[0])
-        followed.corner[part] = corner
+        _measure(film, followed, part, lesson)
+        again = part[followed.found[part] & np.any(np.abs(followed.fine.at[part]) > OFF_CENTRE, axis=1)]
+        if len(again):  # the learnt picture has the target nearer to another pixel than the first look had
+            _measure(film, followed, again, lesson)
         if progress:
             progress(at, len(rows), "measure")
     measure_hidden(film, followed, lesson)
     found = np.flatnonzero(followed.found)
     followed.reason[found] = _reasons(followed, found, room)
     return followed
+
+
+def _measure(film: Recording, followed: Followed, rows: NDArray[np.int64], lesson: Lesson) -> None:
+    """Measure some frames (m,) on cut-outs that lie nearest to where the target was found last."""
+    size = lesson.template.weight.shape
+    corner = nearest_corner(followed.at[rows], film.shape, size)
+    guess = followed.fine[rows].moved(followed.corner[rows] - corner)
+    followed.fine.put(rows, measure(film.cut(rows, corner, size), corner, guess, lesson)[0])
+    followed.corner[rows] = corner
 
 
 def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str]:

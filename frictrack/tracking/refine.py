@@ -19,7 +19,6 @@ import numpy as np
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.template import Template
-from frictrack.tracking.waves import RANGE
 
 STEPS = 6
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
@@ -100,7 +99,8 @@ def products(cuts: Patch, template: Template, share: Patch | None = None) -> Pro
 
 def refine(given: Products, start: Array, template: Template) -> Fine:
     """Position of the target in each frame, from `start` (n, 2) px; outside the expansion's reach not settled."""
-    at = np.array(start, dtype=np.float64)
+    longest = template.shifts.longest
+    at = np.clip(np.array(start, dtype=np.float64), -longest, longest)
     n = len(at)
     result = np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS, UNKNOWNS))
     settled, active = np.zeros(n, np.bool_), np.ones(n, np.bool_)
@@ -110,10 +110,10 @@ def refine(given: Products, start: Array, template: Template) -> Fine:
         for whole, part in zip(result, found, strict=True):
             whole[rows] = part
         step = np.clip(found[0][:, 2:4] / _divisor(found[0])[:, None], -1.0, 1.0)
-        at[rows] += step
+        at[rows] = np.clip(at[rows] + step, -longest, longest)
         small = np.max(np.abs(step), axis=1) < SETTLED
         settled[rows[small]] = True
-        active[rows] = ~small & np.all(np.abs(at[rows]) < RANGE + 0.5, axis=1)
+        active[rows] = ~small
         if not active.any():
             break
     return _summarise(at, settled, given, result, template)
