@@ -20,7 +20,7 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.template import Template
 
-STEPS = 6
+STEPS = 16  # at most: five where the picture fits, more where something hides a part of it
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
 UNKNOWNS = 5
 LEAST_GAIN = 1e-3

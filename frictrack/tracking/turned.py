@@ -30,6 +30,7 @@ Progress = Callable[[int, int, str], None]
 AS_MANY, CLEARLY_MORE = 0.98, 2.0  # times the frames of a target that does not turn
 OFTEN = 0.1  # of the frames, in which small rotations are no longer linear
 LARGEST_SWING = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
+SAMPLED = 8  # lost frames in which a turned target is looked for before all are gone through
 FASTEST = np.radians(25.0)  # rad a frame
 BETTER = 0.15  # by this much must a turned picture match better than the upright one, for the target to have turned ...
 LEFT = 0.25  # ... or leave this share of the variance that the upright one does not explain
@@ -89,7 +90,42 @@ def frames_to_beat(
     found = float(np.sum(followed.found))
     if np.mean(np.abs(angle - np.median(angle)) * picture.radius > LARGEST_SWING) > OFTEN:
         return AS_MANY * found
-    return CLEARLY_MORE * found if _turns_where_lost(film, followed, picture, start, first) else None
+    worth = _turns_where_lost(film, followed, picture, start, first)
+    return CLEARLY_MORE * found if worth and _brings_back(film, followed, picture, CLEARLY_MORE * found) else None
+
+
+def _brings_back(film: Recording, followed: Followed, picture: TurnedPicture, least: float) -> bool:
+    """Whether enough of the lost frames may show a turned target for it to be seen in `least` frames of the film.
+
+    It is looked for in a few of them, spread over the film. One frame by itself tells less than all, one after the
+    other: half of the share that is needed is enough.
+    """
+    lost, found = np.flatnonzero(~followed.found), np.flatnonzero(followed.found)
+    share = (least - len(found)) / max(len(lost), 1)
+    if share > 1 or len(lost) <= 2 * SAMPLED:
+        return share <= 1
+    usual = float(np.median(followed.fine.score[found]))
+    missable = (1 - 0.5 * share) * SAMPLED
+    for i in np.random.default_rng(0).permutation(lost[np.linspace(0, len(lost) - 1, SAMPLED).astype(int)]):
+        missable -= not _is_seen(film, int(i), Pose(_nearest(followed, found, i) + picture.middle, 0.0), picture, usual)
+        if missable < 0:
+            return False
+    return True
+
+
+def _nearest(followed: Followed, found: NDArray[np.int64], i: int) -> Array:
+    """Corner (2,) of the target in the nearest of the frames in which it was found, px."""
+    return np.asarray(followed.at[found[np.argmin(np.abs(found - i))]])
+
+
+def _is_seen(film: Recording, i: int, near: Pose, picture: TurnedPicture, usual: float) -> bool:
+    """Whether a turned picture matches frame `i` anywhere, as well as the target is usually matched."""
+    try:
+        frame = film.frame(i)
+    except FrictrackError:
+        return False
+    pose = None if frame.min() == frame.max() else _searched(frame, near, picture, usual)
+    return pose is not None and pose.settled and pose.score >= SHARE * usual
 
 
 def _turns_where_lost(film: Recording, followed: Followed, picture: TurnedPicture, start: Array, first: int) -> bool:
