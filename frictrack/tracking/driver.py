@@ -71,6 +71,7 @@ def track(
         measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
+    result = _with_slow_error(result, lesson)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
@@ -221,7 +222,6 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        systematic=_slow(fine.sigma[found, 0]),
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
 
@@ -234,8 +234,22 @@ def _with_own_noise(track: Track, template: int) -> Track:
     return replace(track, **columns)
 
 
-def _slow(sigma: Array) -> float:
-    return float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW)) if len(sigma) else 0.0
+def _with_slow_error(track: Track, lesson: Lesson) -> Track:
+    """The track with what its places are off slowly, along its path, and a remark where the target's look changes."""
+    found = track.found
+    sigma, at = track.sigma_px[found], np.stack([track.x_px, track.y_px])[:, found]
+    if not found.any():
+        return track
+    along = np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0]
+    look = float(np.sqrt(max(along @ lesson.slow @ along, 0.0)))
+    own = float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW))
+    if look < own:
+        return replace(track, systematic=own)
+    note = (
+        f"the look of the target changes along its path (light, highlights, background): places are off slowly by "
+        f"{look:.2g} px rms; an outline of what does not change, target = [[x, y], ...], or even light lowers that"
+    )
+    return replace(track, systematic=float(np.hypot(own, look)), notes=(*track.notes, note))
 
 
 def _unread(measured: Followed) -> tuple[str, ...]:

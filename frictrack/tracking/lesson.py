@@ -17,7 +17,7 @@ from frictrack.tracking.measure import Lesson, measure, modelled
 from frictrack.tracking.refine import Fine
 from frictrack.tracking.sharp import SmoothPath, matters, smoothed
 from frictrack.tracking.template import Template
-from frictrack.tracking.trust import inflation
+from frictrack.tracking.trust import inflation, slow_error
 from frictrack.tracking.view import Sums, View, view_of
 from frictrack.tracking.waves import RANGE
 
@@ -154,9 +154,11 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
         template = without_border(template, WIDE_RIM)
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
     taught_by = np.flatnonzero(found.good)
-    few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
-    shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
-    return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
+    shown = _seen(seen.cuts[taught_by], seen.corner[taught_by], fine[taught_by], view)
+    kept = None if share is None else share[taught_by]
+    few = slice(None, None, max(1, len(taught_by) // TRUST_FRAMES))
+    factor = inflation(shown[few], fine[taught_by[few]], template, None if kept is None else kept[few])
+    return replace(lesson, inflation=factor, slow=slow_error(shown, fine[taught_by], template, kept))
 
 
 def _border_is_known(seen: _Cuts, found: _Found) -> bool:
