@@ -20,7 +20,7 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.template import Template
 
-STEPS = 16  # at most: five where the picture fits, more where something hides a part of it
+STEPS = 12  # at most: five where the picture fits, more where something hides a part of it
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
 UNKNOWNS = 5
 LEAST_GAIN = 1e-3
@@ -110,10 +110,12 @@ def refine(given: Products, start: Array, template: Template) -> Fine:
         for whole, part in zip(result, found, strict=True):
             whole[rows] = part
         step = np.clip(found[0][:, 2:4] / _divisor(found[0])[:, None], -1.0, 1.0)
-        at[rows] = np.clip(at[rows] + step, -longest, longest)
+        before = at[rows]
+        at[rows] = np.clip(before + step, -longest, longest)
         small = np.max(np.abs(step), axis=1) < SETTLED
         settled[rows[small]] = True
-        active[rows] = ~small
+        stuck = np.max(np.abs(at[rows] - before), axis=1) < SETTLED  # where the expansion ends
+        active[rows] = ~(small | stuck)
         if not active.any():
             break
     return _summarise(at, settled, given, result, template)
