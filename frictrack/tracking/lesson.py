@@ -14,7 +14,7 @@ from frictrack.tracking.follow import Followed
 from frictrack.tracking.learn import WIDE_RIM, learn, without_border
 from frictrack.tracking.match import Patch, nearest_corner
 from frictrack.tracking.measure import Lesson, measure, modelled
-from frictrack.tracking.refine import Fine
+from frictrack.tracking.refine import Fine, products, refine
 from frictrack.tracking.sharp import SmoothPath, matters, smoothed
 from frictrack.tracking.template import Template
 from frictrack.tracking.trust import inflation, slow_error
@@ -116,15 +116,20 @@ def _recentred(seen: _Cuts, found: _Found) -> tuple[_Cuts, _Found]:
 
 def _round(seen: _Cuts, found: _Found, path: SmoothPath, view: View | None) -> _Found:
     """Learn the template where the last round found it, and find it again."""
+    template = _learnt(seen, found, path, view)
+    return _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template, view)))
+
+
+def _learnt(seen: _Cuts, found: _Found, path: SmoothPath, view: View | None) -> Template:
+    """The template that fits the frames best where the last round found it."""
     placed = path.placed(found.fine, seen.corner, found.template)
     good = found.good & np.all(np.abs(placed.turned_back()) <= RANGE, axis=1)
     if np.count_nonzero(good) < MIN_TAUGHT:
-        return found
+        return found.template
     places = placed[good]
     part = (None if v is None else v[good] for v in (seen.scene, found.share))
     shown = _seen(seen.cuts[good], seen.corner[good], found.fine[good], view)
-    template = learn(shown, places, found.template, *part)
-    return _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template, view)))
+    return learn(shown, places, found.template, *part)
 
 
 def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, SmoothPath]:
@@ -133,18 +138,22 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
         return found, path
     path = path.again(seen.corner + found.fine.at)
     with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
-        sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
-    if not _keeps(sharper, found):
-        return found, path
+        template = _learnt(seen, replace(found, template=path.widened(found.template)), path, None)
+        if not _fits_most(template, seen, found):
+            return found, path
+        sharper = _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template)))
     better = path.again(seen.corner + sharper.fine.at)
     sharper = _round(seen, sharper, better, None)
-    kept = _keeps(sharper, found) and matters(sharper.fine, found.fine, path.axes)
+    kept = _fits_most(sharper.template, seen, found) and matters(sharper.fine, found.fine, path.axes)
     return (sharper, better) if kept else (found, path)
 
 
-def _keeps(sharper: _Found, found: _Found) -> bool:
-    """Whether the target is still found: short waves that no frame has fit nowhere."""
-    return bool(np.count_nonzero(sharper.fine.settled) >= STILL_FOUND * np.count_nonzero(found.fine.settled))
+def _fits_most(template: Template, seen: _Cuts, found: _Found) -> bool:
+    """Whether a picture with short waves is found where the one without is; some of the clearest frames tell."""
+    clear = np.flatnonzero(found.fine.settled & (found.fine.misfit <= np.median(found.fine.misfit)))
+    few = clear[:: max(1, len(clear) // TRUST_FRAMES)]
+    again = refine(products(seen.cuts[few], template), found.fine.at[few], template)
+    return bool(np.mean(again.settled) >= STILL_FOUND) if len(few) else False
 
 
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
