@@ -22,7 +22,8 @@ from frictrack.tracking.match import Rectangle, nearest_corner
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.pose import TurnedPicture
 from frictrack.tracking.sharp import drawn_to_pixels
-from frictrack.tracking.turned import follow_known, follow_turning, frames_to_beat
+from frictrack.tracking.turn_test import frames_to_beat
+from frictrack.tracking.turned import follow_known, follow_turning
 
 Progress = Callable[[int, int, str], None]
 

@@ -44,7 +44,7 @@ class _Cuts:
     background: Patch | None  # (H, W), median of the film
 
     @classmethod
-    def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, ...]) -> _Cuts:
+    def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, int]) -> _Cuts:
         """Cut-outs of these frames whose corners lie nearest to `at` (n, 2) px."""
         corner = nearest_corner(at, film.shape, size)
         return cls(film, rows, film.cut(rows, corner, size), corner, _background(film))

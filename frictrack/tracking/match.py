@@ -14,7 +14,7 @@ Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 Patch = NDArray[Any]  # grey values
 
 
-def nearest_corner(at: Array, picture: tuple[int, ...], size: tuple[int, ...]) -> NDArray[np.int64]:
+def nearest_corner(at: NDArray[Any], picture: tuple[int, ...], size: tuple[int, ...]) -> NDArray[np.int64]:
     """Upper left corners (n, 2) of whole pixels nearest to places (n, 2) px, so that rectangles lie in the picture.
 
     `picture` and `size` are the shapes (h, w) of the picture and of the rectangles.

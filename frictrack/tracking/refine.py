@@ -13,8 +13,10 @@ bound (Pham et al. 2005, EURASIP J. Appl. Signal Process. 2005:2199).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
@@ -42,7 +44,7 @@ class Fine:
     def __getitem__(self, rows: Mask | slice | np.ndarray) -> Fine:
         return Fine(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def moved(self, by: Array) -> Fine:
+    def moved(self, by: NDArray[Any]) -> Fine:
         """The same places, on cut-outs whose corners lie `by` (n, 2) px further up and left."""
         return replace(self, at=self.at + by)
 
