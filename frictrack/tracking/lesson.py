@@ -29,6 +29,7 @@ ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where somethi
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
 STILL_FOUND = 0.95  # of the frames, in which a picture with short waves must be found as well
+PARTS = 8  # stretches of the path, every other of which foretells the rest
 BORDER_SLOPE = 0.2  # of the picture's slopes, that a border's may be off by
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
@@ -138,22 +139,35 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
         return found, path
     path = path.again(seen.corner + found.fine.at)
     with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
-        template = _learnt(seen, replace(found, template=path.widened(found.template)), path, None)
-        if not _fits_most(template, seen, found):
+        if not _foretells(seen, found, path):
             return found, path
-        sharper = _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template)))
+        sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
     better = path.again(seen.corner + sharper.fine.at)
     sharper = _round(seen, sharper, better, None)
-    kept = _fits_most(sharper.template, seen, found) and matters(sharper.fine, found.fine, path.axes)
+    kept = _still_found(sharper.fine, found.fine) and matters(sharper.fine, found.fine, path.axes)
     return (sharper, better) if kept else (found, path)
 
 
-def _fits_most(template: Template, seen: _Cuts, found: _Found) -> bool:
-    """Whether a picture with short waves is found where the one without is; some of the clearest frames tell."""
-    clear = np.flatnonzero(found.fine.settled & (found.fine.misfit <= np.median(found.fine.misfit)))
-    few = clear[:: max(1, len(clear) // TRUST_FRAMES)]
-    again = refine(products(seen.cuts[few], template), found.fine.at[few], template)
-    return bool(np.mean(again.settled) >= STILL_FOUND) if len(few) else False
+def _still_found(again: Fine, before: Fine) -> bool:
+    return bool(np.count_nonzero(again.settled) >= max(STILL_FOUND * np.count_nonzero(before.settled), 1))
+
+
+def _foretells(seen: _Cuts, found: _Found, path: SmoothPath) -> bool:
+    """Whether short waves that every other stretch of the path has taught fit the rest better than none.
+
+    Light that changes along the path, or a codec, makes such waves too, but each stretch has its own: the next one is
+    not found by them, or fits worse.
+    """
+    odd = (np.arange(len(seen.cuts)) * PARTS // len(seen.cuts)) % 2 == 1
+    part = replace(seen, cuts=seen.cuts[~odd], corner=seen.corner[~odd], rows=seen.rows[~odd])
+    half = replace(path, frames=path.frames[~odd], at=path.at[~odd])
+    share = None if found.share is None else found.share[~odd]
+    taught_by = _Found(path.widened(found.template), found.fine[~odd], share)
+    sharper = replace(_learnt(part, taught_by, half, None), weight=found.template.weight)
+    rest = np.flatnonzero(odd & found.good & (found.fine.misfit <= np.median(found.fine.misfit[found.good])))
+    rest = rest[:: max(1, len(rest) // TRUST_FRAMES)]
+    plain, again = (refine(products(seen.cuts[rest], t), found.fine.at[rest], t) for t in (found.template, sharper))
+    return _still_found(again, plain) and bool(np.median(again.misfit) < np.median(plain.misfit))
 
 
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
