@@ -35,15 +35,15 @@ def off(result: Track) -> Array:
     return np.asarray(error - np.nanmean(error))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_target_that_passes_under_a_lamp_is_found_all_the_way(seed: int) -> None:
     result = track(lit_by_a_lamp(seed), [30, 20, *SIZE[::-1]])
     error, stated = off(result), np.hypot(result.sigma_px, result.systematic)
-    assert result.found.all()
+    assert result.found.mean() > 0.95  # 0.69 to 0.91 where a changing look counts as hidden
     assert any("look of the target changes along its path" in note for note in result.notes)
-    assert np.mean((error / stated) ** 2) < 2.5
-    assert np.max(np.abs(error / stated)) < 5
-    assert result.systematic < 3 * np.std(error)
+    assert np.nanmean((error / stated) ** 2) < 2
+    assert np.nanmax(np.abs(error / stated)) < 5
+    assert result.systematic < 3 * np.nanstd(error)
 
 
 def test_nothing_is_said_of_a_look_that_stays() -> None:
