@@ -11,7 +11,7 @@ from frictrack.tracking import learn_target, track
 from frictrack.tracking.learn import first_look, learn
 from frictrack.tracking.measure import Lesson, measure, residual, without_what_does_not_fit
 from frictrack.tracking.refine import products, refine
-from frictrack.tracking.trust import inflation
+from frictrack.tracking.trust import inflation, slow_error
 from frictrack.tracking.view import Sums, view_of
 from frictrack.tracking.waves import RANGE, shifts
 
@@ -280,3 +280,32 @@ def test_what_passes_before_the_target_neither_loses_nor_moves_it(disturbed):
     assert np.std(off) < 0.004  # the bound of the clear film is 0.002 px
     assert np.max(np.abs(off)) < 0.02
     assert np.sqrt(np.mean((off / result.sigma_px) ** 2)) == pytest.approx(1.0, abs=0.25)
+
+
+def changing(seed, n=160):
+    """Frames over which a strip of light wanders, and their shifts."""
+    truth, light, x = spread(n, seed + 7), np.random.default_rng(seed), np.arange(SHAPE[1])
+    strips = (12 * np.exp(-(((x - 10 - 36 * k / n) / 6) ** 2)) for k in range(n))
+    pictures = (moved(texture(seed), *s)[INSIDE] for s in truth)
+    return np.stack([expose(p + strip, light) for p, strip in zip(pictures, strips, strict=True)]), truth
+
+
+def test_slow_errors_of_a_changing_look_are_stated():
+    """The places' errors over twelfths of the film against what their residual pictures tell, six textures."""
+    actual, stated = [], []
+    for seed in range(6):
+        cuts, truth = changing(seed)
+        _, fine, template = taught(truth, cuts=cuts)
+        off = fine.at - truth
+        actual.append([part.mean(axis=0) for part in np.array_split(off - off.mean(axis=0), 12)])
+        stated.append(np.diag(slow_error(cuts, fine, template)))
+    ratio = np.sqrt(np.mean(stated, axis=0) / np.mean(np.square(actual), axis=(0, 1)))
+    assert np.all((ratio > 0.5) & (ratio < 1.5))
+    assert np.sqrt(np.mean(np.square(actual))) > 2.5 * np.median(fine.sigma[:, :2])
+
+
+def test_no_slow_error_where_the_look_does_not_change():
+    for seed in range(3):
+        truth = spread(160, seed)
+        cuts, fine, template = taught(truth, seed=seed)
+        assert not slow_error(cuts, fine, template).any()

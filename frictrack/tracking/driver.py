@@ -18,16 +18,18 @@ from frictrack.tracking.follow import LEAVES, UNREAD, UNSETTLED, Followed, Follo
 from frictrack.tracking.hidden import measure_hidden
 from frictrack.tracking.learn import first_look
 from frictrack.tracking.lesson import taught
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.match import Rectangle, nearest_corner
 from frictrack.tracking.measure import Lesson, measure
 from frictrack.tracking.pose import TurnedPicture
 from frictrack.tracking.sharp import drawn_to_pixels
-from frictrack.tracking.turned import follow_known, follow_turning, frames_to_beat
+from frictrack.tracking.turn_test import frames_to_beat
+from frictrack.tracking.turned import follow_known, follow_turning
 
 Progress = Callable[[int, int, str], None]
 
 LEAST_CONTRAST = 3  # grey values
 CHUNK = 256  # frames measured at once
+OFF_CENTRE = 0.55  # px from the corner of its cut-out, beyond which a target is measured on the next one
 # What places stay off slowly, rms: the noise of the picture that was learnt, and blur that changes with the speed. As
 # large as this on films of known truth, of sharp targets and blurred ones, at 0.001 to 0.005 px of noise.
 SLOW_SHARE, LEAST_SLOW = 0.12, 2e-4  # of a frame's standard deviation, and px
@@ -70,6 +72,7 @@ def track(
         measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
         change = _change(film) if recording.interframe else None
     result = _assembled(recording, measured, rectangle, name)
+    result = _with_slow_error(result, lesson)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
@@ -164,16 +167,25 @@ def _measured(
     followed.fine.sigma[:] *= lesson.inflation
     for at in range(0, len(rows), CHUNK):
         part = rows[at : at + CHUNK]
-        corner = np.rint(followed.at[part]).astype(np.int64).clip(0, room)
-        guess = followed.fine[part].moved(followed.corner[part] - corner)
-        followed.fine.put(part, measure(film.cut(part, corner, size), corner, guess, lesson)[0])
-        followed.corner[part] = corner
+        _measure(film, followed, part, lesson)
+        again = part[followed.found[part] & np.any(np.abs(followed.fine.at[part]) > OFF_CENTRE, axis=1)]
+        if len(again):  # the learnt picture has the target nearer to another pixel than the first look had
+            _measure(film, followed, again, lesson)
         if progress:
             progress(at, len(rows), "measure")
     measure_hidden(film, followed, lesson)
     found = np.flatnonzero(followed.found)
     followed.reason[found] = _reasons(followed, found, room)
     return followed
+
+
+def _measure(film: Recording, followed: Followed, rows: NDArray[np.int64], lesson: Lesson) -> None:
+    """Measure some frames (m,) on cut-outs that lie nearest to where the target was found last."""
+    size = lesson.template.weight.shape
+    corner = nearest_corner(followed.at[rows], film.shape, size)
+    guess = followed.fine[rows].moved(followed.corner[rows] - corner)
+    followed.fine.put(rows, measure(film.cut(rows, corner, size), corner, guess, lesson)[0])
+    followed.corner[rows] = corner
 
 
 def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str]:
@@ -211,7 +223,6 @@ def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, n
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        systematic=_slow(fine.sigma[found, 0]),
         notes=(*recording.notes, *_unread(measured), *_drawn(size)),
     )
 
@@ -224,8 +235,22 @@ def _with_own_noise(track: Track, template: int) -> Track:
     return replace(track, **columns)
 
 
-def _slow(sigma: Array) -> float:
-    return float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW)) if len(sigma) else 0.0
+def _with_slow_error(track: Track, lesson: Lesson) -> Track:
+    """The track with what its places are off slowly, along its path, and a remark where the target's look changes."""
+    found = track.found
+    sigma, at = track.sigma_px[found], np.stack([track.x_px, track.y_px])[:, found]
+    if not found.any():
+        return track
+    along = np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0]
+    look = float(np.sqrt(max(along @ lesson.slow @ along, 0.0)))
+    own = float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW))
+    if look < own:
+        return replace(track, systematic=own)
+    note = (
+        f"the look of the target changes along its path (light, highlights, background): places are off slowly by "
+        f"{look:.2g} px rms; an outline of what does not change, target = [[x, y], ...], or even light lowers that"
+    )
+    return replace(track, systematic=float(np.hypot(own, look)), notes=(*track.notes, note))
 
 
 def _unread(measured: Followed) -> tuple[str, ...]:

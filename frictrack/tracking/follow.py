@@ -213,13 +213,15 @@ class Follower:
         """Corners (n, 2) and positions in these frames, from predictions (n, 2) px good to a pixel or two."""
         corner = np.rint(predicted).astype(np.int64).clip(0, self.room)
         fine = self._refined(frames, corner, np.clip(predicted - corner, -RANGE, RANGE))
+        before = corner.copy()
         for _ in range(AGAIN):
             better = (corner + np.rint(np.nan_to_num(fine.at)).astype(np.int64)).clip(0, self.room)
-            off = np.any(np.abs(fine.at) > RANGE, axis=1) & np.any(better != corner, axis=1)
+            anew = np.any(better != corner, axis=1) & np.any(better != before, axis=1)  # no going to and fro
+            off = np.any(np.abs(fine.at) > RANGE, axis=1) & anew
             if not off.any():
                 break
             start = np.clip((corner + fine.at - better)[off], -RANGE, RANGE)
-            corner[off] = better[off]
+            before[off], corner[off] = corner[off], better[off]
             again = self._refined(frames[off], corner[off], start)
             fine.put(off, again)
         return corner, fine

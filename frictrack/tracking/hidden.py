@@ -21,6 +21,7 @@ NEAR = 3  # frames to the nearest good one, over which a prediction is trusted
 NEIGHBOURS, FAR = 16, 64  # good frames that predict a place, and how far away they may be
 ROUNDS = 64  # of predicting from frames that the round before has measured
 HIDDEN_SHARE = 0.03  # of the picture's variance, left unexplained beyond the noise: something else than the target
+AGREES = 4.0  # standard deviations of a place, that its prediction may be off by
 HIDDEN = "too much of the target is hidden"
 
 
@@ -38,9 +39,29 @@ def measure_hidden(film: Recording, followed: Followed, lesson: Lesson) -> None:
             break
         tried[rows] = True
         good[rows] = _again(film, followed, rows, np.flatnonzero(good), lesson)
-    rest = np.flatnonzero(odd & ~good)
-    hidden = rest[unexplained(followed.fine.score[rest], followed.fine.misfit[rest], lesson.usual) > HIDDEN_SHARE]
-    followed.reason[hidden] = HIDDEN
+    _accept_gradual(followed, good, unexplained(followed.fine.score, followed.fine.misfit, lesson.usual))
+    followed.reason[odd & ~good] = HIDDEN
+
+
+def _accept_gradual(followed: Followed, good: Mask, share: Array) -> None:
+    """Add frames to the `good` ones that leave hardly more unexplained, `share` (n,), than the good ones before.
+
+    Light and background change gradually along a path, what hides a target comes at once. The place must be where the
+    neighbours have it, within its own deviation.
+    """
+    tried = good | ~followed.found
+    for _ in range(len(good)):
+        rows = np.flatnonzero(~tried & (_distance(good) <= NEAR))
+        if len(rows) == 0:
+            break
+        tried[rows] = True
+        known = np.flatnonzero(good)
+        usual = np.array([np.median(share[known[np.argsort(np.abs(known - row))[:NEIGHBOURS]]]) for row in rows])
+        off = np.abs(followed.at[rows] - _predicted(followed.at, rows, known)[0])
+        agrees = np.all(off < AGREES * followed.fine.sigma[rows, :2], axis=1)
+        few = share[rows] <= HIDDEN_SHARE
+        good[rows] = few | (agrees & (share[rows] <= usual + HIDDEN_SHARE))
+    good |= followed.found & ~tried & (share <= HIDDEN_SHARE)
 
 
 def _distance(good: Mask) -> NDArray[np.int64]:

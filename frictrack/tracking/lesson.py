@@ -12,13 +12,14 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.areas import obstructed
 from frictrack.tracking.follow import Followed
 from frictrack.tracking.learn import WIDE_RIM, learn, without_border
-from frictrack.tracking.match import Patch
+from frictrack.tracking.match import Patch, nearest_corner
 from frictrack.tracking.measure import Lesson, measure, modelled
-from frictrack.tracking.refine import Fine
+from frictrack.tracking.refine import Fine, products, refine
 from frictrack.tracking.sharp import SmoothPath, matters, smoothed
 from frictrack.tracking.template import Template
-from frictrack.tracking.trust import inflation
+from frictrack.tracking.trust import inflation, slow_error
 from frictrack.tracking.view import Sums, View, view_of
+from frictrack.tracking.waves import RANGE
 
 FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
 BYTES = 32_000_000  # of cut-outs held at once
@@ -27,17 +28,35 @@ MIN_TAUGHT = 3  # frames that a template can be learnt from
 ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
+STILL_FOUND = 0.95  # of the frames, in which a picture with short waves must be found as well
+PARTS = 8  # stretches of the path, every other of which foretells the rest
 BORDER_SLOPE = 0.2  # of the picture's slopes, that a border's may be off by
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
 
 @dataclass(frozen=True, eq=False)
 class _Cuts:
-    """What the rounds look at: cut-outs (n, h, w), their corners (n, 2), and the still scene behind each."""
+    """What the rounds look at: cut-outs (n, h, w) of some frames, their corners (n, 2), and the still scene behind."""
 
+    film: Recording
+    rows: NDArray[np.int64]
     cuts: Patch
     corner: NDArray[np.int64]
-    scene: Patch | None
+    background: Patch | None  # (H, W), median of the film
+
+    @classmethod
+    def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, int]) -> _Cuts:
+        """Cut-outs of these frames whose corners lie nearest to `at` (n, 2) px."""
+        corner = nearest_corner(at, film.shape, size)
+        return cls(film, rows, film.cut(rows, corner, size), corner, _background(film))
+
+    @property
+    def scene(self) -> Patch | None:
+        """The still background behind each cut-out (n, h, w); None where it is not known."""
+        if self.background is None:
+            return None
+        h, w = self.cuts.shape[1:]
+        return np.stack([self.background[y : y + h, x : x + w] for x, y in self.corner])
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +82,14 @@ def taught(film: Recording, followed: Followed, template: Template, blocked: Mas
     if len(rows) < MIN_FRAMES:
         return Lesson(without_border(template), view)
     size = template.weight.shape
-    corner = np.rint(followed.at[rows]).astype(np.int64).clip(0, np.array(film.shape[::-1]) - size[::-1])
-    seen = _Cuts(film.cut(rows, corner, size), corner, _scene(film, corner, size))
-    fine = followed.fine[rows].moved(followed.corner[rows] - corner)
-    found = _Found(template, *measure(seen.cuts, corner, fine, Lesson(without_border(template), view)))
+    seen = _Cuts.around(film, rows, followed.at[rows], size)
+    fine = followed.fine[rows].moved(followed.corner[rows] - seen.corner)
+    found = _Found(template, *measure(seen.cuts, seen.corner, fine, Lesson(without_border(template), view)))
     path = _path(followed, rows)
     for k in range(MOST_ROUNDS):
         if np.count_nonzero(found.good) < MIN_TAUGHT:
             break
+        seen, found = _recentred(seen, found)
         found = _round(seen, found, path, view)
         if k == 1:
             found, path = _sharpened(seen, found, path)
@@ -81,14 +100,37 @@ def taught(film: Recording, followed: Followed, template: Template, blocked: Mas
     return _concluded(seen, found, view)
 
 
+def _recentred(seen: _Cuts, found: _Found) -> tuple[_Cuts, _Found]:
+    """The same with cut-outs taken anew where the target has come to lie more than half a pixel off their corner."""
+    fine, size = found.fine, seen.cuts.shape[1:]
+    near = fine.settled & np.all(np.abs(fine.at) < RANGE + 1, axis=1)
+    corner = nearest_corner(seen.corner + np.where(near[:, None], fine.at, 0.0), seen.film.shape, size)
+    off = np.flatnonzero(np.any(corner != seen.corner, axis=1))
+    if len(off) == 0:
+        return seen, found
+    cuts, share = seen.cuts.copy(), None if found.share is None else found.share.copy()
+    cuts[off] = seen.film.cut(seen.rows[off], corner[off], size)
+    if share is not None:
+        share[off] = 1.0
+    return replace(seen, cuts=cuts, corner=corner), replace(found, fine=fine.moved(seen.corner - corner), share=share)
+
+
 def _round(seen: _Cuts, found: _Found, path: SmoothPath, view: View | None) -> _Found:
     """Learn the template where the last round found it, and find it again."""
-    good = found.good
-    places = path.placed(found.fine, seen.corner, found.template)[good]
+    template = _learnt(seen, found, path, view)
+    return _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template, view)))
+
+
+def _learnt(seen: _Cuts, found: _Found, path: SmoothPath, view: View | None) -> Template:
+    """The template that fits the frames best where the last round found it."""
+    placed = path.placed(found.fine, seen.corner, found.template)
+    good = found.good & np.all(np.abs(placed.turned_back()) <= RANGE, axis=1)
+    if np.count_nonzero(good) < MIN_TAUGHT:
+        return found.template
+    places = placed[good]
     part = (None if v is None else v[good] for v in (seen.scene, found.share))
     shown = _seen(seen.cuts[good], seen.corner[good], found.fine[good], view)
-    template = learn(shown, places, found.template, *part)
-    return _Found(template, *measure(seen.cuts, seen.corner, found.fine, Lesson(template, view)))
+    return learn(shown, places, found.template, *part)
 
 
 def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, SmoothPath]:
@@ -97,12 +139,35 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
         return found, path
     path = path.again(seen.corner + found.fine.at)
     with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
+        if not _foretells(seen, found, path):
+            return found, path
         sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
-    if np.count_nonzero(sharper.good) < MIN_TAUGHT:
-        return found, path
     better = path.again(seen.corner + sharper.fine.at)
     sharper = _round(seen, sharper, better, None)
-    return (sharper, better) if matters(sharper.fine, found.fine, path.axes) else (found, path)
+    kept = _still_found(sharper.fine, found.fine) and matters(sharper.fine, found.fine, path.axes)
+    return (sharper, better) if kept else (found, path)
+
+
+def _still_found(again: Fine, before: Fine) -> bool:
+    return bool(np.count_nonzero(again.settled) >= max(STILL_FOUND * np.count_nonzero(before.settled), 1))
+
+
+def _foretells(seen: _Cuts, found: _Found, path: SmoothPath) -> bool:
+    """Whether short waves that every other stretch of the path has taught fit the rest better than none.
+
+    Light that changes along the path, or a codec, makes such waves too, but each stretch has its own: the next one is
+    not found by them, or fits worse.
+    """
+    odd = (np.arange(len(seen.cuts)) * PARTS // len(seen.cuts)) % 2 == 1
+    part = replace(seen, cuts=seen.cuts[~odd], corner=seen.corner[~odd], rows=seen.rows[~odd])
+    half = replace(path, frames=path.frames[~odd], at=path.at[~odd])
+    share = None if found.share is None else found.share[~odd]
+    taught_by = _Found(path.widened(found.template), found.fine[~odd], share)
+    sharper = replace(_learnt(part, taught_by, half, None), weight=found.template.weight)
+    rest = np.flatnonzero(odd & found.good & (found.fine.misfit <= np.median(found.fine.misfit[found.good])))
+    rest = rest[:: max(1, len(rest) // TRUST_FRAMES)]
+    plain, again = (refine(products(seen.cuts[rest], t), found.fine.at[rest], t) for t in (found.template, sharper))
+    return _still_found(again, plain) and bool(np.median(again.misfit) < np.median(plain.misfit))
 
 
 def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
@@ -112,9 +177,11 @@ def _concluded(seen: _Cuts, found: _Found, view: View | None) -> Lesson:
         template = without_border(template, WIDE_RIM)
     lesson = Lesson(template, view, float(np.median(fine.misfit)))
     taught_by = np.flatnonzero(found.good)
-    few = taught_by[:: max(1, len(taught_by) // TRUST_FRAMES)]
-    shown = _seen(seen.cuts[few], seen.corner[few], fine[few], view)
-    return replace(lesson, inflation=inflation(shown, fine[few], template, None if share is None else share[few]))
+    shown = _seen(seen.cuts[taught_by], seen.corner[taught_by], fine[taught_by], view)
+    kept = None if share is None else share[taught_by]
+    few = slice(None, None, max(1, len(taught_by) // TRUST_FRAMES))
+    factor = inflation(shown[few], fine[taught_by[few]], template, None if kept is None else kept[few])
+    return replace(lesson, inflation=factor, slow=slow_error(shown, fine[taught_by], template, kept))
 
 
 def _border_is_known(seen: _Cuts, found: _Found) -> bool:
@@ -180,12 +247,8 @@ def _view(film: Recording, seen: _Cuts, found: _Found) -> View | None:
     return view_of(sums, 1 / usual)
 
 
-def _scene(film: Recording, corner: NDArray[np.int64], size: tuple[int, ...]) -> Array | None:
-    """The still background behind each cut-out, the median of frames spread over the film."""
+def _background(film: Recording) -> Array | None:
+    """The still background (H, W), the median of frames spread over the film; None of too few frames."""
     index = np.unique(np.linspace(0, film.n_frames - 1, BACKGROUND_FRAMES).astype(int))
     frames = film.pick(index.tolist())
-    if len(frames) < 3:
-        return None
-    background = np.median(np.stack(frames), axis=0).astype(np.float32)
-    h, w = size
-    return np.stack([background[y : y + h, x : x + w] for x, y in corner])
+    return None if len(frames) < 3 else np.median(np.stack(frames), axis=0).astype(np.float32)

@@ -14,6 +14,15 @@ Rectangle = tuple[int, int, int, int]  # x, y, w, h in px
 Patch = NDArray[Any]  # grey values
 
 
+def nearest_corner(at: NDArray[Any], picture: tuple[int, ...], size: tuple[int, ...]) -> NDArray[np.int64]:
+    """Upper left corners (n, 2) of whole pixels nearest to places (n, 2) px, so that rectangles lie in the picture.
+
+    `picture` and `size` are the shapes (h, w) of the picture and of the rectangles.
+    """
+    room = np.array(picture[::-1]) - np.array(size[::-1])
+    return np.asarray(np.rint(at).astype(np.int64).clip(0, room))
+
+
 def correlate(frame: Patch, patch: Patch, counts: Mask | None = None) -> Patch:
     """Zero-normalised cross-correlation of `patch` at every place in `frame`; flat places score 0.
 

@@ -40,6 +40,7 @@ class Lesson:
     view: View | None = None
     usual: float = np.nan  # nan: that of the frames at hand
     inflation: Array = field(default_factory=lambda: np.ones(3))  # of the standard deviations, see `trust`
+    slow: Array = field(default_factory=lambda: np.zeros((2, 2)))  # px^2, of what the target's changing look adds
     turns: bool = False  # the target turns by more than small rotations
 
 

@@ -13,15 +13,16 @@ bound (Pham et al. 2005, EURASIP J. Appl. Signal Process. 2005:2199).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.match import Patch
 from frictrack.tracking.template import Template
-from frictrack.tracking.waves import RANGE
 
-STEPS = 6
+STEPS = 12  # at most: five where the picture fits, more where something hides a part of it
 SETTLED = 2e-3  # px; Gauss-Newton's next step would be a few percent of this
 UNKNOWNS = 5
 LEAST_GAIN = 1e-3
@@ -43,7 +44,7 @@ class Fine:
     def __getitem__(self, rows: Mask | slice | np.ndarray) -> Fine:
         return Fine(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def moved(self, by: Array) -> Fine:
+    def moved(self, by: NDArray[Any]) -> Fine:
         """The same places, on cut-outs whose corners lie `by` (n, 2) px further up and left."""
         return replace(self, at=self.at + by)
 
@@ -100,7 +101,8 @@ def products(cuts: Patch, template: Template, share: Patch | None = None) -> Pro
 
 def refine(given: Products, start: Array, template: Template) -> Fine:
     """Position of the target in each frame, from `start` (n, 2) px; outside the expansion's reach not settled."""
-    at = np.array(start, dtype=np.float64)
+    longest = template.shifts.longest
+    at = np.clip(np.array(start, dtype=np.float64), -longest, longest)
     n = len(at)
     result = np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS)), np.zeros((n, UNKNOWNS, UNKNOWNS))
     settled, active = np.zeros(n, np.bool_), np.ones(n, np.bool_)
@@ -110,10 +112,12 @@ def refine(given: Products, start: Array, template: Template) -> Fine:
         for whole, part in zip(result, found, strict=True):
             whole[rows] = part
         step = np.clip(found[0][:, 2:4] / _divisor(found[0])[:, None], -1.0, 1.0)
-        at[rows] += step
+        before = at[rows]
+        at[rows] = np.clip(before + step, -longest, longest)
         small = np.max(np.abs(step), axis=1) < SETTLED
         settled[rows[small]] = True
-        active[rows] = ~small & np.all(np.abs(at[rows]) < RANGE + 0.5, axis=1)
+        stuck = np.max(np.abs(at[rows] - before), axis=1) < SETTLED  # where the expansion ends
+        active[rows] = ~(small | stuck)
         if not active.any():
             break
     return _summarise(at, settled, given, result, template)

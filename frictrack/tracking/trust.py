@@ -17,6 +17,9 @@ from frictrack.tracking.refine import Fine
 from frictrack.tracking.template import Template
 
 BLOCKS = (4, 8, 16)  # px
+LEAST_BLOCKS = 8  # whose scatter tells anything
+STRETCHES, STRETCH_FRAMES = 12, 8  # of the path, and frames of each, whose mean residual pictures are looked at
+THIRDS = 3  # parts of a side: light changes over the whole target, not from one small block to the next
 SURE = 4.0  # standard errors above one from which it is no accident
 
 
@@ -33,13 +36,68 @@ def inflation(cuts: Patch, fine: Fine, template: Template, share: Patch | None =
     for block in BLOCKS:
         sums = _block_sums(parts.reshape(-1, *cuts.shape[1:]), block).reshape(len(cuts), 3, -1)
         count = sums.shape[2]
-        if count < 8:
+        if count < LEAST_BLOCKS:
             break
         # Gauss-Newton has made the sum over each frame zero: one of `count` draws is lost.
         ratio = np.sum(sums**2, axis=(0, 2)) / white * count / (count - 1)
         sure = ratio - 1 > SURE * np.sqrt(2 / (len(cuts) * count))
         factor = np.where(sure, np.maximum(factor, ratio), factor)
     return np.sqrt(factor)
+
+
+def slow_error(cuts: Patch, fine: Fine, template: Template, share: Patch | None = None) -> Array:
+    """Covariance (2, 2), px^2, of what places are off slowly because the target's look changes along its path.
+
+    Light that falls from elsewhere, a highlight that wanders over the body or a background that shows at its edge
+    leaves the same residual picture in neighbouring frames. Frame by frame the place is the best one all the same, but
+    parts of the target would have it elsewhere: their scatter is the deviation, as in `inflation`, of the mean
+    residual picture of a stretch of the path instead of a single frame's. What frames do not share is noise, and
+    taken off: with C of one frame and C_m of the mean of n, the slow part is (n C_m - C) / (n - 1).
+
+    Parameters
+    ----------
+    cuts, fine, share
+        Cut-outs (n, h, w) in the order of time, the places in them and the share of each pixel's weight.
+    template
+        The learnt picture.
+
+    Returns
+    -------
+    Array
+        Zero where no more is seen than noise leaves.
+
+    """
+    stretches = [rows for rows in np.array_split(np.arange(len(cuts)), STRETCHES) if len(rows) > 1]
+    if len(stretches) < STRETCHES:
+        return np.zeros((2, 2))
+    few = [rows[np.unique(np.linspace(0, len(rows) - 1, STRETCH_FRAMES).astype(int))] for rows in stretches]
+    each = [_parts(cuts[rows], fine[rows], template, None if share is None else share[rows]) for rows in few]
+    single, mean = (np.mean([_scatter(part, of_mean) for part in each], axis=0) for of_mean in (False, True))
+    n = min(len(part) for part in each)
+    chance = np.trace(single) / (n - 1) * np.sqrt(2 / (STRETCHES * THIRDS**2))
+    found = (n * mean - single) / (n - 1)
+    return np.asarray(found if np.trace(found) > SURE * chance else np.zeros((2, 2)))
+
+
+def _parts(cuts: Patch, fine: Fine, template: Template, share: Patch | None) -> Array:
+    """By how much each pixel alone moves the places, px along x and y: (n, 2, h, w)."""
+    columns = template.columns(fine.turned_back()) @ template.pictures  # (n, 5, h w)
+    root = template.root if share is None else template.root * np.sqrt(share.reshape(len(cuts), -1))
+    weighted = columns * root[..., None, :]
+    normal = weighted @ weighted.transpose(0, 2, 1)
+    pull = np.linalg.pinv(normal, hermitian=True)[:, 2:4] @ weighted
+    left = residual(cuts, fine, template).reshape(len(cuts), 1, -1)
+    left = left if share is None else left * np.sqrt(share.reshape(len(cuts), 1, -1))
+    return np.asarray(pull * left / fine.gain[:, None, None]).reshape(len(cuts), 2, *cuts.shape[1:])
+
+
+def _scatter(parts: Array, of_mean: bool) -> Array:
+    """Covariance (2, 2) of places, each ninth of the target one draw: of the mean of frames, or the mean of theirs."""
+    parts = parts.mean(axis=0, keepdims=True) if of_mean else parts
+    rows, cols = (np.arange(THIRDS) * side // THIRDS for side in parts.shape[2:])
+    sums = np.add.reduceat(np.add.reduceat(parts, rows, axis=2), cols, axis=3).reshape(len(parts), 2, -1)
+    count = sums.shape[2]
+    return np.asarray(np.einsum("nib,njb->ij", sums, sums) / len(parts) * count / (count - 1))
 
 
 def _block_sums(pictures: Array, block: int) -> Array:

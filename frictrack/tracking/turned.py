@@ -27,12 +27,7 @@ from frictrack.tracking.waves import EDGE
 
 Progress = Callable[[int, int, str], None]
 
-AS_MANY, CLEARLY_MORE = 0.98, 2.0  # times the frames of a target that does not turn
-OFTEN = 0.1  # of the frames, in which small rotations are no longer linear
-LARGEST_SWING = 1.0  # px that small rotations may move the target's corners: beyond, they are no longer linear
 FASTEST = np.radians(25.0)  # rad a frame
-BETTER = 0.15  # by this much must a turned picture match better than the upright one, for the target to have turned ...
-LEFT = 0.25  # ... or leave this share of the variance that the upright one does not explain
 REACH = 24  # px searched round the prediction
 NEAR = 0.8  # of the usual score: a match near the prediction that is as good ends the search
 SMALL, LARGE = 20, 400_000  # px of a target's shorter side, and of a picture, to which they are reduced for searching
@@ -74,47 +69,6 @@ class TurnedTrack:
             )  # fmt: skip
             out.fine.put(np.array([i]), row)
         return out
-
-
-def frames_to_beat(
-    film: Recording, followed: Followed, picture: TurnedPicture, start: Array, first: int
-) -> float | None:
-    """In how many frames a turning target must be seen to be followed as one; None where it does not turn.
-
-    It turns farther than small rotations tell: seen in the angles, or in the frames lost first. What is seen only after
-    it was lost must bring back as many frames as were seen: a mass that slides and then falls off the course has
-    turned, too, and its slide is what matters.
-    """
-    angle = followed.fine.angle[followed.found]
-    found = float(np.sum(followed.found))
-    if np.mean(np.abs(angle - np.median(angle)) * picture.radius > LARGEST_SWING) > OFTEN:
-        return AS_MANY * found
-    return CLEARLY_MORE * found if _turns_where_lost(film, followed, picture, start, first) else None
-
-
-def _turns_where_lost(film: Recording, followed: Followed, picture: TurnedPicture, start: Array, first: int) -> bool:
-    """Whether a turned picture matches clearly better where the target was lost first."""
-    lost = [i for i in _lost_first(followed, first) if followed.reason[i] not in (LEAVES, UNREAD, FLAT)]
-    return any(_has_turned(film, followed, picture, i, first, start) for i in lost)
-
-
-def _lost_first(followed: Followed, first: int) -> list[int]:
-    """The frames at which the target was lost for the first time, on the way forward and backward."""
-    found = followed.found
-    after, before = np.flatnonzero(~found[first:]) + first, np.flatnonzero(~found[:first])
-    return [*after[:1].tolist(), *before[-1:].tolist()]
-
-
-def _has_turned(film: Recording, followed: Followed, picture: TurnedPicture, i: int, first: int, start: Array) -> bool:
-    """Whether a turned picture matches frame `i` clearly better than the upright one."""
-    near = i - 1 if i > first else i + 1
-    at = followed.at[near] if followed.found[near] else np.asarray(start, dtype=np.float64)
-    frame = film.frame(i)
-    found = _searched(frame, Pose(at + picture.middle, 0.0), picture, 1.0)
-    upright = float(np.nan_to_num(followed.fine.score[i]))
-    if found is None or not found.settled or found.score < SHARE:
-        return False
-    return found.score > upright + BETTER or 1 - found.score**2 < LEFT * (1 - upright**2)
 
 
 class _Turning:
@@ -166,7 +120,7 @@ class _Turning:
         if not self._good(pose):
             age = abs(i - known[-1][0])
             everywhere = age <= FORGOTTEN or i % FORGOTTEN == 0
-            searched = _searched(frame, predicted, self.picture, self.score, everywhere=everywhere, usual=self.misfit)
+            searched = search_pose(frame, predicted, self.picture, self.score, everywhere=everywhere, usual=self.misfit)
             pose = searched if searched is not None and searched.score > pose.score - 0.02 else pose
         if self._shown(pose if self._good(pose) else predicted, frame) < LEAST_SHOWN:
             return None, LEAVES
@@ -218,7 +172,7 @@ def _predicted(i: int, known: list[tuple[int, Pose]]) -> Pose:
 # ---- searching
 
 
-def _searched(
+def search_pose(
     frame: Patch,
     predicted: Pose,
     picture: TurnedPicture,

@@ -28,6 +28,9 @@ BAND = 0.48  # cycles/px; a wave of 0.5 may pass through zero at every pixel, un
 FINER = 2.95  # the same along an axis on which frames show the target at every shift: a third of a pixel
 RANGE = 0.6  # px, reach of the expansion: half a pixel and room for the last step
 DEGREES = {BAND: 5, FINER: 21}  # of the expansion; one more changes positions by less than 1 % of the noise
+# Px up to which a search may step. Outside its range a Chebyshev series grows as the power of its degree (Trefethen
+# 2013, ch. 8): of degree 21 it is worth nothing a tenth of a pixel further.
+LONGEST_SHIFT = {BAND: RANGE + 0.5, FINER: RANGE + 0.05}
 TURN_DEGREE = 2
 
 
@@ -43,6 +46,11 @@ class Shifts:
     def degrees(self) -> tuple[int, int]:
         """Degrees of the expansion along y and x."""
         return DEGREES[self.bands[0]], DEGREES[self.bands[1]]
+
+    @property
+    def longest(self) -> float:
+        """Shift along x or y beyond which the expansion says nothing, px."""
+        return min(LONGEST_SHIFT[band] for band in self.bands)
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
