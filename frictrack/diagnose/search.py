@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.compare import failing_spans
+from frictrack.diagnose.admissible import objection
 from frictrack.diagnose.evidence import Beside, Evidence, Known, curves_of, evidence, sensed
 from frictrack.diagnose.experiments import for_unexplained, settling
 from frictrack.diagnose.here import words
@@ -124,6 +125,7 @@ def _search(
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
         last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
+    found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return _Search(start, first, last, found, again)
 
 
@@ -185,7 +187,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
     clean = not first.leaves_misfit and not first.passing
     if clean:
         verdict = "complete"
-    elif last.leaves_misfit or not found or not listed[0].helps:
+    elif last.leaves_misfit or not found or not listed[0].helps or any(t.objection for t in found):
         verdict = "unexplained"
     else:
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
@@ -198,7 +200,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
     return Diagnosis(
         model=fit.model.names,
         verdict=verdict,
-        missing=[t.effect.name for t in found],
+        missing=[t.effect.name for t in found if not t.objection],
         noise_um=None if fit.measured else 1e6 * noise,
         noise_N=noise if fit.measured else None,
         reduced_chi2=misfit,
@@ -268,7 +270,9 @@ def _listed(first: Round, found: list[Tried], hold: _Held) -> list[Candidate]:
     for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
         name = t.effect.name
         shown = there.get(name, t)
-        shown = replace(shown, indistinguishable_from=chosen.get(name, t).indistinguishable_from or alike.get(name, ()))
+        own = chosen.get(name, t)
+        others = own.indistinguishable_from or alike.get(name, ())
+        shown = replace(shown, indistinguishable_from=others, objection=own.objection)
         out.append(_candidate(shown, hold if t.p < ALPHA / 2 and k < LISTED else None))
     return out
 

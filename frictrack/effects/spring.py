@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.effects.base import Effect, Nonlinear, Parameter, Path
+from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span
 from frictrack.records import Array
+
+FARTHEST = 100.0  # courses to the place where a spring is slack: beyond, its force varies by less than 1 % along one
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -18,6 +20,14 @@ def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     return {"x_0": own["x_0"] / own["k"] if own["k"] else float("nan")}
 
 
+def pulls_back(own: Nonlinear, span: Span) -> str:
+    """Objection to a spring whose force is the same all along the course: a constant force."""
+    reach = FARTHEST * (span.x_max - span.x_min)
+    if abs(own["x_0"]) <= reach * abs(own["k"]):
+        return ""
+    return f"it would be slack more than {reach:.2g} m away, {FARTHEST:g} courses: a constant force, and no spring"
+
+
 spring = Effect(
     name="spring",
     acts_on="force",
@@ -28,6 +38,7 @@ spring = Effect(
     looks_like="a straight line against x that does not turn round with the direction",
     mistaken_for="viscous friction and drift, in one direction at one speed",
     confirm="Film a reversed run, or take the cable off.",
+    plausible=pulls_back,
     source="textbook: F = k x",
     quote=quote,
 )

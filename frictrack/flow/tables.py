@@ -70,7 +70,8 @@ def tabled(data: TableData, run: RunTable) -> Displacement:
         ),
         table.numbers,
     )
-    return _uneven(seen if data.sigma is not None else replace(seen, sigma_x=_table_sigma(seen)))
+    seen = _uneven(seen)
+    return replace(seen, sigma_x=_table_sigma(seen)) if np.all(np.isnan(seen.sigma_x)) else seen
 
 
 def _uneven(seen: Displacement) -> Displacement:
@@ -87,8 +88,9 @@ def _uneven(seen: Displacement) -> Displacement:
         f"{100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
         "deviations grow with it"
     )
-    sigma = np.hypot(max(still, rounding_noise(seen.resolution)), moved)
-    return replace(seen, sigma_x=sigma, notes=(*seen.notes, note))
+    stated = np.isfinite(seen.sigma_x)
+    at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
+    return replace(seen, sigma_x=np.hypot(at_rest, moved), notes=(*seen.notes, note))
 
 
 def uneven_runs(displacements: Sequence[Displacement]) -> tuple[str, ...]:

@@ -22,9 +22,9 @@ MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level
 SAME_SPEED = 1e-6  # relative difference of squares that is none
 TINY = np.finfo(float).tiny  # what is smaller has lost its digits
 STILL = 0.01  # of the smallest variance of a bin, that a sample at rest has at the least: weights stay finite
-# Relative deviation of the variance of n fourth differences by their median absolute value: its efficiency is 37 %
-# (Huber & Ronchetti 2009, Robust Statistics, section 1.2), and each shares its noise with its neighbours (2.63).
-RELATIVE = float(np.sqrt(2.0 * 2.63 / 0.37))
+CLIPPED, KEPT = 3.0, 0.99501  # robust deviations at which a square is cut off, and the mean square of a Gaussian then
+# Relative deviation of the variance of n fourth differences, each of which shares its noise with its neighbours (2.63).
+RELATIVE = float(np.sqrt(2.0 * 2.63))
 
 
 def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
@@ -107,6 +107,12 @@ def _binned(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
     rows = np.flatnonzero(whole & (fast > slowest))
     rows = rows[np.argsort(fast[rows])]
     parts = [part for part in np.array_split(rows, min(max(len(rows) // ROWS, 1), MOST)) if len(part) >= ROWS // 2]
-    variances = [(MEDIAN_TO_SIGMA * float(np.median(np.abs(difference[part])))) ** 2 for part in parts]
+    variances = [_variance(difference[part]) for part in parts]
     squares = np.array([float(np.mean(fast[part] ** 2)) for part in parts])
     return squares, np.array([(v, len(part)) for v, part in zip(variances, parts, strict=True)]).reshape(-1, 2)
+
+
+def _variance(difference: Array) -> float:
+    """Mean square without the tails: as good as that of a Gaussian, and not moved by outliers (Huber 1981)."""
+    most = CLIPPED * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / KEPT
