@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from frictrack.errors import FrictrackError
+from frictrack.motion.average import Group, alternatives, moved
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.known import KnownAcceleration
 from frictrack.motion.methods import METHODS, Method, bridged
@@ -35,11 +36,15 @@ class Smoother:
 
     structure: Structure | None = None
     method: Method | None = None
+    alternatives: tuple[Group, ...] = ()
 
     def __str__(self) -> str:
         if self.method:
             return json.dumps({"method": self.method.name, **vars(self.method)})
-        return json.dumps({"method": STRUCTURAL, **asdict(self.structure)}) if self.structure else ""
+        if self.structure is None:
+            return ""
+        others = {"alternatives": [asdict(g) for g in self.alternatives]} if self.alternatives else {}
+        return json.dumps({"method": STRUCTURAL, **asdict(self.structure), **others})
 
     @classmethod
     def read(cls, text: str) -> Smoother:
@@ -50,7 +55,8 @@ class Smoother:
             return cls(method=METHODS[name](**settings))
         events = tuple(Event(**e) for e in settings["events"])
         lines = tuple((float(f), float(m)) for f, m in settings["lines"])
-        return cls(Structure(tuple(settings["stiffness"]), lines, events))
+        groups = tuple(Group.read(g) for g in settings.get("alternatives", ()))
+        return cls(Structure(tuple(settings["stiffness"]), lines, events), alternatives=groups)
 
 
 def low_pass(
@@ -174,12 +180,17 @@ class _Coordinate:
         factor = structure.factored(growth.data)
         _, variance, unknowns = factor.judged()
         signal = factor.signal(unknowns)
+        groups: tuple[Group, ...] = ()
+        if cutoff is None and method == STRUCTURAL and acceleration is None:
+            groups = alternatives(growth.data, structure)
+            signal = signal + moved(growth.data, structure, groups)
         if cutoff is None:
             level = float(np.sqrt(variance))
             best = self._slide_cutoff(signal, best)
         return replace(
             self._passed(signal, level, cutoff or best),
-            smoother=str(Smoother(structure)),
+            smoother=str(Smoother(structure, alternatives=groups)),
+            measured=self._measured() if groups else None,
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
@@ -197,9 +208,13 @@ class _Coordinate:
     def _by(self, method: Method, level: float) -> _Passed:
         cutoff = method.cutoff / self.grid.interval
         passed = self._passed(method.derived(bridged(self.y, self.w > 0), 0), level, cutoff)
-        measured = (self.y + self.trend)[self.grid.frames]
+        measured = self._measured()
         reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
         return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
+
+    def _measured(self) -> Array:
+        """The unfiltered rows."""
+        return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
     def _passed(self, smooth: Array, level: float, cutoff: float) -> _Passed:
         frames = self.grid.frames

@@ -42,11 +42,24 @@ STEP = 0.02  # of the numbers, for slopes
 
 @dataclass(frozen=True)
 class Event:
-    """Differences first to last (inclusive) in which the trend is softer, by exp(boost)."""
+    """Differences first to last (inclusive) in which the trend is softer, by exp(boost).
+
+    All of them alike, or more and more to the last one (`rises` 1) or to the first one (-1).
+    """
 
     first: int
     last: int
     boost: float
+    rises: int = 0
+
+    @property
+    def boosts(self) -> Array:
+        """By how much each difference is softer, log."""
+        width = self.last - self.first + 1
+        if not self.rises:
+            return np.full(width, self.boost)
+        ramp = self.boost * np.arange(1, width + 1) / width
+        return ramp if self.rises > 0 else ramp[::-1]
 
 
 @dataclass(frozen=True)
@@ -67,7 +80,7 @@ class Structure:
         place = np.linspace(0.0, 1.0, n - ORDER)
         out = np.interp(place, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
         for e in self.events:
-            out[e.first : e.last + 1] -= e.boost
+            out[e.first : e.last + 1] -= e.boosts
         return np.asarray(out)
 
     def _knots(self) -> tuple[float, ...]:
@@ -75,8 +88,13 @@ class Structure:
 
     def factored(self, data: Data) -> Factor:
         """The smoother of some data."""
+        return self.part(data, (0, len(data.w), len(data.w)))
+
+    def part(self, data: Data, window: tuple[int, int, int]) -> Factor:
+        """The smoother of data from a first frame to a stop, of so many frames."""
+        first, stop, n = window
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
-        return factored(data, np.exp(self.log_lambda(len(data.w))), Lines(omega, np.exp(log_mu)))
+        return factored(data, np.exp(self.log_lambda(n)[first : stop - ORDER]), Lines(omega, np.exp(log_mu)))
 
     def numbers(self) -> Array:
         """All that likelihood settles, in one vector."""

@@ -53,7 +53,7 @@ def _windows(data: Data) -> Iterator[Window]:
     last: Structure | None = None
     for core, core_stop in zip(cores[:-1].tolist(), cores[1:].tolist(), strict=True):
         first, stop = max(core - OVERLAP, 0), min(core_stop + OVERLAP, n)
-        part = _part(data, first, stop)
+        part = part_of(data, first, stop)
         if part is not None:
             growth = Growth(part)
             growth.left = WORK
@@ -61,7 +61,7 @@ def _windows(data: Data) -> Iterator[Window]:
         yield Window(first, stop, core, core_stop, last or Growth(data).stiff)
 
 
-def _part(data: Data, first: int, stop: int) -> Data | None:
+def part_of(data: Data, first: int, stop: int) -> Data | None:
     """Some frames of the data without their own cubic; None where too few of them were measured."""
     y, w = data.y[first:stop], data.w[first:stop]
     if np.sum(w > 0) < FEWEST:
