@@ -1,10 +1,11 @@
-"""Average over structures that explain the data about as well as the best one does (Hoeting et al. 1999, Stat. Sci. 14).
+"""Average over structures that explain the data about as well as the best one does.
 
-How soft the trend is in its last frames, and how wide an event is, the likelihood hardly settles: few frames show it.
-Round every end and event the structure is therefore changed in the ways that a change of the stiffness may take: a ramp
-of the trend towards the end or the event, as deep as stiffnesses differ from knot to knot, and events of other widths
-and places. Each change counts by its likelihood and what is expected of it beforehand. It alters the trend near by
-only, so that it is judged in a window, and windows are taken as independent of each other.
+Bayesian model averaging (Hoeting et al. 1999, Stat. Sci. 14). How soft the trend is in its last frames, and how wide an
+event is, the likelihood hardly settles: few frames show it. Round every end and event the structure is therefore
+changed in the ways that a change of the stiffness may take: a ramp of the trend towards the end or the event, as deep
+as stiffnesses differ from knot to knot, and events of other widths, places and shapes. Each change counts by its
+likelihood and by what is expected of it beforehand. It alters the trend near by only, so that it is judged in a window,
+and windows are taken as independent of each other.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def _added(data: Data, s: Structure, g: Group, interval: float) -> Array:
     apart = np.array([derived(move, interval) for move in _moves(data, s, g)])
     between = np.einsum("k,kqn->qn", weights, apart**2) - np.einsum("k,kqn->qn", weights, apart) ** 2
     window = g.first, g.stop, len(data.w)
-    part = Data(np.zeros(g.stop - g.first), data.w[g.first : g.stop])
+    part = Data(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
     stencil = stencils(g.stop - g.first, interval)
     now, *then = (_factor(part, s, window, c).variances(*stencil) for c in (None, *g.changes))
     within = np.einsum("k,kqn->qn", weights, np.array(then) - now)

@@ -143,7 +143,7 @@ class Derived:
         if not groups or self.measured is None or self.smoother.structure is None:
             return whole, np.zeros((3, len(whole)))
         cubic = trend(self.measured, self.w)
-        data = Data(np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w)
+        data = Data(np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour)
         more = added(data, self.smoother.structure, groups, self.grid.interval)
         return whole - self.noise * moved(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
@@ -189,7 +189,7 @@ class Derived:
 
     def factored(self, structure: Structure) -> Factor:
         """Another structure with the same weights."""
-        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth))
+        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth, self.smoother.colour))
 
     def _whole(self) -> Array:
         """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""

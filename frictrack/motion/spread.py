@@ -47,7 +47,7 @@ def of_lines(factor: Factor, x: Array, interval: float) -> Iterator[Array]:
     for row, omega in zip(s.frame[1:], factor.lines.omega, strict=True):
         turn = along * np.gradient(found[row]) / omega
         left = turn - factor.smooth(turn)
-        known = float(np.sum(d.w * turn * left))
+        known = float(np.sum(d.whitened(turn) * left))
         yield derived(left, interval) / np.sqrt(max(known, np.finfo(float).tiny))
 
 
@@ -63,8 +63,7 @@ def _lost_share(factor: Factor, x: Array, interval: float) -> Array:
     n = len(x)
     if factor.data.worth is not None:  # what a sensor saw is not lost
         return np.ones((3, n))
-    signs = np.random.default_rng(SEED).choice([-1.0, 1.0], (n, PROBES))
-    once = factor.smooth(signs)
+    once = factor.smooth(factor.data.probes(np.random.default_rng(SEED), PROBES))
     twice = factor.smooth(once)
     rest = x - trend(x, factor.data.w)
     taken = derived(rest - factor.smooth(rest), interval) ** 2
@@ -72,11 +71,8 @@ def _lost_share(factor: Factor, x: Array, interval: float) -> Array:
     noise = np.mean(lost**2, axis=2)
     expected = np.mean(kept * lost, axis=2)
     window: NDArray[np.float64] = np.ones(n // ROUND | 1)
-    seen, wanted, blur = (_along(m, window) for m in (taken - noise, expected, FAINT * noise))
-    seen, wanted = (
-        np.maximum(seen, 0.0),
-        np.maximum(wanted, 0.0) + blur,
-    )  # what is far below the noise cannot be told from it
+    seen, wanted = (np.maximum(_along(m, window), 0.0) for m in (taken - noise, expected))
+    wanted += _along(FAINT * noise, window)  # what is far below the noise cannot be told from it
     return np.minimum((seen + EXPECTED * wanted) / ((1.0 + EXPECTED) * wanted), MOST)
 
 

@@ -8,17 +8,22 @@ this is the smoother of Whittaker (1923) and Henderson (1924), away from the end
 order 4, |H(f)| = 1 / (1 + lambda (2 sin(pi f / fs))^8); unlike that filter it needs no padding, has no end transient
 and takes a missing frame as a weight of zero. It is also the posterior mean of a signal whose differences are white
 noise, the one that Kalman's filter and Rauch, Tung and Striebel's smoother find by recursion: hence a likelihood
-(restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance.
+(restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance. Noise that is correlated from frame to
+frame is one more component c, which no frame tells from x but its own difference, c_j - rho c_(j-1), and which is no
+part of the signal (Harvey 1989, ch. 3).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.signal import lfilter
 
 from frictrack.records import Array
 
@@ -52,17 +57,69 @@ class Lines:
 NO_LINES = Lines(np.empty(0), np.empty(0))
 
 
+@dataclass(frozen=True)
+class Colour:
+    """Noise of which a `share` of the variance has a `correlation` from frame to frame; the rest is white."""
+
+    correlation: float
+    share: float
+
+    def spectrum(self, omega: Array) -> Array:
+        """Density at frequencies in radians per frame, one on average."""
+        turned = np.abs(1.0 - self.correlation * np.exp(-1j * omega)) ** 2
+        return np.asarray(1.0 - self.share + self.share * (1.0 - self.correlation**2) / turned)
+
+    @property
+    def shocks(self) -> float:
+        """Variance of c_j - rho c_(j-1) over that of the noise."""
+        return self.share * (1.0 - self.correlation**2)
+
+    def surprise(self, seen: int, n: int) -> float:
+        """What it adds to twice the negative log-likelihood of n frames, so many of them measured."""
+        return float((n - 1) * np.log(self.shocks) + np.log(self.share) + seen * np.log(1.0 - self.share))
+
+    def drawn(self, white: Array, driving: Array) -> Array:
+        """A series of such noise from two white ones (n, ...) of unit variance."""
+        driven = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
+        return np.asarray(np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], driven, axis=0))
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """Positions y (n,) with weights w (n,), 0 where none was measured, and accelerations where a sensor knew them.
 
     `bent` (n - 2,) are second differences of the position, `worth` (n - 2,) their weights, 0 where there is none.
+    The noise is white where it has no `colour`.
     """
 
     y: Array
     w: Array
     bent: Array | None = None
     worth: Array | None = None
+    colour: Colour | None = None
+
+    @property
+    def precision(self) -> Array:
+        """Weights (n,) of the white part of the noise."""
+        return self.w / (1.0 - self.colour.share) if self.colour else self.w
+
+    def probes(self, rng: np.random.Generator, many: int) -> Array:
+        """Series (n, many) of the covariance of the noise, from random signs."""
+        white = rng.choice([-1.0, 1.0], (len(self.w), many))
+        return self.colour.drawn(white, rng.choice([-1.0, 1.0], white.shape)) if self.colour else white
+
+    def whitened(self, y: Array) -> Array:
+        """The inverse covariance of the noise (n, n) times columns y (n, ...), for unit noise."""
+        weighed = _weighted(self.precision, y)
+        if not self.colour:
+            return weighed
+        n, rho, shock = len(self.w), self.colour.correlation, 1.0 / self.colour.shocks
+        banded = np.zeros((3, n))
+        banded[0, 1:] = banded[2, :-1] = -rho * shock
+        banded[1] = self.precision + shock * (1.0 + rho**2 * (np.arange(n) < n - 1))
+        banded[1, 0] += 1.0 / self.colour.share - shock
+        flat = solve_banded((1, 1), banded, weighed.reshape(n, -1)).reshape(weighed.shape)
+        return weighed - _weighted(self.precision, flat)
 
     @property
     def count(self) -> int:
@@ -78,51 +135,66 @@ class System:
     of a frame stand together.
     """
 
-    def __init__(self, n: int, lines: int, sensed: bool) -> None:
+    def __init__(self, n: int, lines: int, sensed: bool, coloured: bool) -> None:
         self.n, self.k = n, lines
         # Components and order of every difference.
         self.terms: list[tuple[tuple[int, ...], int]] = [((0,), ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
+        if coloured:
+            self.terms.append(((lines + 1,), 1))
         if sensed:
             self.terms.append((tuple(range(lines + 1)), 2))
-        keys = [np.arange(n) + 0.01 * k for k in range(1 + lines)]
+        every = 1 + lines + coloured  # components of the positions
+        keys = [np.arange(n) + 0.01 * k for k in range(every)]
         keys += [np.arange(n - d) + d / 2 + 0.3 + 0.01 * k for k, (_, d) in enumerate(self.terms)]
         order = np.argsort(np.concatenate(keys), kind="stable")
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
         found = np.split(place, np.cumsum([len(k) for k in keys])[:-1])
-        self.frame, self.multiplier = found[: 1 + lines], found[1 + lines :]
-        self.size, self.group = len(order), 1 + lines + len(self.terms)
+        self.components, self.multiplier = found[:every], found[every:]
+        self.frame = self.components[: 1 + lines]  # those of the signal
+        self.size, self.group = len(order), every + len(self.terms)
         steps = [
-            int(np.abs(m - self.frame[k][i : len(m) + i]).max())
+            int(np.abs(m - self.components[k][i : len(m) + i]).max())
             for (components, d), m in zip(self.terms, self.multiplier, strict=True)
             for k in components
             for i in range(d + 1)
         ]
-        self.band = max([*steps, lines])
+        self.band = max([*steps, every - 1])
 
-    def equations(self, w: Array, strengths: list[Array], lines: Lines) -> Array:
-        """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in."""
-        b = self.band
+    def equations(self, data: Data, w: Array, lam: Array, lines: Lines) -> Array:
+        """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in; w of the white noise."""
+        b, colour = self.band, data.colour
         out = np.zeros((3 * b + 1, self.size))
-        for row in self.frame:
-            for column in self.frame:
+        for row in self.components:
+            for column in self.components:
                 out[2 * b + row - column, column] = w
-        differences = [FOURTH, *[np.array([1.0, -2.0 * np.cos(o), 1.0]) for o in lines.omega], SECOND]
-        for (components, _), m, difference, strength in zip(
-            self.terms, self.multiplier, differences, strengths, strict=False
-        ):
+        if colour:
+            out[2 * b, self.components[-1][0]] += 1.0 / colour.share
+        weighted = _differences(data, lam, lines)
+        for (components, _), m, (strength, difference) in zip(self.terms, self.multiplier, weighted, strict=True):
             out[2 * b, m] = -1.0
-            for x in (self.frame[k] for k in components):
+            for x in (self.components[k] for k in components):
                 for i, c in enumerate(difference):
                     column = x[i : len(m) + i]
                     out[2 * b + m - column, column] = out[2 * b + column - m, m] = strength * c
         return out
 
 
+def _differences(data: Data, lam: Array, lines: Lines) -> Iterator[tuple[Array | float, Array]]:
+    """Strength of every difference, and its coefficients."""
+    yield np.sqrt(lam), FOURTH
+    for omega, mu in zip(lines.omega, lines.mu, strict=True):
+        yield np.sqrt(mu), np.array([1.0, -2.0 * np.cos(omega), 1.0])
+    if data.colour:
+        yield data.colour.shocks**-0.5, np.array([-data.colour.correlation, 1.0])
+    if data.worth is not None:
+        yield np.sqrt(data.worth), SECOND
+
+
 @lru_cache(maxsize=64)
-def system(n: int, lines: int, sensed: bool) -> System:
+def system(n: int, lines: int, sensed: bool, coloured: bool) -> System:
     """The places for n frames, made once."""
-    return System(n, lines, sensed)
+    return System(n, lines, sensed, coloured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +208,11 @@ class Factor:
     lu: Array
     pivots: Array
 
-    def _solve(self, frames: Array, sensed: Array | None = None) -> Array:
-        """All unknowns (size, ...) for a right-hand side (n, ...) of the frames, and of the sensor (n - 2, ...)."""
+    def _solve(self, frames: Array, components: list[Index], sensed: Array | None = None) -> Array:
+        """All unknowns (size, ...) for a right-hand side (n, ...) of components, and of the sensor (n - 2, ...)."""
         s = self.system
         full = np.zeros((s.size, *frames.shape[1:]))
-        for row in s.frame:
+        for row in components:
             full[row] = frames
         if sensed is not None:
             full[s.multiplier[-1]] = sensed
@@ -155,7 +227,13 @@ class Factor:
     def unknowns(self) -> Array:
         """The solution for the data (size,)."""
         d = self.data
-        return self._solve(d.w * d.y, None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent)
+        sensed = None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent
+        return self._solve(d.precision * d.y, self.system.components, sensed)
+
+    def left(self, unknowns: Array) -> Array:
+        """What of the data (n,) is neither signal nor correlated noise; 0 where there are none."""
+        explained = np.sum([unknowns[row] for row in self.system.components], axis=0)
+        return np.where(self.data.w > 0, self.data.y - explained, 0.0)
 
     def shocks(self) -> Array:
         """Weighted differences of the trend (n - 4,): what shakes it."""
@@ -163,16 +241,15 @@ class Factor:
 
     def smooth(self, y: Array) -> Array:
         """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
-        w = self.data.w.reshape(-1, *[1] * (y.ndim - 1))
-        return self.answer(w * y)
+        return self.signal(self.unknowns_of(y))
 
     def unknowns_of(self, y: Array) -> Array:
-        """The solution for other positions y (n,), no sensor being looked at (size,)."""
-        return self._solve(self.data.w * y)
+        """The solution for other positions y (n, ...), no sensor being looked at (size, ...)."""
+        return self._solve(_weighted(self.data.precision, y), self.system.components)
 
     def answer(self, frames: Array) -> Array:
         """Signal (n, ...) for a right-hand side (n, ...): the covariance for unit noise times it."""
-        return self.signal(self._solve(frames))
+        return self.signal(self._solve(frames, self.system.frame))
 
     def covariance(self, rows: Index) -> Array:
         """Covariance (n, m) of the signal in all frames with that in the frames `rows` (m,), for unit noise."""
@@ -187,13 +264,16 @@ class Factor:
         """
         s, d, lines = self.system, self.data, self.lines
         unknowns = self.unknowns()
-        left = d.w @ (d.y - self.signal(unknowns)) ** 2 + sum(float(np.sum(unknowns[m] ** 2)) for m in s.multiplier)
+        left = d.precision @ self.left(unknowns) ** 2 + sum(float(np.sum(unknowns[m] ** 2)) for m in s.multiplier)
+        if d.colour:
+            left += unknowns[s.components[-1][0]] ** 2 / d.colour.share
         degrees = d.count - ORDER - 2 * s.k
         variance = max(float(left), np.finfo(float).tiny) / degrees
         logdet = float(np.sum(np.log(np.abs(self.lu[2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
-        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes, variance, unknowns
+        noise = d.colour.surprise(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
+        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
 
     def variances(self, start: Index, stencils: Array) -> Array:
         """Variance of linear combinations of neighbouring frames of the signal, for unit noise.
@@ -261,8 +341,7 @@ class Factor:
     def _pairs(self, block: int) -> Array:
         """Equations (m, 2 block, 2 block) of each two neighbouring blocks of unknowns, the last one padded."""
         s, d = self.system, self.data
-        strengths = _strengths(self.lam, self.lines, d.worth)
-        known = s.equations(np.maximum(d.w, NO_WEIGHT), strengths, self.lines)[s.band :]
+        known = s.equations(d, np.maximum(d.precision, NO_WEIGHT), self.lam, self.lines)[s.band :]
         m = max(-(-s.size // block), 2)
         padded = np.zeros((2 * s.band + 1, m * block))
         padded[s.band] = 1.0
@@ -281,13 +360,14 @@ def _inverse(a: Array) -> Array:
         return np.asarray(np.linalg.pinv(a, hermitian=True))
 
 
-def _strengths(lam: Array, lines: Lines, worth: Array | None) -> list[Array]:
-    return [np.sqrt(lam), *np.sqrt(lines.mu), *([] if worth is None else [np.sqrt(worth)])]
+def _weighted(w: Array, y: Array) -> Array:
+    """Weights (n,) times columns (n, ...)."""
+    return np.asarray(w.reshape(-1, *[1] * (y.ndim - 1)) * y)
 
 
 def factored(data: Data, lam: Array, lines: Lines = NO_LINES) -> Factor:
     """Factor the equations of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
-    made = system(len(data.w), len(lines.omega), data.worth is not None)
-    equations = made.equations(data.w, _strengths(lam, lines, data.worth), lines)
+    made = system(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
+    equations = made.equations(data, data.precision, lam, lines)
     lu, pivots, _ = dgbtrf(equations, made.band, made.band, overwrite_ab=1)
     return Factor(made, data, lam, lines, lu, pivots)
