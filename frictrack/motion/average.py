@@ -18,7 +18,7 @@ import numpy as np
 
 from frictrack.motion.stencil import derived, stencils
 from frictrack.motion.structure import KNOT_SPREAD, Event, Structure
-from frictrack.motion.system import ORDER, Data, Factor
+from frictrack.motion.system import ORDER, Data, Factor, variances_of
 from frictrack.motion.windows import part_of
 from frictrack.records import Array
 
@@ -194,6 +194,6 @@ def _added(data: Data, s: Structure, g: Group, interval: float) -> Array:
     window = g.first, g.stop, len(data.w)
     part = Data(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
     stencil = stencils(g.stop - g.first, interval)
-    now, *then = (_factor(part, s, window, c).variances(*stencil) for c in (None, *g.changes))
-    within = np.einsum("k,kqn->qn", weights, np.array(then) - now)
+    found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
+    within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
     return np.asarray(np.maximum(between, 0.0) + np.maximum(within, 0.0))

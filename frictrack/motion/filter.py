@@ -18,7 +18,7 @@ from frictrack.motion.spread import trend
 from frictrack.motion.stencil import derived
 from frictrack.motion.structure import Event, Growth, Structure
 from frictrack.motion.system import ORDER, Colour, Data, cutoff_of
-from frictrack.motion.windows import grown
+from frictrack.motion.windows import LONGEST, grown, part_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING = float("inf")  # m, standard deviation of a frame that was not measured
@@ -214,15 +214,28 @@ class _Coordinate:
 
     def _parted(self, data: Data, method: str) -> tuple[Structure, Data]:
         """The structure of the highest likelihood, the noise white or correlated."""
-        made = _structure(data, method), data
-        if data.colour or data.worth is not None or self.rounded:
-            return made
-        stretches = np.split(self.y, np.flatnonzero(self.w == 0))
-        colour = _colour(suspected_noise(max(stretches, key=len)[1:]))
+        colour = self._suspicion(data)
         if colour is None:
+            return _structure(data, method), data
+        part = self._sample(data)
+        kinds = [replace(part, colour=c) for c in (None, colour)]
+        made = min(((_structure(kind, method), kind) for kind in kinds), key=lambda m: Growth(m[1]).priced(m[0]))
+        if len(part.w) == len(data.w):
             return made
-        other = replace(data, colour=colour)
-        return min(made, (_structure(other, method), other), key=lambda pair: Growth(pair[1]).priced(pair[0]))
+        data = replace(data, colour=made[1].colour)
+        return _structure(data, method), data
+
+    def _suspicion(self, data: Data) -> Colour | None:
+        """Correlated noise that the spectrum of the longest stretch without a missing frame suggests."""
+        if data.colour or data.worth is not None or self.rounded:
+            return None
+        return _colour(suspected_noise(self.y[_longest(self.w)]))
+
+    def _sample(self, data: Data) -> Data:
+        """The data, or as much of them as is taken as a whole, in their longest stretch without a missing frame."""
+        stretch = _longest(self.w)
+        first = max(min((stretch.start + stretch.stop - LONGEST) // 2, len(self.w) - LONGEST), 0)
+        return part_of(data, first, min(first + LONGEST, len(self.w))) or data if len(self.w) > LONGEST else data
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
@@ -256,6 +269,13 @@ class _Coordinate:
         bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
         return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
+
+
+def _longest(w: Array) -> slice:
+    """The longest stretch of frames that were all measured."""
+    gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
+    k = int(np.argmax(np.diff(gaps)))
+    return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
 
 
 def _structure(data: Data, method: str) -> Structure:

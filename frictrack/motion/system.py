@@ -15,9 +15,9 @@ part of the signal (Harvey 1989, ch. 3).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from scipy.linalg import solve_banded
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 from scipy.signal import lfilter
 
+from frictrack.motion import selected
 from frictrack.records import Array
 
 FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])  # differences
@@ -161,6 +162,12 @@ class System:
         ]
         self.band = max([*steps, every - 1])
 
+    @property
+    def block(self) -> int:
+        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
+        sizes = range(BLOCK * self.group, 2 * BLOCK * self.group)
+        return next(b for b in sizes if self.size % b == 0 or self.size % b >= b // 2)
+
     def equations(self, data: Data, w: Array, lam: Array, lines: Lines) -> Array:
         """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in; w of the white noise."""
         b, colour = self.band, data.colour
@@ -199,14 +206,20 @@ def system(n: int, lines: int, sensed: bool, coloured: bool) -> System:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """The factored equations of data, penalties lambda (n - 4,) and lines."""
+    """The equations of data, penalties lambda (n - 4,) and lines, factored when they are first solved."""
 
     system: System
     data: Data
     lam: Array
     lines: Lines
-    lu: Array
-    pivots: Array
+
+    @cached_property
+    def _lu(self) -> tuple[Array, Array]:
+        """In LAPACK band storage, and its pivots."""
+        s = self.system
+        equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
+        lu, pivots, _ = dgbtrf(equations, s.band, s.band, overwrite_ab=1)
+        return lu, pivots
 
     def _solve(self, frames: Array, components: list[Index], sensed: Array | None = None) -> Array:
         """All unknowns (size, ...) for a right-hand side (n, ...) of components, and of the sensor (n - 2, ...)."""
@@ -216,7 +229,7 @@ class Factor:
             full[row] = frames
         if sensed is not None:
             full[s.multiplier[-1]] = sensed
-        out: Array = dgbtrs(self.lu, s.band, s.band, full, self.pivots)[0]
+        out: Array = dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
         return out
 
     def signal(self, unknowns: Array) -> Array:
@@ -269,7 +282,7 @@ class Factor:
             left += unknowns[s.components[-1][0]] ** 2 / d.colour.share
         degrees = d.count - ORDER - 2 * s.k
         variance = max(float(left), np.finfo(float).tiny) / degrees
-        logdet = float(np.sum(np.log(np.abs(self.lu[2 * s.band]))))
+        logdet = float(np.sum(np.log(np.abs(self._lu[0][2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
         noise = d.colour.surprise(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
@@ -281,18 +294,7 @@ class Factor:
         Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most BLOCK of
         them; the result has the shape of stencils without its last axis.
         """
-        s = self.system
-        block = self._block()
-        m = stencils.shape[-1]
-        place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
-        window = np.minimum(place.min(axis=1) // block, max(-(-s.size // block), 2) - 2)
-        inside = place - window[:, None] * block
-        weights = np.concatenate([stencils] * len(s.frame), axis=-1)
-        inverse = self._windows(block)
-        near = inverse[window[:, None, None], inside[:, :, None], inside[:, None, :]]
-        found = np.einsum("...ij,ijk,...ik->...i", weights, near, weights)
-        rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
-        return np.asarray(np.maximum(found, rounding))
+        return variances_of([self], start, stencils)[0]
 
     def passed(self, start: Index, stencils: Array) -> Array:
         """The part of those variances that is noise let through, not signal taken away."""
@@ -303,61 +305,29 @@ class Factor:
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
         """
-        both = self.variances(start, stencils)
-        up, down = (self._stiffer(np.exp(d)).variances(start, stencils) for d in (STEP, -STEP))
+        beside = (self._stiffer(np.exp(d)) for d in (STEP, -STEP))
+        both, up, down = variances_of([self, *beside], start, stencils)
         rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
         return both, np.asarray(np.maximum(both + (up - down) / (2.0 * STEP), rounding))
 
     def _stiffer(self, times: float) -> Factor:
         return factored(self.data, self.lam * times, Lines(self.lines.omega, self.lines.mu * times))
 
-    def _block(self) -> int:
-        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
-        s = self.system
-        sizes = range(BLOCK * s.group, 2 * BLOCK * s.group)
-        return next(b for b in sizes if s.size % b == 0 or s.size % b >= b // 2)
-
-    def _windows(self, block: int) -> Array:
-        """Inverse (m, 2 block, 2 block) of the equations at each two neighbouring blocks of unknowns, exact, in O(n).
-
-        Eliminating all unknowns to one side of a block alters only the corner of its equations that they couple to;
-        with the corners from both sides, the inverse of two blocks is that part of the whole inverse.
-        """
-        b = self.system.band
-        pairs, ends = self._pairs(block), slice(block - b, block)
-        links = pairs[:, block : block + b, ends]
-        before, after = np.zeros((len(pairs), b, b)), np.zeros((len(pairs), b, b))
-        for k in range(1, len(pairs)):
-            one = pairs[k - 1, :block, :block].copy()
-            one[:b, :b] += before[k - 1]
-            before[k] = -links[k - 1] @ _inverse(one)[-b:, -b:] @ links[k - 1].T
-            one = pairs[-k, block:, block:].copy()
-            one[-b:, -b:] += after[-k]
-            after[-k - 1] = -links[-k].T @ _inverse(one)[:b, :b] @ links[-k]
-        pairs[:, :b, :b] += before
-        pairs[:, -b:, -b:] += after
-        return _inverse(pairs)
-
-    def _pairs(self, block: int) -> Array:
-        """Equations (m, 2 block, 2 block) of each two neighbouring blocks of unknowns, the last one padded."""
-        s, d = self.system, self.data
-        known = s.equations(d, np.maximum(d.precision, NO_WEIGHT), self.lam, self.lines)[s.band :]
-        m = max(-(-s.size // block), 2)
-        padded = np.zeros((2 * s.band + 1, m * block))
-        padded[s.band] = 1.0
-        padded[:, : s.size] = known
-        row, column = np.indices((2 * block, 2 * block))
-        offset = row - column
-        values = padded[np.clip(s.band + offset, 0, 2 * s.band), block * np.arange(m - 1)[:, None, None] + column]
-        return np.where(np.abs(offset) <= s.band, values, 0.0)
+    def equations(self) -> Array:
+        """In bands (2 band + 1, size), with some weight for every frame."""
+        w = np.maximum(self.data.precision, NO_WEIGHT)
+        return self.system.equations(self.data, w, self.lam, self.lines)[self.system.band :]
 
 
-def _inverse(a: Array) -> Array:
-    """Inverse of symmetric equations (..., n, n); pseudo-inverse where frames without weight leave them singular."""
-    try:
-        return np.asarray(np.linalg.inv(a))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(a, hermitian=True))
+def variances_of(factors: Sequence[Factor], start: Index, stencils: Array) -> Array:
+    """Variances (F, ...) as by `Factor.variances`, of several smoothers of the same frames at once."""
+    s = factors[0].system
+    m = stencils.shape[-1]
+    place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
+    weights = np.concatenate([stencils.reshape(-1, *stencils.shape[-2:])] * len(s.frame), axis=-1)
+    found = selected.variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
+    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
+    return np.asarray(np.maximum(found.reshape(len(factors), *stencils.shape[:-1]), rounding))
 
 
 def _weighted(w: Array, y: Array) -> Array:
@@ -366,8 +336,6 @@ def _weighted(w: Array, y: Array) -> Array:
 
 
 def factored(data: Data, lam: Array, lines: Lines = NO_LINES) -> Factor:
-    """Factor the equations of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
+    """The smoother of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
     made = system(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
-    equations = made.equations(data, data.precision, lam, lines)
-    lu, pivots, _ = dgbtrf(equations, made.band, made.band, overwrite_ab=1)
-    return Factor(made, data, lam, lines, lu, pivots)
+    return Factor(made, data, lam, lines)
