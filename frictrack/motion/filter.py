@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.average import Group, alternatives, moved
@@ -26,7 +28,8 @@ TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses mo
 VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
 MOVING = 0.05  # of the highest speed
 SHORTEST = 16  # valid frames that can tell a cut-off
-MOST_CORRELATED = 0.999  # share of the noise
+MOST_CORRELATED = 0.999  # share of the noise, and its correlation
+TRIALS = 40  # of correlation and share
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
 STILL = 1e-15  # m: what moves by less does not move
 STRUCTURAL, KALMAN = "structural", "kalman"
@@ -218,8 +221,11 @@ class _Coordinate:
         if colour is None:
             return _structure(data, method), data
         part = self._sample(data)
+        suspected = replace(part, colour=colour)
+        colour = _likeliest(suspected, Growth(suspected).stiff)
         kinds = [replace(part, colour=c) for c in (None, colour)]
         made = min(((_structure(kind, method), kind) for kind in kinds), key=lambda m: Growth(m[1]).priced(m[0]))
+        made = made[0], replace(part, colour=_likeliest(made[1], made[0]))
         if len(part.w) == len(data.w):
             return made
         data = replace(data, colour=made[1].colour)
@@ -269,6 +275,23 @@ class _Coordinate:
         bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
         return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
+
+
+def _likeliest(data: Data, structure: Structure) -> Colour | None:
+    """The noise of the highest likelihood beside a structure, begun at that of the data."""
+    if data.colour is None:
+        return None
+
+    def colour(odds: Array) -> Colour:
+        low, high = MOST_CORRELATED, 1.0 - MOST_CORRELATED
+        return Colour(*np.clip(expit(odds), high, low).tolist())
+
+    def loss(odds: Array) -> float:
+        return Growth(replace(data, colour=colour(odds))).loss(structure)
+
+    start = logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
+    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": TRIALS})
+    return colour(found.x)
 
 
 def _longest(w: Array) -> slice:
