@@ -56,7 +56,7 @@ class Response:
         start, table = self._stencils
         rows = np.sqrt(self._derived.factor.passed(start, table)[0])[self._grid.frames]
         answer = self._derived.factor.answer(self._combined(weights))
-        heard = float(np.sum(self._derived.w * answer**2))
+        heard = float(np.sum(self._derived.factor.data.whitened(answer) * answer))
         if self._derived.worth is not None:
             heard += float(np.sum(self._derived.worth * np.diff(answer, 2) ** 2))
         return Spread(self._noise * rows, self._noise * float(np.sqrt(heard)))

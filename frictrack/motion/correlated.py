@@ -80,8 +80,24 @@ def correlated_noise(stretches: Sequence[Array]) -> CorrelatedNoise | None:
     if not len(shapes):
         return None
     spectra = [_Spectrum.of(x) for x in smooth]
-    if not _is_seen(spectra, shapes):
+    return _shaped(spectra, shapes) if _is_seen(spectra, shapes) else None
+
+
+def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
+    """Correlated noise that the whole spectrum of one stretch (n,) suggests; None where white noise will do.
+
+    What moves the mass may look so at low frequencies: the likelihood of the motion has to confirm it.
+    """
+    smooth = _undisturbed(stretch)
+    shapes = _shapes(len(smooth))
+    if not len(shapes):
         return None
+    spectra = [_Spectrum.of(smooth)]
+    return _shaped(spectra, shapes) if _agree(_evidence(spectra, shapes)) else None
+
+
+def _shaped(spectra: Sequence[_Spectrum], shapes: Array) -> CorrelatedNoise:
+    """The noise that suits spectra best, first of these shapes (R, 2), then of those near it."""
     best = shapes[int(np.argmax(np.sum(_evidence(spectra, shapes), axis=0)))]
     for width in WIDTHS:
         near = _near(best, width)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
+from frictrack.motion.average import added, moved
 from frictrack.motion.filter import MISSING, Smoother, sensor_weights, weights
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.methods import Method, bridged
@@ -130,10 +131,21 @@ class Derived:
     def deviations(self) -> Array:
         """Standard deviations of the same (3, n)."""
         if self.smoother.method is None:
-            spread = self.noise * deviations(self.factor, self._whole(), self.noise, self.grid.interval)
+            best, more = self._averaged()
+            spread = np.hypot(self.noise * deviations(self.factor, best, self.noise, self.grid.interval), more)
         else:
             spread = np.sqrt(self._passed_noise(self.smoother.method) + self._lost(self.smoother.method) ** 2)
         return spread[:, self.grid.frames]
+
+    def _averaged(self) -> tuple[Array, Array]:
+        """Rows (N,) of the best structure alone, and the standard deviations (3, N) that the others add."""
+        whole, groups = self._whole(), self.smoother.alternatives
+        if not groups or self.measured is None or self.smoother.structure is None:
+            return whole, np.zeros((3, len(whole)))
+        cubic = trend(self.measured, self.w)
+        data = Data(np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour)
+        more = added(data, self.smoother.structure, groups, self.grid.interval)
+        return whole - self.noise * moved(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
     def shaken(self, frequency: float, size: float) -> Array:
         """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
@@ -177,7 +189,7 @@ class Derived:
 
     def factored(self, structure: Structure) -> Factor:
         """Another structure with the same weights."""
-        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth))
+        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth, self.smoother.colour))
 
     def _whole(self) -> Array:
         """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""

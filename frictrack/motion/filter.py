@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 
 from frictrack.errors import FrictrackError
+from frictrack.motion.average import Group, alternatives, moved
+from frictrack.motion.correlated import CorrelatedNoise, suspected_noise
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.known import KnownAcceleration
 from frictrack.motion.methods import METHODS, Method, bridged
 from frictrack.motion.spread import trend
 from frictrack.motion.stencil import derived
 from frictrack.motion.structure import Event, Growth, Structure
-from frictrack.motion.system import ORDER, Data, cutoff_of
-from frictrack.motion.windows import grown
+from frictrack.motion.system import ORDER, Colour, Data, cutoff_of
+from frictrack.motion.windows import LONGEST, grown, part_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 MISSING = float("inf")  # m, standard deviation of a frame that was not measured
@@ -23,6 +28,8 @@ TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses mo
 VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
 MOVING = 0.05  # of the highest speed
 SHORTEST = 16  # valid frames that can tell a cut-off
+MOST_CORRELATED = 0.999  # share of the noise, and its correlation
+TRIALS = 40  # of correlation and share
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
 STILL = 1e-15  # m: what moves by less does not move
 STRUCTURAL, KALMAN = "structural", "kalman"
@@ -35,11 +42,20 @@ class Smoother:
 
     structure: Structure | None = None
     method: Method | None = None
+    alternatives: tuple[Group, ...] = ()
+    colour: Colour | None = None  # of the noise
 
     def __str__(self) -> str:
         if self.method:
             return json.dumps({"method": self.method.name, **vars(self.method)})
-        return json.dumps({"method": STRUCTURAL, **asdict(self.structure)}) if self.structure else ""
+        if self.structure is None:
+            return ""
+        more: dict[str, Any] = {}
+        if self.alternatives:
+            more["alternatives"] = [asdict(g) for g in self.alternatives]
+        if self.colour:
+            more["noise"] = asdict(self.colour)
+        return json.dumps({"method": STRUCTURAL, **asdict(self.structure), **more})
 
     @classmethod
     def read(cls, text: str) -> Smoother:
@@ -50,7 +66,9 @@ class Smoother:
             return cls(method=METHODS[name](**settings))
         events = tuple(Event(**e) for e in settings["events"])
         lines = tuple((float(f), float(m)) for f, m in settings["lines"])
-        return cls(Structure(tuple(settings["stiffness"]), lines, events))
+        groups = tuple(Group.read(g) for g in settings.get("alternatives", ()))
+        colour = Colour(**settings["noise"]) if "noise" in settings else None
+        return cls(Structure(tuple(settings["stiffness"]), lines, events), alternatives=groups, colour=colour)
 
 
 def low_pass(
@@ -59,6 +77,7 @@ def low_pass(
     *,
     method: str = STRUCTURAL,
     acceleration: KnownAcceleration | None = None,
+    noise: CorrelatedNoise | None = None,
 ) -> Filtered:
     """Low-pass a displacement and bridge its missing frames, from the first to the last frame that was measured.
 
@@ -67,7 +86,9 @@ def low_pass(
     relative to each other. `cutoff` (Hz) asks for a plain low-pass instead, where a sine keeps half of its amplitude.
     Other methods: "kalman" (a trend of one stiffness, process noise by maximum likelihood), "butterworth" (residual
     analysis), "savitzky-golay" (cross-validation), "gaussian-process" (noise known, maximum likelihood).
-    An `acceleration` that a sensor knew is taken into x, by default and with "kalman".
+    An `acceleration` that a sensor knew is taken into x, by default and with "kalman". So is correlated `noise` of
+    neighbouring frames that runs of the same instrument have shown; where it is not given, each coordinate is looked at
+    by itself. A `cutoff` and the other methods take noise for white.
 
     Raises FrictrackError for too few valid frames, a position that never changes, uneven time stamps, an unknown
     method, and a cut-off that is not between 0 and half the frame rate.
@@ -80,7 +101,9 @@ def low_pass(
     grid = frame_grid(displacement.t)
     _check_cutoff(cutoff, grid)
     _check_method(method, cutoff)
-    along = _Coordinate(displacement.x, displacement.sigma_x, known, grid)
+    rounded = bool(displacement.resolution)
+    along = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
+    along.colour = _colour(noise) if cutoff is None and method not in METHODS else None
     x = along.low_passed(cutoff, method, acceleration)
     y = _Passed.nothing(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
@@ -150,15 +173,17 @@ class _Passed:
 class _Coordinate:
     """One coordinate on its grid."""
 
-    def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid) -> None:
+    def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid, *, rounded: bool = False) -> None:
         self.grid, self.known = grid, known
         self.w = grid.spread(weights(sigma, known))
         self.y, self.trend = _flat(grid.spread(np.where(known, y, 0.0)), self.w)
+        self.colour: Colour | None = None
+        self.rounded = rounded  # whose noise is that of the rounding
 
     def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _Passed:
         """By a method, at a cut-off where one is asked for."""
         interval = self.grid.interval
-        growth = Growth(Data(self.y, self.w))
+        growth = Growth(Data(self.y, self.w, colour=self.colour))
         plain = growth.stiff
         level = float(np.sqrt(plain.factored(growth.data).judged()[1]))
         best = cutoff_of(float(np.exp(plain.stiffness[0])), interval)
@@ -169,21 +194,54 @@ class _Coordinate:
         if cutoff is not None:
             structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
         else:
-            structure = plain if method == KALMAN or growth.data.count < SHORTEST else grown(growth.data)
-            reason = described(structure, len(self.y), interval)
+            structure, growth.data = self._parted(growth.data, method)
+            reason = described(structure, len(self.y), interval, growth.data.colour)
         factor = structure.factored(growth.data)
         _, variance, unknowns = factor.judged()
         signal = factor.signal(unknowns)
+        groups: tuple[Group, ...] = ()
+        if cutoff is None and method == STRUCTURAL and acceleration is None:
+            groups = alternatives(growth.data, structure)
+            signal = signal + moved(growth.data, structure, groups)
         if cutoff is None:
             level = float(np.sqrt(variance))
             best = self._slide_cutoff(signal, best)
         return replace(
             self._passed(signal, level, cutoff or best),
-            smoother=str(Smoother(structure)),
+            smoother=str(Smoother(structure, None, groups, growth.data.colour)),
+            measured=self._measured() if groups else None,
             reason=reason,
             events=structure.events,
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
+
+    def _parted(self, data: Data, method: str) -> tuple[Structure, Data]:
+        """The structure of the highest likelihood, the noise white or correlated."""
+        colour = self._suspicion(data)
+        if colour is None:
+            return _structure(data, method), data
+        part = self._sample(data)
+        suspected = replace(part, colour=colour)
+        colour = _likeliest(suspected, Growth(suspected).stiff)
+        kinds = [replace(part, colour=c) for c in (None, colour)]
+        made = min(((_structure(kind, method), kind) for kind in kinds), key=lambda m: Growth(m[1]).priced(m[0]))
+        made = made[0], replace(part, colour=_likeliest(made[1], made[0]))
+        if len(part.w) == len(data.w):
+            return made
+        data = replace(data, colour=made[1].colour)
+        return _structure(data, method), data
+
+    def _suspicion(self, data: Data) -> Colour | None:
+        """Correlated noise that the spectrum of the longest stretch without a missing frame suggests."""
+        if data.colour or data.worth is not None or self.rounded:
+            return None
+        return _colour(suspected_noise(self.y[_longest(self.w)]))
+
+    def _sample(self, data: Data) -> Data:
+        """The data, or as much of them as is taken as a whole, in their longest stretch without a missing frame."""
+        stretch = _longest(self.w)
+        first = max(min((stretch.start + stretch.stop - LONGEST) // 2, len(self.w) - LONGEST), 0)
+        return part_of(data, first, min(first + LONGEST, len(self.w))) or data if len(self.w) > LONGEST else data
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
@@ -192,14 +250,18 @@ class _Coordinate:
             return best
         w = self.w[quiet]
         y, _ = _flat((self.y + self.trend)[quiet], w)
-        return cutoff_of(float(np.exp(Growth(Data(y, w)).stiff.stiffness[0])), self.grid.interval)
+        return cutoff_of(float(np.exp(Growth(Data(y, w, colour=self.colour)).stiff.stiffness[0])), self.grid.interval)
 
     def _by(self, method: Method, level: float) -> _Passed:
         cutoff = method.cutoff / self.grid.interval
         passed = self._passed(method.derived(bridged(self.y, self.w > 0), 0), level, cutoff)
-        measured = (self.y + self.trend)[self.grid.frames]
+        measured = self._measured()
         reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
         return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
+
+    def _measured(self) -> Array:
+        """The unfiltered rows."""
+        return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
     def _passed(self, smooth: Array, level: float, cutoff: float) -> _Passed:
         frames = self.grid.frames
@@ -212,7 +274,41 @@ class _Coordinate:
         square = self.grid.interval**2
         bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
-        return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level))
+        return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
+
+
+def _likeliest(data: Data, structure: Structure) -> Colour | None:
+    """The noise of the highest likelihood beside a structure, begun at that of the data."""
+    if data.colour is None:
+        return None
+
+    def colour(odds: Array) -> Colour:
+        low, high = MOST_CORRELATED, 1.0 - MOST_CORRELATED
+        return Colour(*np.clip(expit(odds), high, low).tolist())
+
+    def loss(odds: Array) -> float:
+        return Growth(replace(data, colour=colour(odds))).loss(structure)
+
+    start = logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
+    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": TRIALS})
+    return colour(found.x)
+
+
+def _longest(w: Array) -> slice:
+    """The longest stretch of frames that were all measured."""
+    gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
+    k = int(np.argmax(np.diff(gaps)))
+    return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
+
+
+def _structure(data: Data, method: str) -> Structure:
+    """The structure of the highest likelihood of data from which a cubic was taken out."""
+    return Growth(data).stiff if method == KALMAN or data.count < SHORTEST else grown(data)
+
+
+def _colour(noise: CorrelatedNoise | None) -> Colour | None:
+    """Noise as the smoother has it; some of it is white, however little."""
+    return Colour(noise.correlation, min(noise.share, MOST_CORRELATED)) if noise else None
 
 
 def _flat(y: Array, w: Array) -> tuple[Array, Array]:
@@ -238,7 +334,7 @@ def weights(sigma: Array, known: Mask) -> Array:
     return np.asarray(w / np.mean(w[known]))
 
 
-def described(structure: Structure, n: int, interval: float) -> str:
+def described(structure: Structure, n: int, interval: float, colour: Colour | None = None) -> str:
     """In words what a record was parted into."""
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
@@ -248,6 +344,11 @@ def described(structure: Structure, n: int, interval: float) -> str:
     centres = [1e3 * interval * 0.5 * (e.first + e.last + ORDER) for e in structure.events]
     if centres:
         parts.append("events at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
+    if colour:
+        parts.append(
+            f"noise of which {100 * colour.share:.0f} % of the variance is correlated "
+            f"({colour.correlation:.2g} from frame to frame)"
+        )
     return ", ".join(parts) + ", by maximum likelihood"
 
 

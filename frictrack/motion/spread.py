@@ -3,7 +3,7 @@
 The posterior covariance takes the signal to be as ragged as the penalties say, on average over the record. What
 smoothing takes from the smoothed series once more (Tukey's twicing) shows where it is smoother than that, or less so:
 with A the smoother and a signal as ragged as the penalties say, (1 - A) A y has the covariance A^2 (1 - A), of which
-A^2 (1 - A)^2 is noise.
+A^2 (1 - A)^2 is noise and A^3 (1 - A) is signal.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from frictrack.records import Array
 PROBES, SEED = 24, 20261121  # series of random signs by which diagonals are estimated, to a fifth (Hutchinson 1990)
 MOST = 4.0  # times what the penalties expect
 FAINT = 0.1  # of the noise in what is taken
+EXPECTED = 0.1  # weight of what the penalties expect beside what a part of the record shows
 ROUND = 6  # parts of the record over which lost signal is averaged, at the least
 
 
@@ -46,7 +47,7 @@ def of_lines(factor: Factor, x: Array, interval: float) -> Iterator[Array]:
     for row, omega in zip(s.frame[1:], factor.lines.omega, strict=True):
         turn = along * np.gradient(found[row]) / omega
         left = turn - factor.smooth(turn)
-        known = float(np.sum(d.w * turn * left))
+        known = float(np.sum(d.whitened(turn) * left))
         yield derived(left, interval) / np.sqrt(max(known, np.finfo(float).tiny))
 
 
@@ -62,18 +63,17 @@ def _lost_share(factor: Factor, x: Array, interval: float) -> Array:
     n = len(x)
     if factor.data.worth is not None:  # what a sensor saw is not lost
         return np.ones((3, n))
-    signs = np.random.default_rng(SEED).choice([-1.0, 1.0], (n, PROBES))
-    once = factor.smooth(signs)
+    once = factor.smooth(factor.data.probes(np.random.default_rng(SEED), PROBES))
     twice = factor.smooth(once)
     rest = x - trend(x, factor.data.w)
     taken = derived(rest - factor.smooth(rest), interval) ** 2
     kept, lost = (np.stack([differences(m, k) / interval**k for k in range(3)]) for m in (twice, once - twice))
     noise = np.mean(lost**2, axis=2)
-    expected = np.mean(kept * lost, axis=2) - noise
+    expected = np.mean(kept * lost, axis=2)
     window: NDArray[np.float64] = np.ones(n // ROUND | 1)
-    seen, wanted, blur = (_along(m, window) for m in (taken - noise, expected, FAINT * noise))
-    wanted = np.maximum(wanted, 0.0) + blur  # what is far below the noise cannot be told from it
-    return np.clip((seen + wanted) / (2.0 * wanted), 0.0, MOST)
+    seen, wanted = (np.maximum(_along(m, window), 0.0) for m in (taken - noise, expected))
+    wanted += _along(FAINT * noise, window)  # what is far below the noise cannot be told from it
+    return np.minimum((seen + EXPECTED * wanted) / ((1.0 + EXPECTED) * wanted), MOST)
 
 
 def _along(rows: Array, window: Array) -> Array:

@@ -25,7 +25,7 @@ KNOTS = (1, 3, 5, 9, 17)  # of the stiffness
 FRAMES_PER_KNOT = 60
 KNOT_SPREAD = 4.0  # standard deviation of the change of log lambda from knot to knot, beforehand
 MOST_LINES, MOST_EVENTS = 4, 40
-LINE, EVENT = 5, 3  # numbers that one more of them costs
+LINE, EVENT, COLOUR = 5, 3, 2  # numbers that one more of them costs, and that correlated noise does
 STIFF_LINE = 40.0  # log mu of a sine that does not wander
 WANDER = (7.0, 12.0, 20.0)  # log mu of a line, to begin with
 HOPE = 10.0  # that a trial may still gain when its numbers are refined
@@ -42,11 +42,24 @@ STEP = 0.02  # of the numbers, for slopes
 
 @dataclass(frozen=True)
 class Event:
-    """Differences first to last (inclusive) in which the trend is softer, by exp(boost)."""
+    """Differences first to last (inclusive) in which the trend is softer, by exp(boost).
+
+    All of them alike, or more and more to the last one (`rises` 1) or to the first one (-1).
+    """
 
     first: int
     last: int
     boost: float
+    rises: int = 0
+
+    @property
+    def boosts(self) -> Array:
+        """By how much each difference is softer, log."""
+        width = self.last - self.first + 1
+        if not self.rises:
+            return np.full(width, self.boost)
+        ramp = self.boost * np.arange(1, width + 1) / width
+        return ramp if self.rises > 0 else ramp[::-1]
 
 
 @dataclass(frozen=True)
@@ -67,7 +80,7 @@ class Structure:
         place = np.linspace(0.0, 1.0, n - ORDER)
         out = np.interp(place, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
         for e in self.events:
-            out[e.first : e.last + 1] -= e.boost
+            out[e.first : e.last + 1] -= e.boosts
         return np.asarray(out)
 
     def _knots(self) -> tuple[float, ...]:
@@ -75,8 +88,13 @@ class Structure:
 
     def factored(self, data: Data) -> Factor:
         """The smoother of some data."""
+        return self.part(data, (0, len(data.w), len(data.w)))
+
+    def part(self, data: Data, window: tuple[int, int, int]) -> Factor:
+        """The smoother of data from a first frame to a stop, of so many frames."""
+        first, stop, n = window
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
-        return factored(data, np.exp(self.log_lambda(len(data.w))), Lines(omega, np.exp(log_mu)))
+        return factored(data, np.exp(self.log_lambda(n)[first : stop - ORDER]), Lines(omega, np.exp(log_mu)))
 
     def numbers(self) -> Array:
         """All that likelihood settles, in one vector."""
@@ -157,6 +175,10 @@ class Growth:
                 return self.refined(state).structure
         return state.structure
 
+    def priced(self, structure: Structure) -> float:
+        """The loss, and what the numbers of structure and noise would gain by chance."""
+        return self._priced(Grown(structure, self.loss(structure)))
+
     def _priced(self, g: Grown) -> float:
         return g.loss + self._price(g.structure)
 
@@ -166,7 +188,8 @@ class Growth:
         What is known of a frequency grows with the cube of the record (Djuric 1996, IEEE Trans. Signal Process. 44),
         and it is sought; an event is also sought in place and width.
         """
-        return self.cost * (len(s.stiffness) + LINE * len(s.lines) + EVENT * len(s.events))
+        noise = COLOUR if self.data.colour else 0
+        return self.cost * (len(s.stiffness) + LINE * len(s.lines) + EVENT * len(s.events) + noise)
 
     def _best(self, trials: Iterator[Structure]) -> Grown:
         found = [Grown(t, self.loss(t)) for t in trials]
@@ -237,11 +260,12 @@ class Growth:
 
     def _peak(self, s: Structure) -> float:
         """Frequency at which the residual has most, beside what the trend takes away, radians per frame."""
-        factor, d = s.factored(self.data), self.data
-        left = np.where(d.w > 0, d.y - factor.signal(factor.unknowns()), 0.0)
+        factor = s.factored(self.data)
         m = 16 * self.n
         omega = 2 * np.pi * np.arange(m // 2 + 1) / m
-        power = np.abs(np.fft.rfft(left, m)) ** 2
+        power = np.abs(np.fft.rfft(factor.left(factor.unknowns()), m)) ** 2
+        if self.data.colour:
+            power *= self.data.colour.spectrum(omega)  # of noise, what is left has the inverse spectrum
         lam = np.exp(np.median(s.log_lambda(self.n)))
         kept = 1.0 / (1.0 + 1.0 / (lam * (2.0 * np.sin(omega / 2)) ** (2 * ORDER) + 1e-300))
         kept[: int(16 * LEAST_CYCLES)] = np.inf

@@ -8,18 +8,24 @@ this is the smoother of Whittaker (1923) and Henderson (1924), away from the end
 order 4, |H(f)| = 1 / (1 + lambda (2 sin(pi f / fs))^8); unlike that filter it needs no padding, has no end transient
 and takes a missing frame as a weight of zero. It is also the posterior mean of a signal whose differences are white
 noise, the one that Kalman's filter and Rauch, Tung and Striebel's smoother find by recursion: hence a likelihood
-(restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance.
+(restricted maximum likelihood; Wahba 1985, Ann. Stat. 13) and a covariance. Noise that is correlated from frame to
+frame is one more component c, which no frame tells from x but its own difference, c_j - rho c_(j-1), and which is no
+part of the signal (Harvey 1989, ch. 3).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.signal import lfilter
 
+from frictrack.motion import selected
 from frictrack.records import Array
 
 FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])  # differences
@@ -52,17 +58,69 @@ class Lines:
 NO_LINES = Lines(np.empty(0), np.empty(0))
 
 
+@dataclass(frozen=True)
+class Colour:
+    """Noise of which a `share` of the variance has a `correlation` from frame to frame; the rest is white."""
+
+    correlation: float
+    share: float
+
+    def spectrum(self, omega: Array) -> Array:
+        """Density at frequencies in radians per frame, one on average."""
+        turned = np.abs(1.0 - self.correlation * np.exp(-1j * omega)) ** 2
+        return np.asarray(1.0 - self.share + self.share * (1.0 - self.correlation**2) / turned)
+
+    @property
+    def shocks(self) -> float:
+        """Variance of c_j - rho c_(j-1) over that of the noise."""
+        return self.share * (1.0 - self.correlation**2)
+
+    def surprise(self, seen: int, n: int) -> float:
+        """What it adds to twice the negative log-likelihood of n frames, so many of them measured."""
+        return float((n - 1) * np.log(self.shocks) + np.log(self.share) + seen * np.log(1.0 - self.share))
+
+    def drawn(self, white: Array, driving: Array) -> Array:
+        """A series of such noise from two white ones (n, ...) of unit variance."""
+        driven = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
+        return np.asarray(np.sqrt(1.0 - self.share) * white + lfilter([1.0], [1.0, -self.correlation], driven, axis=0))
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """Positions y (n,) with weights w (n,), 0 where none was measured, and accelerations where a sensor knew them.
 
     `bent` (n - 2,) are second differences of the position, `worth` (n - 2,) their weights, 0 where there is none.
+    The noise is white where it has no `colour`.
     """
 
     y: Array
     w: Array
     bent: Array | None = None
     worth: Array | None = None
+    colour: Colour | None = None
+
+    @property
+    def precision(self) -> Array:
+        """Weights (n,) of the white part of the noise."""
+        return self.w / (1.0 - self.colour.share) if self.colour else self.w
+
+    def probes(self, rng: np.random.Generator, many: int) -> Array:
+        """Series (n, many) of the covariance of the noise, from random signs."""
+        white = rng.choice([-1.0, 1.0], (len(self.w), many))
+        return self.colour.drawn(white, rng.choice([-1.0, 1.0], white.shape)) if self.colour else white
+
+    def whitened(self, y: Array) -> Array:
+        """The inverse covariance of the noise (n, n) times columns y (n, ...), for unit noise."""
+        weighed = _weighted(self.precision, y)
+        if not self.colour:
+            return weighed
+        n, rho, shock = len(self.w), self.colour.correlation, 1.0 / self.colour.shocks
+        banded = np.zeros((3, n))
+        banded[0, 1:] = banded[2, :-1] = -rho * shock
+        banded[1] = self.precision + shock * (1.0 + rho**2 * (np.arange(n) < n - 1))
+        banded[1, 0] += 1.0 / self.colour.share - shock
+        flat = solve_banded((1, 1), banded, weighed.reshape(n, -1)).reshape(weighed.shape)
+        return weighed - _weighted(self.precision, flat)
 
     @property
     def count(self) -> int:
@@ -78,73 +136,100 @@ class System:
     of a frame stand together.
     """
 
-    def __init__(self, n: int, lines: int, sensed: bool) -> None:
+    def __init__(self, n: int, lines: int, sensed: bool, coloured: bool) -> None:
         self.n, self.k = n, lines
         # Components and order of every difference.
         self.terms: list[tuple[tuple[int, ...], int]] = [((0,), ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
+        if coloured:
+            self.terms.append(((lines + 1,), 1))
         if sensed:
             self.terms.append((tuple(range(lines + 1)), 2))
-        keys = [np.arange(n) + 0.01 * k for k in range(1 + lines)]
+        every = 1 + lines + coloured  # components of the positions
+        keys = [np.arange(n) + 0.01 * k for k in range(every)]
         keys += [np.arange(n - d) + d / 2 + 0.3 + 0.01 * k for k, (_, d) in enumerate(self.terms)]
         order = np.argsort(np.concatenate(keys), kind="stable")
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
         found = np.split(place, np.cumsum([len(k) for k in keys])[:-1])
-        self.frame, self.multiplier = found[: 1 + lines], found[1 + lines :]
-        self.size, self.group = len(order), 1 + lines + len(self.terms)
+        self.components, self.multiplier = found[:every], found[every:]
+        self.frame = self.components[: 1 + lines]  # those of the signal
+        self.size, self.group = len(order), every + len(self.terms)
         steps = [
-            int(np.abs(m - self.frame[k][i : len(m) + i]).max())
+            int(np.abs(m - self.components[k][i : len(m) + i]).max())
             for (components, d), m in zip(self.terms, self.multiplier, strict=True)
             for k in components
             for i in range(d + 1)
         ]
-        self.band = max([*steps, lines])
+        self.band = max([*steps, every - 1])
 
-    def equations(self, w: Array, strengths: list[Array], lines: Lines) -> Array:
-        """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in."""
-        b = self.band
+    @property
+    def block(self) -> int:
+        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
+        sizes = range(BLOCK * self.group, 2 * BLOCK * self.group)
+        return next(b for b in sizes if self.size % b == 0 or self.size % b >= b // 2)
+
+    def equations(self, data: Data, w: Array, lam: Array, lines: Lines) -> Array:
+        """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in; w of the white noise."""
+        b, colour = self.band, data.colour
         out = np.zeros((3 * b + 1, self.size))
-        for row in self.frame:
-            for column in self.frame:
+        for row in self.components:
+            for column in self.components:
                 out[2 * b + row - column, column] = w
-        differences = [FOURTH, *[np.array([1.0, -2.0 * np.cos(o), 1.0]) for o in lines.omega], SECOND]
-        for (components, _), m, difference, strength in zip(
-            self.terms, self.multiplier, differences, strengths, strict=False
-        ):
+        if colour:
+            out[2 * b, self.components[-1][0]] += 1.0 / colour.share
+        weighted = _differences(data, lam, lines)
+        for (components, _), m, (strength, difference) in zip(self.terms, self.multiplier, weighted, strict=True):
             out[2 * b, m] = -1.0
-            for x in (self.frame[k] for k in components):
+            for x in (self.components[k] for k in components):
                 for i, c in enumerate(difference):
                     column = x[i : len(m) + i]
                     out[2 * b + m - column, column] = out[2 * b + column - m, m] = strength * c
         return out
 
 
+def _differences(data: Data, lam: Array, lines: Lines) -> Iterator[tuple[Array | float, Array]]:
+    """Strength of every difference, and its coefficients."""
+    yield np.sqrt(lam), FOURTH
+    for omega, mu in zip(lines.omega, lines.mu, strict=True):
+        yield np.sqrt(mu), np.array([1.0, -2.0 * np.cos(omega), 1.0])
+    if data.colour:
+        yield data.colour.shocks**-0.5, np.array([-data.colour.correlation, 1.0])
+    if data.worth is not None:
+        yield np.sqrt(data.worth), SECOND
+
+
 @lru_cache(maxsize=64)
-def system(n: int, lines: int, sensed: bool) -> System:
+def system(n: int, lines: int, sensed: bool, coloured: bool) -> System:
     """The places for n frames, made once."""
-    return System(n, lines, sensed)
+    return System(n, lines, sensed, coloured)
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """The factored equations of data, penalties lambda (n - 4,) and lines."""
+    """The equations of data, penalties lambda (n - 4,) and lines, factored when they are first solved."""
 
     system: System
     data: Data
     lam: Array
     lines: Lines
-    lu: Array
-    pivots: Array
 
-    def _solve(self, frames: Array, sensed: Array | None = None) -> Array:
-        """All unknowns (size, ...) for a right-hand side (n, ...) of the frames, and of the sensor (n - 2, ...)."""
+    @cached_property
+    def _lu(self) -> tuple[Array, Array]:
+        """In LAPACK band storage, and its pivots."""
+        s = self.system
+        equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
+        lu, pivots, _ = dgbtrf(equations, s.band, s.band, overwrite_ab=1)
+        return lu, pivots
+
+    def _solve(self, frames: Array, components: list[Index], sensed: Array | None = None) -> Array:
+        """All unknowns (size, ...) for a right-hand side (n, ...) of components, and of the sensor (n - 2, ...)."""
         s = self.system
         full = np.zeros((s.size, *frames.shape[1:]))
-        for row in s.frame:
+        for row in components:
             full[row] = frames
         if sensed is not None:
             full[s.multiplier[-1]] = sensed
-        out: Array = dgbtrs(self.lu, s.band, s.band, full, self.pivots)[0]
+        out: Array = dgbtrs(self._lu[0], s.band, s.band, full, self._lu[1])[0]
         return out
 
     def signal(self, unknowns: Array) -> Array:
@@ -155,7 +240,13 @@ class Factor:
     def unknowns(self) -> Array:
         """The solution for the data (size,)."""
         d = self.data
-        return self._solve(d.w * d.y, None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent)
+        sensed = None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent
+        return self._solve(d.precision * d.y, self.system.components, sensed)
+
+    def left(self, unknowns: Array) -> Array:
+        """What of the data (n,) is neither signal nor correlated noise; 0 where there are none."""
+        explained = np.sum([unknowns[row] for row in self.system.components], axis=0)
+        return np.where(self.data.w > 0, self.data.y - explained, 0.0)
 
     def shocks(self) -> Array:
         """Weighted differences of the trend (n - 4,): what shakes it."""
@@ -163,16 +254,15 @@ class Factor:
 
     def smooth(self, y: Array) -> Array:
         """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
-        w = self.data.w.reshape(-1, *[1] * (y.ndim - 1))
-        return self.answer(w * y)
+        return self.signal(self.unknowns_of(y))
 
     def unknowns_of(self, y: Array) -> Array:
-        """The solution for other positions y (n,), no sensor being looked at (size,)."""
-        return self._solve(self.data.w * y)
+        """The solution for other positions y (n, ...), no sensor being looked at (size, ...)."""
+        return self._solve(_weighted(self.data.precision, y), self.system.components)
 
     def answer(self, frames: Array) -> Array:
         """Signal (n, ...) for a right-hand side (n, ...): the covariance for unit noise times it."""
-        return self.signal(self._solve(frames))
+        return self.signal(self._solve(frames, self.system.frame))
 
     def covariance(self, rows: Index) -> Array:
         """Covariance (n, m) of the signal in all frames with that in the frames `rows` (m,), for unit noise."""
@@ -187,13 +277,16 @@ class Factor:
         """
         s, d, lines = self.system, self.data, self.lines
         unknowns = self.unknowns()
-        left = d.w @ (d.y - self.signal(unknowns)) ** 2 + sum(float(np.sum(unknowns[m] ** 2)) for m in s.multiplier)
+        left = d.precision @ self.left(unknowns) ** 2 + sum(float(np.sum(unknowns[m] ** 2)) for m in s.multiplier)
+        if d.colour:
+            left += unknowns[s.components[-1][0]] ** 2 / d.colour.share
         degrees = d.count - ORDER - 2 * s.k
         variance = max(float(left), np.finfo(float).tiny) / degrees
-        logdet = float(np.sum(np.log(np.abs(self.lu[2 * s.band]))))
+        logdet = float(np.sum(np.log(np.abs(self._lu[0][2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
-        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes, variance, unknowns
+        noise = d.colour.surprise(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
+        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
 
     def variances(self, start: Index, stencils: Array) -> Array:
         """Variance of linear combinations of neighbouring frames of the signal, for unit noise.
@@ -201,18 +294,7 @@ class Factor:
         Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most BLOCK of
         them; the result has the shape of stencils without its last axis.
         """
-        s = self.system
-        block = self._block()
-        m = stencils.shape[-1]
-        place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
-        window = np.minimum(place.min(axis=1) // block, max(-(-s.size // block), 2) - 2)
-        inside = place - window[:, None] * block
-        weights = np.concatenate([stencils] * len(s.frame), axis=-1)
-        inverse = self._windows(block)
-        near = inverse[window[:, None, None], inside[:, :, None], inside[:, None, :]]
-        found = np.einsum("...ij,ijk,...ik->...i", weights, near, weights)
-        rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
-        return np.asarray(np.maximum(found, rounding))
+        return variances_of([self], start, stencils)[0]
 
     def passed(self, start: Index, stencils: Array) -> Array:
         """The part of those variances that is noise let through, not signal taken away."""
@@ -223,71 +305,37 @@ class Factor:
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
         """
-        both = self.variances(start, stencils)
-        up, down = (self._stiffer(np.exp(d)).variances(start, stencils) for d in (STEP, -STEP))
+        beside = (self._stiffer(np.exp(d)) for d in (STEP, -STEP))
+        both, up, down = variances_of([self, *beside], start, stencils)
         rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
         return both, np.asarray(np.maximum(both + (up - down) / (2.0 * STEP), rounding))
 
     def _stiffer(self, times: float) -> Factor:
         return factored(self.data, self.lam * times, Lines(self.lines.omega, self.lines.mu * times))
 
-    def _block(self) -> int:
-        """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
-        s = self.system
-        sizes = range(BLOCK * s.group, 2 * BLOCK * s.group)
-        return next(b for b in sizes if s.size % b == 0 or s.size % b >= b // 2)
-
-    def _windows(self, block: int) -> Array:
-        """Inverse (m, 2 block, 2 block) of the equations at each two neighbouring blocks of unknowns, exact, in O(n).
-
-        Eliminating all unknowns to one side of a block alters only the corner of its equations that they couple to;
-        with the corners from both sides, the inverse of two blocks is that part of the whole inverse.
-        """
-        b = self.system.band
-        pairs, ends = self._pairs(block), slice(block - b, block)
-        links = pairs[:, block : block + b, ends]
-        before, after = np.zeros((len(pairs), b, b)), np.zeros((len(pairs), b, b))
-        for k in range(1, len(pairs)):
-            one = pairs[k - 1, :block, :block].copy()
-            one[:b, :b] += before[k - 1]
-            before[k] = -links[k - 1] @ _inverse(one)[-b:, -b:] @ links[k - 1].T
-            one = pairs[-k, block:, block:].copy()
-            one[-b:, -b:] += after[-k]
-            after[-k - 1] = -links[-k].T @ _inverse(one)[:b, :b] @ links[-k]
-        pairs[:, :b, :b] += before
-        pairs[:, -b:, -b:] += after
-        return _inverse(pairs)
-
-    def _pairs(self, block: int) -> Array:
-        """Equations (m, 2 block, 2 block) of each two neighbouring blocks of unknowns, the last one padded."""
-        s, d = self.system, self.data
-        strengths = _strengths(self.lam, self.lines, d.worth)
-        known = s.equations(np.maximum(d.w, NO_WEIGHT), strengths, self.lines)[s.band :]
-        m = max(-(-s.size // block), 2)
-        padded = np.zeros((2 * s.band + 1, m * block))
-        padded[s.band] = 1.0
-        padded[:, : s.size] = known
-        row, column = np.indices((2 * block, 2 * block))
-        offset = row - column
-        values = padded[np.clip(s.band + offset, 0, 2 * s.band), block * np.arange(m - 1)[:, None, None] + column]
-        return np.where(np.abs(offset) <= s.band, values, 0.0)
+    def equations(self) -> Array:
+        """In bands (2 band + 1, size), with some weight for every frame."""
+        w = np.maximum(self.data.precision, NO_WEIGHT)
+        return self.system.equations(self.data, w, self.lam, self.lines)[self.system.band :]
 
 
-def _inverse(a: Array) -> Array:
-    """Inverse of symmetric equations (..., n, n); pseudo-inverse where frames without weight leave them singular."""
-    try:
-        return np.asarray(np.linalg.inv(a))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(a, hermitian=True))
+def variances_of(factors: Sequence[Factor], start: Index, stencils: Array) -> Array:
+    """Variances (F, ...) as by `Factor.variances`, of several smoothers of the same frames at once."""
+    s = factors[0].system
+    m = stencils.shape[-1]
+    place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
+    weights = np.concatenate([stencils.reshape(-1, *stencils.shape[-2:])] * len(s.frame), axis=-1)
+    found = selected.variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
+    rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
+    return np.asarray(np.maximum(found.reshape(len(factors), *stencils.shape[:-1]), rounding))
 
 
-def _strengths(lam: Array, lines: Lines, worth: Array | None) -> list[Array]:
-    return [np.sqrt(lam), *np.sqrt(lines.mu), *([] if worth is None else [np.sqrt(worth)])]
+def _weighted(w: Array, y: Array) -> Array:
+    """Weights (n,) times columns (n, ...)."""
+    return np.asarray(w.reshape(-1, *[1] * (y.ndim - 1)) * y)
 
 
 def factored(data: Data, lam: Array, lines: Lines = NO_LINES) -> Factor:
-    """Factor the equations of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
-    made = system(len(data.w), len(lines.omega), data.worth is not None)
-    equations = made.equations(data.w, _strengths(lam, lines, data.worth), lines)
-    lu, pivots, _ = dgbtrf(equations, made.band, made.band, overwrite_ab=1)
-    return Factor(made, data, lam, lines, lu, pivots)
+    """The smoother of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
+    made = system(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
+    return Factor(made, data, lam, lines)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.motion.filter import MISSING, low_pass, weights
+from frictrack.motion.filter import MISSING, Smoother, low_pass, weights
 from frictrack.motion.grid import Grid, frame_grid
 from frictrack.motion.spread import trend
 from frictrack.motion.stencil import derived
 from frictrack.motion.structure import Structure, unseen
-from frictrack.motion.system import ORDER, Data
+from frictrack.motion.system import ORDER, Colour, Data
 from frictrack.records import Array, Displacement, Filtered, Mask, Motion, Trade
 
 CUTOFFS = 32
@@ -40,7 +40,8 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
     frequency = np.geomspace(LOWEST / (grid.n * grid.interval), HIGHEST / grid.interval, CUTOFFS)
     calm = _calm(best, grid)
     rows = np.array([_row(f, grid, w, (y, signal, calm)) for f in frequency])
-    floor, passed = np.array([_of_noise(f, grid.interval) for f in frequency]).T * noise
+    colour = Smoother.read(best.smoother).colour
+    floor, passed = np.array([_of_noise(f, grid.interval, colour) for f in frequency]).T * noise
     total = np.hypot(passed, rows[:, 1])
     return Trade(
         frequency=frequency,
@@ -73,12 +74,13 @@ def _row(f: float, grid: Grid, w: Array, series: tuple[Array, Array, Mask]) -> t
     return float(residual), float(np.sqrt(np.mean(taken[series[2]] ** 2)))
 
 
-def _of_noise(f: float, interval: float) -> tuple[float, float]:
-    """Residual and acceleration that unit white noise leaves, away from the ends."""
+def _of_noise(f: float, interval: float, colour: Colour | None) -> tuple[float, float]:
+    """Residual and acceleration that noise of unit size leaves, away from the ends."""
     nu = (np.arange(RESPONSES) + 0.5) / (2 * RESPONSES)
+    density = colour.spectrum(2 * np.pi * nu) if colour else np.ones(RESPONSES)
     h = 1.0 / (1.0 + (np.sin(np.pi * nu) / np.sin(np.pi * f * interval)) ** (2 * ORDER))
     second = (15.0 - 16.0 * np.cos(2 * np.pi * nu) + np.cos(4 * np.pi * nu)) / 6.0 / interval**2  # five points
-    return float(np.sqrt(np.mean((1 - h) ** 2))), float(np.sqrt(np.mean((h * second) ** 2)))
+    return float(np.sqrt(np.mean((1 - h) ** 2 * density))), float(np.sqrt(np.mean((h * second) ** 2 * density)))
 
 
 def _above(best: Filtered, cutoff: float, interval: float) -> list[str]:

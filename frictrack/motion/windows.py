@@ -53,7 +53,7 @@ def _windows(data: Data) -> Iterator[Window]:
     last: Structure | None = None
     for core, core_stop in zip(cores[:-1].tolist(), cores[1:].tolist(), strict=True):
         first, stop = max(core - OVERLAP, 0), min(core_stop + OVERLAP, n)
-        part = _part(data, first, stop)
+        part = part_of(data, first, stop)
         if part is not None:
             growth = Growth(part)
             growth.left = WORK
@@ -61,7 +61,7 @@ def _windows(data: Data) -> Iterator[Window]:
         yield Window(first, stop, core, core_stop, last or Growth(data).stiff)
 
 
-def _part(data: Data, first: int, stop: int) -> Data | None:
+def part_of(data: Data, first: int, stop: int) -> Data | None:
     """Some frames of the data without their own cubic; None where too few of them were measured."""
     y, w = data.y[first:stop], data.w[first:stop]
     if np.sum(w > 0) < FEWEST:
@@ -69,8 +69,9 @@ def _part(data: Data, first: int, stop: int) -> Data | None:
     cubic = trend(y, w)
     rest = np.where(w > 0, y - cubic, 0.0)
     if data.bent is None or data.worth is None:
-        return Data(rest, w)
-    return Data(rest, w, data.bent[first : stop - 2] - np.diff(cubic, 2), data.worth[first : stop - 2])
+        return Data(rest, w, colour=data.colour)
+    bent = data.bent[first : stop - 2] - np.diff(cubic, 2)
+    return Data(rest, w, bent, data.worth[first : stop - 2], data.colour)
 
 
 def _stiffness(windows: Sequence[Window], n: int) -> tuple[float, ...]:
@@ -124,7 +125,7 @@ def _frequencies(windows: Sequence[Window], cell: float) -> list[float]:
 def _peak(growth: Growth, made: Structure, omega: float, cell: float) -> float:
     """Frequency near one at which the residual of the whole record has most, radians per frame."""
     factor = made.factored(growth.data)
-    left = np.where(growth.data.w > 0, growth.data.y - factor.signal(factor.unknowns()), 0.0)
+    left = factor.left(factor.unknowns())
     at = 2 * np.pi * np.arange(8 * growth.n + 1) / (16 * growth.n)
     power: Array = np.abs(np.fft.rfft(left, 16 * growth.n)) ** 2
     inside = np.flatnonzero(np.abs(at - omega) < cell)
