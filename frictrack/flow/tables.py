@@ -30,6 +30,7 @@ CLEAR = 10.0  # times its noise: a smaller jump of a position is no missing samp
 LONGEST_GAP = 1000  # frames
 STILL = 1e-15  # m: what moves by less does not move
 FEWEST = 16  # rows that can show a fault of the clock
+NEGLIGIBLE = 0.1  # of the noise at rest: less adds half a percent to a deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +83,16 @@ def _uneven(seen: Displacement) -> Displacement:
     late, still = unevenness(seen.t, seen.x, _coarse(seen))
     if not late:
         return seen
+    stated = np.isfinite(seen.sigma_x)
+    at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
     moved = late * np.abs(speed(seen.t, seen.x))
+    if np.max(moved) < NEGLIGIBLE * np.median(at_rest):
+        return seen
     note = (
         f"the noise grows with the speed, up to {length(float(np.max(moved)))}, as if samples jittered by "
         f"{100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
         "deviations grow with it"
     )
-    stated = np.isfinite(seen.sigma_x)
-    at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
     return replace(seen, sigma_x=np.hypot(at_rest, moved), notes=(*seen.notes, note))
 
 
