@@ -160,3 +160,12 @@ def test_a_small_turning_body_in_a_large_rectangle_is_not_held_by_the_background
     assert result.found.all()
     assert np.max(np.abs(result.angle + np.radians(2.0) * np.arange(n))) < 1e-3
     assert np.max(np.hypot(result.x_px - 84.5, result.y_px - 54.5)) < 0.3  # 0.7 px off the centre of the turn
+
+
+def test_a_body_that_turns_is_found_without_a_target() -> None:
+    film, true = filmed(pose(6.0, 48))
+    found = track(film)
+    assert found.found.all()
+    turned = np.unwrap(found.angle)
+    assert np.ptp(turned - true[2]) < 0.01
+    assert min(found.target[2:]) > 20  # the body, and not a scrap of what it uncovers

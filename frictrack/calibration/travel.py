@@ -11,6 +11,7 @@ from frictrack.calibration.mapping import plane_map
 from frictrack.calibration.plane import PlaneMap
 from frictrack.calibration.scale import SHORT, Scale
 from frictrack.calibration.shake import steadied
+from frictrack.calibration.straight import straightened
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Displacement, Mask, Track
 
@@ -34,7 +35,8 @@ def calibrate(
     or downward where the path is steeper than 60 degrees. `origin_px` is the pixel [x, y] where x = 0 and y = 0
     (default the picture's corner, or the zero of the board or of the known places, so that all runs of one camera share
     it); `x_offset` is added to x, m. `reference` is the track of something fixed: what it moves beyond its own noise is
-    camera shake and is subtracted (`shake`).
+    camera shake and is subtracted (`shake`). Of a target that turns by a quarter or more, the point is taken that moves
+    along a straight course (`straight`).
 
     x runs along the axis, y across it (upward in the picture), the angle counter-clockwise. Where the target was lost,
     or the reference of a shaking film, they are NaN and ``valid`` is false. ``pixel_pitch`` is that in the middle of
@@ -43,6 +45,8 @@ def calibrate(
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
     track, told = steadied(track, reference)
+    track, straight = straightened(track)
+    told = (*told, *straight)
     at = np.stack([track.x_px, track.y_px], axis=1)
     variance = np.stack([track.sigma_px, track.sigma_y_px], axis=1) ** 2
     valid = np.all(np.isfinite(at), axis=1)

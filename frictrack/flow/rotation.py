@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.calibration.straight import LARGE
 from frictrack.records import Array, Track
 
 SPAN = 9  # frames over which an angle is averaged
@@ -37,10 +38,9 @@ def turning_note(track: Track) -> tuple[str, ...]:
     degrees = float(np.degrees(np.ptp(angle)))
     rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
-    return (
-        f"the target turns by {written} deg, up to {rate:.2g} deg a frame; its middle is followed, and a centre of "
-        "mass elsewhere moves along another path",
-    )
+    rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
+    turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"
+    return (turns + (rocks if np.ptp(angle) < LARGE else ""),)
 
 
 def _averaged(angle: Array) -> Array:

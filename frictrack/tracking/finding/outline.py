@@ -144,12 +144,12 @@ def _rectangle(look: Look) -> Rectangle:
     core = cv2.erode(bits, np.ones((7, 7), np.uint8)) > 0
     outlined = cv2.dilate(bits, np.ones((3, 3), np.uint8)) > 0
     if energy[core].sum() > OUTLINE * energy[outlined].sum():
-        return _inside(look.member)
+        return inside(look.member)
     x, y, w, h = cv2.boundingRect(bits)
     return (x - AROUND, y - AROUND, w + 2 * AROUND, h + 2 * AROUND)
 
 
-def _inside(member: Mask) -> Rectangle:
+def inside(member: Mask) -> Rectangle:
     """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
 
     The margin is what interpolation reaches across: background beyond the edge would leak in.

@@ -1,0 +1,96 @@
+"""Follow the point of a turning target that moves on a straight course: its centre of mass, as far as a film can tell.
+
+A point that lies at (a, b) from the followed one, in the target's own directions, is at p + R(angle) (a, b). Across the
+course nothing drives the mass, so that its own path there is smooth and what copies the angle is the arm. A target that
+rocks by a few degrees turns about its contact instead, and is left as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.records import Array, Track
+
+LARGE = np.pi / 2  # rad: a target that turns farther is seen along its axis, and does not rock on its course
+FEWEST = 24  # frames
+SIGNIFICANT = 5.0  # standard deviations of the arm from which the point is moved
+WELL_KNOWN = 0.2  # of the arm, that its standard deviation may be
+ROUNDS = 4  # of the direction of the course and the arm; two are enough where the path is long
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """The straight point from the followed one: (2,) px in the target's directions, and its standard deviation."""
+
+    at: Array
+    std: float
+
+
+def straightened(track: Track) -> tuple[Track, tuple[str, ...]]:
+    """Places of the point of a target that moves along a straight course, and in words how far off it lies.
+
+    Parameters
+    ----------
+    track
+        Places (px, y down) and angles (rad, from x to y) of the followed point.
+
+    Returns
+    -------
+    track, notes
+        The same track where the target turns by less than a quarter, or the followed point is that point already.
+
+    """
+    known = track.found & np.isfinite(track.angle)
+    if np.count_nonzero(known) < FEWEST:
+        return track, ()
+    angle = np.full(len(track.angle), np.nan)
+    angle[known] = np.unwrap(track.angle[known])
+    if np.ptp(angle[known]) < LARGE:
+        return track, ()
+    arm = _arm(np.stack([track.x_px, track.y_px], axis=1)[known], angle[known])
+    length = float(np.hypot(*arm.at))
+    if length < SIGNIFICANT * arm.std or arm.std > WELL_KNOWN * length:
+        return track, ()
+    moved = _turned(arm.at, angle)
+    lever = _turned(np.array([-arm.at[1], arm.at[0]]), angle)  # px per rad
+    doubt = np.zeros(len(angle)) if track.sigma_angle is None else track.sigma_angle
+    note = (
+        "the point of the turning target is followed that moves along a straight course, "
+        f"{length:.3g} ± {arm.std:.1g} px off the middle of what was cut out"
+    )
+    return replace(
+        track,
+        x_px=track.x_px + moved[:, 0],
+        y_px=track.y_px + moved[:, 1],
+        sigma_px=np.hypot(track.sigma_px, lever[:, 0] * doubt),
+        sigma_y_px=np.hypot(track.sigma_y_px, lever[:, 1] * doubt),
+        systematic=float(np.hypot(track.systematic, arm.std)),
+    ), (note,)
+
+
+def _turned(arm: Array, angle: Array) -> Array:
+    """The arm (2,) at every angle (n,), px: (n, 2)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], axis=1)
+
+
+def _arm(place: Array, angle: Array) -> _Arm:
+    """The arm with which the path of places (n, 2) is smoothest across its own direction, by least squares."""
+    at = np.zeros(2)
+    for _ in range(ROUNDS):
+        path = place + _turned(at, angle)
+        along = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
+        across = np.array([-along[1], along[0]])
+        s = (path - path.mean(axis=0)) @ along
+        s = s / max(float(np.max(np.abs(s))), 1e-12)
+        copies = [_turned(unit, angle) @ across for unit in np.eye(2)]
+        design = np.column_stack([*copies, np.ones_like(s), s, s**2])
+        shape, *_ = np.linalg.lstsq(design, -(place @ across), rcond=None)
+        at = shape[:2]
+    left = -(place @ across) - design @ shape
+    alike = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
+    several = max((1 + alike) / max(1 - alike, 1e-2), 1.0)  # neighbours that are wrong together count as fewer
+    variance = several * np.linalg.pinv(design.T @ design)[:2, :2] * np.sum(left**2) / max(len(left) - 5, 1)
+    return _Arm(at, float(np.sqrt(max(np.trace(variance), 0.0))))

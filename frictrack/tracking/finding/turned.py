@@ -1,0 +1,80 @@
+"""Find a body that turns as it travels: it never looks the same twice, and yet its patch keeps its size.
+
+A picture that is only moved does not fit such a body in any later frame. What can be followed is the one patch of
+foreground, of the same area in most frames, whose middle travels.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from frictrack.records import Array, Mask
+from frictrack.tracking.finding.outline import inside
+from frictrack.tracking.finding.scene import LEAST_SIDE, Scene
+from frictrack.tracking.match import Rectangle
+
+SAME_AREA = 0.25  # by which the patch may differ from its usual area: shadows, and what it passes
+MOST_FRAMES, FEWEST = 0.6, 4  # share and number of the sampled frames that must show it so
+FAR = 0.5  # times the root of its area that its middle must travel
+STEP = 0.4  # of the whole way: a longer step between two samples is a jump to something else
+NEARLY = 0.6  # of the largest rectangle inside it, that the first frame's must have to be taken
+
+
+def turned_body(scene: Scene) -> tuple[Rectangle, int, int] | None:
+    """Rectangle inside the one travelling patch, the frame it refers to, and the area of the patch, all in px.
+
+    None where no patch of a steady size travels.
+    """
+    shown = [_largest(scene, row) for row in range(len(scene.small))]
+    areas = np.array([0 if mask is None else np.count_nonzero(mask) for mask in shown], dtype=np.float64)
+    if not np.any(areas):
+        return None
+    usual = float(np.median(areas[areas > 0]))
+    rows = np.flatnonzero(np.abs(areas - usual) < SAME_AREA * usual)
+    masks = {int(row): mask for row in rows if (mask := shown[row]) is not None}
+    if len(rows) < max(FEWEST, MOST_FRAMES * len(shown)) or not _travels(masks, usual):
+        return None
+    found = _rectangle(scene, masks)
+    return None if found is None else (*found, round(usual * scene.factor**2))
+
+
+def _largest(scene: Scene, row: int) -> Mask | None:
+    """The largest patch of foreground of a sampled frame, if it lies wholly in the picture."""
+    blobs = scene.blobs[row]
+    if not blobs or blobs[0].cut:
+        return None
+    _, labels = cv2.connectedComponents(scene.foreground[row].astype(np.uint8))
+    x, y, w, h = blobs[0].box
+    counts = np.bincount(labels[y : y + h, x : x + w].ravel())
+    counts[0] = 0
+    return np.asarray(labels == int(np.argmax(counts)))
+
+
+def _travels(masks: dict[int, Mask], area: float) -> bool:
+    """Whether the middle of a patch goes a good part of its size, and does not jump."""
+    middle = np.array([_middle(mask) for mask in masks.values()])
+    way = float(np.hypot(*np.ptp(middle, axis=0)))
+    step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
+    return way > FAR * np.sqrt(area) and step < STEP * way
+
+
+def _middle(mask: Mask) -> Array:
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def _rectangle(scene: Scene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
+    """The largest rectangle inside the patch: in the first frame, unless that is much smaller than in another."""
+    found = {row: inside(mask) for row, mask in masks.items()}
+    first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
+    row = first if _area(found[first]) > NEARLY * _area(found[best]) else best
+    x, y, w, h = found[row]
+    if min(w, h) * scene.factor < LEAST_SIDE:
+        return None
+    at = np.rint((np.array([x, y]) + scene.shake[row]) * scene.factor).astype(int)
+    return (int(at[0]), int(at[1]), w * scene.factor, h * scene.factor), scene.index[row]
+
+
+def _area(rectangle: Rectangle) -> int:
+    return rectangle[2] * rectangle[3]
