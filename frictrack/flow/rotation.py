@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.calibration.straight import LARGE
-from frictrack.records import Array, Track
+from frictrack.records import Array, Mask, Track
 
 SPAN = 9  # frames over which an angle is averaged
 FEWEST = 3 * SPAN  # frames with an angle that can show a turn
@@ -31,9 +31,9 @@ def turning_note(track: Track) -> tuple[str, ...]:
         return ()
     angle = np.unwrap(track.angle[known])
     mean = _averaged(angle)
-    noise = float(np.sqrt(np.mean(np.diff(angle, 2) ** 2) / 6.0 / SPAN))
     arm = float(np.hypot(*track.target[2:])) / 2
-    if np.ptp(mean) < CLEAR * max(noise, float(np.median(track.sigma_px[known])) / arm):
+    place = float(np.median(track.sigma_px[known])) / arm
+    if np.ptp(mean) < CLEAR * max(_doubt(track, known, mean), place):
         return ()
     degrees = float(np.degrees(np.ptp(angle)))
     rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
@@ -41,6 +41,20 @@ def turning_note(track: Track) -> tuple[str, ...]:
     rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
     turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"
     return (turns + (rocks if np.ptp(angle) < LARGE else ""),)
+
+
+def _doubt(track: Track, known: Mask, mean: Array) -> float:
+    """Standard deviation of the largest and the smallest running mean of the angle, together, rad.
+
+    It is the stated one, as far as neighbouring frames agree with that; a target half hidden has a poor angle.
+    """
+    sigma = np.ones(len(track.angle)) if track.sigma_angle is None else track.sigma_angle
+    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, np.inf)[known]
+    curvature = np.diff(np.unwrap(track.angle[known]), 2)
+    expected = sigma[:-2] ** 2 + 4 * sigma[1:-1] ** 2 + sigma[2:] ** 2
+    unit = np.mean(np.where(np.isfinite(expected), curvature**2 / expected, 0.0))
+    doubt = np.sqrt(unit * _averaged(sigma**2) / SPAN)
+    return float(np.hypot(doubt[np.argmax(mean)], doubt[np.argmin(mean)]))
 
 
 def _averaged(angle: Array) -> Array:

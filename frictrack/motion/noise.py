@@ -42,11 +42,12 @@ def slow_spectrum(n: int) -> Array:
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
-def noise_level(x: Array, valid: Mask) -> tuple[Array, Array]:
+def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[Array, Array]:
     """Standard deviation of the white noise in x, and the relative standard deviation of that estimate.
 
     `x` (n,) or (n, B) at evenly spaced frames, in any unit; `valid` (n,). Both results are of shape (B,), or
-    scalars. From m fifth differences, var(s^2) / s^4 = 2 * 2.91 / m, hence half of its root for s.
+    scalars. With `relative` (n,) deviations of the frames, it is that of a frame in which they are one. From m fifth
+    differences, var(s^2) / s^4 = 2 * 2.91 / m, hence half of its root for s.
     Differences over a missing frame, and those that an impact makes stand out, are left out. NaN where fewer than four
     neighbouring frames are valid.
     """
@@ -54,11 +55,11 @@ def noise_level(x: Array, valid: Mask) -> tuple[Array, Array]:
     d, whole = _differences(x, valid, order)
     if not np.any(whole):
         return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
-    d = d[whole]
+    d = d[whole] / _expected(relative, valid, order)[whole].reshape(-1, *[1] * (x.ndim - 1))
     usual = MEDIAN_TO_SIGMA * np.median(np.abs(d), axis=0)
     kept = np.abs(d) <= OUTLIER * usual
     m = np.sum(kept, axis=0)
-    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m / variance(order))
+    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m)
     return sigma, 0.5 * np.sqrt(2.0 * spread(order) / m)
 
 
@@ -71,6 +72,13 @@ def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
     """Differences (n - order, ...) and which of them have all their frames."""
     filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
     return np.diff(filled, order, axis=0), _whole(valid, order)
+
+
+def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
+    """Standard deviation of the differences (n - order,) of independent noise of these relative deviations."""
+    size = np.ones(len(valid)) if relative is None else np.where(valid, relative, 1.0)
+    weights = np.array([float(comb(order, k)) for k in range(order + 1)])
+    return np.sqrt(np.convolve(size**2, weights**2, mode="valid"))
 
 
 def _whole(valid: Mask, order: int) -> Mask:

@@ -204,8 +204,8 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     use = free & disp.valid
     noise = relative_noise(disp.sigma_x, use)
     digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
-    level = run.noise or max(float(noise_level(disp.x, use)[0]), digits, disp.resolution / float(np.sqrt(12.0)))
-    noise = noise * level / np.sqrt(np.mean(noise[use] ** 2))
+    white = float(noise_level(disp.x, use, noise)[0])
+    noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
     begin = begin_of(run, reference)
     sections = moving_sections(run)
     if turning and run.drive is not None and _stops(sections):
