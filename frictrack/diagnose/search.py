@@ -146,7 +146,7 @@ def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress)
     where = where_it_fails(start, again[1])
     figures = concluded.figures | where.figures | curves_of(seen)
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
-    if found and not fit.measured:
+    if found and not fit.measured and not last.leaves_misfit:
         concluded = _against_formulas(concluded, start, last.solution)
     progress("planning the next experiment")
     return replace(concluded, next_experiment=_next(concluded, first, last, found, progress))
@@ -154,10 +154,8 @@ def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress)
 
 def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
     """The verdict after a look at forces of one variable, where effects were found that may only imitate one."""
-    if concluded.verdict == "unexplained":
-        return concluded
     plain = plainer(start, law, concluded.repeats)
-    if plain is None:
+    if plain is None or (concluded.verdict == "unexplained" and not plain["decisive"]):
         return concluded
     if not plain["decisive"]:
         return replace(concluded, unexplained=plain)

@@ -9,6 +9,7 @@ taken from sums over square blocks, each block one draw: the clustered sandwich 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.tracking.match import Patch
@@ -16,10 +17,14 @@ from frictrack.tracking.measure import residual
 from frictrack.tracking.refine import Fine
 from frictrack.tracking.template import Template
 
+Rows = NDArray[np.intp]
+
 BLOCKS = (4, 8, 16)  # px
 LEAST_BLOCKS = 8  # whose scatter tells anything
 STRETCHES, STRETCH_FRAMES = 12, 8  # of the path, and frames of each, whose mean residual pictures are looked at
 THIRDS = 3  # parts of a side: light changes over the whole target, not from one small block to the next
+POOR = 2.0  # times the usual misfit, from which something else than the target is in a frame
+WHOLE = 0.95  # of the usual share of its weight, that a frame which shows the whole target keeps
 SURE = 4.0  # standard errors above one from which it is no accident
 
 
@@ -67,7 +72,7 @@ def slow_error(cuts: Patch, fine: Fine, template: Template, share: Patch | None 
         Zero where no more is seen than noise leaves.
 
     """
-    stretches = [rows for rows in np.array_split(np.arange(len(cuts)), STRETCHES) if len(rows) > 1]
+    stretches = [rows for rows in np.array_split(_whole(fine, share), STRETCHES) if len(rows) > 1]
     if len(stretches) < STRETCHES:
         return np.zeros((2, 2))
     few = [rows[np.unique(np.linspace(0, len(rows) - 1, STRETCH_FRAMES).astype(int))] for rows in stretches]
@@ -77,6 +82,15 @@ def slow_error(cuts: Patch, fine: Fine, template: Template, share: Patch | None 
     chance = np.trace(single) / (n - 1) * np.sqrt(2 / (STRETCHES * THIRDS**2))
     found = (n * mean - single) / (n - 1)
     return np.asarray(found if np.trace(found) > SURE * chance else np.zeros((2, 2)))
+
+
+def _whole(fine: Fine, share: Patch | None) -> Rows:
+    """Frames that show the whole target: what hides part of it leaves a picture of its own, and changes no target."""
+    shown = fine.misfit < POOR * np.median(fine.misfit)
+    if share is not None:
+        kept = share.mean(axis=(1, 2))
+        shown &= kept > WHOLE * np.median(kept)
+    return np.flatnonzero(shown)
 
 
 def _parts(cuts: Patch, fine: Fine, template: Template, share: Patch | None) -> Array:
