@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from frictrack.flow.quality import lost_note
 from frictrack.flow.rotation import turning_note
 from frictrack.records import Track
 from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
@@ -78,6 +79,40 @@ def test_the_noise_of_an_angle_is_no_turn():
     assert turning_note(turned(np.radians(0.002) * np.random.default_rng(0).standard_normal(N))) == ()
     assert turning_note(turned(np.full(N, np.nan))) == ()
     assert turning_note(a_track(slide(K))) == ()  # no target is known
+
+
+def test_the_poor_angle_of_a_target_half_hidden_is_no_turn():
+    poor = (K > 100) & (K < 112)
+    sigma = np.where(poor, np.radians(0.2), np.radians(0.02))
+    angle = sigma * np.random.default_rng(0).standard_normal(N)
+    angle[poor] += np.radians(0.1)
+    assert turning_note(replace(turned(angle), sigma_angle=sigma)) == ()
+
+
+# ---- frames without a place
+
+
+def hidden(gap, reason="too much of the target is hidden"):
+    """A track that is empty in some frames."""
+    lost = np.isin(K, gap)
+    whole = a_track(slide(K))
+    columns = {
+        name: np.where(lost, np.nan, getattr(whole, name)) for name in ("x_px", "y_px", "sigma_px", "sigma_y_px")
+    }
+    return replace(whole, **columns, reason=np.where(lost, reason, ""))
+
+
+def test_frames_that_are_empty_on_the_way_are_named():
+    (note,) = lost_note(hidden(np.r_[50:80, 120:130]))
+    assert note == (
+        f"40 of {N} frames of the path are empty: too much of the target is hidden in 40; the longest gap is that of "
+        "the frames 50 to 79"
+    )
+
+
+def test_what_lies_outside_the_path_is_no_gap():
+    assert lost_note(hidden(np.r_[0:40, N - 30 : N])) == ()
+    assert lost_note(hidden(np.r_[60:61])) == ()
 
 
 # ---- peak locking

@@ -23,6 +23,7 @@ STRETCHED = (
     "the film was stretched by showing pictures more than once; the frame rate is taken as that of the pictures: "
     "if it is that of the stretched film, divide fps by how often a picture is shown (friction goes with its square)"
 )
+FEW_LOST = 0.01  # of the frames of a path, that may be empty without a word
 DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
 
 
@@ -37,9 +38,25 @@ def judged(
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
     clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
-    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes, *turning_note(clean))
+    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
+    notes += (*turning_note(clean), *lost_note(clean))
     rows = np.arange(len(track)) if clocked else rows_kept(len(track), slips)
     return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips, len(track)))), rows
+
+
+def lost_note(track: Track) -> tuple[str, ...]:
+    """Return a finding on frames that are empty between the first and the last that show the target, at most one."""
+    found = np.flatnonzero(track.found)
+    if not len(found):
+        return ()
+    between = track.rows(slice(int(found[0]), int(found[-1]) + 1))
+    count = int(np.count_nonzero(~between.found))
+    if count < max(FEW_LOST * len(between), 2):
+        return ()
+    why = ", ".join(f"{reason} in {frames}" for reason, frames in between.lost.most_common())
+    gap = int(np.argmax(np.diff(found)))
+    where = f"the longest gap is that of the frames {found[gap] + 1} to {found[gap + 1] - 1}"
+    return (f"{count} of {len(between)} frames of the path are empty: {why}; {where}",)
 
 
 def _clean(
