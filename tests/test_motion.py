@@ -476,6 +476,12 @@ def test_noise_level_of_white_noise_is_unbiased_and_knows_its_spread(rng, n, mis
     assert (0.8 if missing else 0.9) < np.std(sigma) / np.mean(relative) < 1.1  # gaps part what is correlated
 
 
+def test_noise_level_of_frames_of_unequal_deviations_is_that_of_a_typical_one(rng):
+    size = np.where(np.arange(600) % 200 < 30, 8.0, 1.0)
+    sigma, _ = noise_level(size[:, None] * rng.normal(size=(600, 200)), np.ones(600, bool), size)
+    assert np.mean(sigma) == pytest.approx(1.0, abs=0.01)
+
+
 def test_noise_level_sees_neither_jerks_nor_a_ripple(rng):
     t = np.arange(700) / 2000
     pushed = 2e-3 * np.sin(2 * np.pi * 60 * t) + 3 * t

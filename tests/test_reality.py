@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from runs import BASE, HIDDEN, SIX, Spec, study
+from runs import BASE, FPS, HIDDEN, SIX, Spec, measured, study
 from scipy.integrate import solve_ivp
 from test_series import FPS as CELL_FPS
 from test_series import given, tustin_force
@@ -110,6 +110,22 @@ def test_rounded_positions_raise_no_alarm(seed):
     assert found.p_lack_of_fit > 0.005
 
 
+def test_how_long_a_short_blow_lasts_leaves_no_verdict_open():
+    t = np.arange(600) / FPS
+
+    def rate(now, q):
+        blow = 2e-2 * np.exp(-(((now - 0.05) / 2e-5) ** 2) / 2) / (2e-5 * np.sqrt(2 * np.pi))
+        return [q[1], -(8.0 + 1.2 * q[1] + blow) / 0.35]
+
+    def run(k):
+        x = solve_ivp(rate, (0.0, t[-1]), [0.0, 5.0 + k], t_eval=t, max_step=2e-5, rtol=1e-9, atol=1e-12).y[0]
+        return measured(t, x, sigma=2e-6, mass=0.35, name=f"r{k}", rng=np.random.default_rng(k))
+
+    found = diagnose(fit("coulomb,viscous,collision", [run(k) for k in range(3)]))
+    assert found.verdict == "complete"
+    assert not any("width" in gap.what for gap in found.undetermined)
+
+
 # --- plausible causes
 
 
@@ -129,6 +145,8 @@ def test_rounded_positions_raise_no_alarm(seed):
         ("patch", {"F": 1.0, "x_c": 0.2, "w": 0.3}, "it is wider"),
         ("collision", {"J": 0.1, "time": 0.05, "width": 0.02}, "it would last 0.02 s"),
         ("collision", {"J": 0.1, "time": 0.05, "width": 0.0005}, ""),
+        ("spring", {"k": 0.01, "x_0": 0.5}, "slack more than 40 m away"),
+        ("spring", {"k": 30.0, "x_0": 5.0}, ""),
         ("timebase", {"k": 1.0}, "the clock would be off by 5 % at the end"),
         ("peak_locking", {"amplitude": 0.6, "phase": 0.0}, "0.6 px is more than interpolation does"),
         ("load_modulation", {"depth": 1.0, "frequency": 50.0, "phase": 0.0}, "would make the friction push"),

@@ -270,6 +270,17 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
 
 
+def test_jitter_adds_to_the_noise_at_rest_that_a_table_states(tmp_path):
+    rng, t = np.random.default_rng(3), np.arange(900) / FPS
+    late = t + 0.07 / FPS * rng.standard_normal(900)
+    x = 4 * late - 8.8 * late**2 + 1e-5 * rng.standard_normal(900)
+    (tmp_path / "a.csv").write_text("t_s,x_m,sigma_m")
+    run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
+    seen = tabled(TableData(t, x, sigma=np.full(900, 1e-5)), run)
+    speed = np.abs(4 - 17.6 * t)
+    np.testing.assert_allclose(seen.sigma_x, np.hypot(1e-5, 0.07 / FPS * speed), rtol=0.15)
+
+
 def test_runs_at_one_speed_each_show_their_jitter_together():
     def runs(share):
         rng, t = np.random.default_rng(3), np.arange(400) / FPS
