@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from frictrack.fit.unknowns.layout import Layout
 MOST = 32  # pieces that are looked at, unless there are more runs
 FASTEST = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
 MAX_FRAMES = 12_000  # over all pieces, a dozen films of slides; the search takes time in proportion
+MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece: lines are tried at each of them
 
 
 def sampled(solution: Solution) -> tuple[Solution, str]:
@@ -37,7 +39,7 @@ def thinned(solution: Solution) -> tuple[Solution, str]:
 
     The law itself was fitted to all frames.
     """
-    every = -(-solution.problem.n_frames // MAX_FRAMES)
+    every = _stride(solution)
     if every <= 1:
         return solution, ""
     pieces = [_every(p, every) for p in solution.problem.pieces]
@@ -50,6 +52,12 @@ def thinned(solution: Solution) -> tuple[Solution, str]:
         f"a long record: the search looked at every {every}th of its frames, so a line above "
         f"{FASTEST * layout.span.fps / every:.3g} Hz is not looked for; the fit uses all of them"
     )
+
+
+def _stride(solution: Solution) -> int:
+    """Every how manyth frame is looked at; longer records know more lines apart, which every frame is held against."""
+    frames, longest = solution.problem.n_frames, max(len(p.t) for p in solution.problem.pieces)
+    return max(-(-frames // MAX_FRAMES), math.ceil(math.sqrt(frames * FASTEST * longest / MAX_WORK)))
 
 
 def _every(piece: Piece, every: int) -> Piece:

@@ -35,6 +35,7 @@ LOG = logging.getLogger("frictrack")
 WITHOUT_UNIT = re.compile(
     r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
 )  # a text without a unit
+PULLING = ("spring", "bouc_wen")  # effects of the library that give back what they took
 KEYS = ("mass", "scale", "fps", "incline")
 CHECKED = 'plausible = "checked"'  # what a study file says to end a finding
 INHERITED_FROM = {"mass": "study", "scale": "camera", "fps": "camera"}  # table that a key of a run is inherited from
@@ -73,7 +74,9 @@ class Findings:
 
     def of_runs(self, works: Sequence[RunWork]) -> None:
         """What the motion of each run shows, and of runs in both directions together."""
-        self._look("inclines", lambda: implausible_inclines([work.record() for work in works]))
+        if not _may_pull(self.study):
+            self._look("inclines", lambda: implausible_inclines([work.record() for work in works]))
+            self._look("accelerations", lambda: (found for work in works for found in accelerations(work)))
         self._look("runs", lambda: (found for work in works for found in of_run(work)))
 
     def of_all(self, works: Sequence[RunWork]) -> None:
@@ -128,11 +131,23 @@ def _in_spite(error: Finding) -> str:
 
 def of_run(work: RunWork) -> list[Finding]:
     """Findings on one run whose motion is made."""
+    return list(implausible_slide(work.record(), film=bool(work.run.video)))
+
+
+def accelerations(work: RunWork) -> list[Finding]:
+    """What a mass that speeds up, or slows down too little, has against the incline of its run."""
     record = work.record()
     lacks = missing(work, record)
     if lacks is not None and not _has_free_section(record):
         lacks = replace(lacks, grade=ERROR, words=f"{lacks.words}, or the part to be judged as free = [t0, t1]")
-    return [f for f in (*implausible_slide(record, film=bool(work.run.video)), lacks, wrong_incline(record)) if f]
+    return [f for f in (lacks, wrong_incline(record)) if f]
+
+
+def _may_pull(study: Study) -> bool:
+    """Whether the law of a study has a force that may speed the mass up: a spring, or one of the user's own."""
+    law = study.model.split(",") if isinstance(study.model, str) else study.model
+    own = {table.effect for table in study.effects if table.formula is not None}
+    return any(name.strip() in own or name.strip() in PULLING for name in law)
 
 
 def missing(work: RunWork, record: Run) -> Finding | None:
