@@ -170,9 +170,7 @@ class Filtered(Table):
     lines: tuple[float, ...] = ()  # Hz, vibrations that were followed apart from the trend
     shake: tuple[float, ...] = ()  # what may be left of a camera shake: frequency in Hz, rms along x in m
     y_measured: Array | None = column("m", nan=True, default=None)
-    x_measured: Array | None = column(
-        "m", nan=True, default=None
-    )  # unfiltered, where the method or the deviations need it
+    x_measured: Array | None = column("m", nan=True, default=None)  # unfiltered, where what follows needs it
     sigma_sensor: Array | None = column("m/s^2", nan=True, default=None)  # of an acceleration taken in, inf where none
 
 

@@ -90,10 +90,16 @@ def _line(along: Array, place: Array, weight: Array, noise: float) -> Line:
     shape = np.linalg.lstsq(design, off * root, rcond=None)[0]
     left = off - np.stack([np.ones_like(u), u, u**2], axis=1) @ shape
     spread = 1.4826 * float(np.median(np.abs(left)))
-    together = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
-    several = np.sqrt(max((1 + together) / max(1 - together, 1e-3), 1.0))
-    std = max(spread, noise) * several * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    std = (
+        max(spread, noise) * np.sqrt(frames_per_independent(left)) * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    )
     return Line(along, float(std[1] / half), float(4 * shape[2] / half), float(4 * std[2] / half))
+
+
+def frames_per_independent(left: Array) -> float:
+    """How many residuals (n,) count as one, by the correlation of neighbours; 1 at the least."""
+    correlation = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
+    return max((1 + correlation) / max(1 - correlation, 1e-3), 1.0)
 
 
 def forward(along: Array, turn: Array) -> Array:

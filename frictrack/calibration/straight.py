@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from frictrack.calibration.course import frames_per_independent
 from frictrack.records import Array, Track
 
 LARGE = np.pi / 2  # rad: a target that turns farther is seen along its axis, and does not rock on its course
@@ -90,7 +91,10 @@ def _arm(place: Array, angle: Array) -> _Arm:
         shape, *_ = np.linalg.lstsq(design, -(place @ across), rcond=None)
         at = shape[:2]
     left = -(place @ across) - design @ shape
-    alike = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
-    several = max((1 + alike) / max(1 - alike, 1e-2), 1.0)  # neighbours that are wrong together count as fewer
-    variance = several * np.linalg.pinv(design.T @ design)[:2, :2] * np.sum(left**2) / max(len(left) - 5, 1)
+    variance = (
+        frames_per_independent(left)
+        * np.linalg.pinv(design.T @ design)[:2, :2]
+        * np.sum(left**2)
+        / max(len(left) - 5, 1)
+    )
     return _Arm(at, float(np.sqrt(max(np.trace(variance), 0.0))))

@@ -187,16 +187,18 @@ def reviewed(start: Solution, found: list[Tried], own: Sequence[Effect], tell: T
         if worth <= 0 and len(kept) > 1:
             kept = _with_law([k for k in kept if k.effect.name != name], rest)
         elif whole.objective <= HOPELESS * whole.problem.n_frames and name == kin[-1]:
-            kept = _replaced(kept, kin, own)
+            kept = _replaced(kept, kin, rest, own)
     return kept
 
 
-def _replaced(kept: list[Tried], kin: list[str], own: Sequence[Effect]) -> list[Tried]:
-    """What was found, after everything was tried in the place of one effect, or of the several of its kind."""
+def _replaced(kept: list[Tried], kin: list[str], rest: Solution, own: Sequence[Effect]) -> list[Tried]:
+    """What was found, after everything was tried in the place of one effect, or of the several of its kind.
+
+    `rest` is the law without the last of them.
+    """
     whole, old = kept[-1].law, next(k for k in kept if k.effect.name == kin[0])
     try:
-        rest = whole
-        for name in kin:
+        for name in kin[:-1]:
             rest = without(rest, name)
     except FrictrackError:
         return kept

@@ -33,7 +33,7 @@ def turning_note(track: Track) -> tuple[str, ...]:
     mean = _averaged(angle)
     arm = float(np.hypot(*track.target[2:])) / 2
     place = float(np.median(track.sigma_px[known])) / arm
-    if np.ptp(mean) < CLEAR * max(_doubt(track, known, mean), place):
+    if np.ptp(mean) < CLEAR * max(_doubt(track, angle, known, mean), place):
         return ()
     degrees = float(np.degrees(np.ptp(angle)))
     rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
@@ -43,14 +43,14 @@ def turning_note(track: Track) -> tuple[str, ...]:
     return (turns + (rocks if np.ptp(angle) < LARGE else ""),)
 
 
-def _doubt(track: Track, known: Mask, mean: Array) -> float:
+def _doubt(track: Track, angle: Array, known: Mask, mean: Array) -> float:
     """Standard deviation of the largest and the smallest running mean of the angle, together, rad.
 
     It is the stated one, as far as neighbouring frames agree with that; a target half hidden has a poor angle.
     """
     sigma = np.ones(len(track.angle)) if track.sigma_angle is None else track.sigma_angle
     sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, np.inf)[known]
-    curvature = np.diff(np.unwrap(track.angle[known]), 2)
+    curvature = np.diff(angle, 2)
     expected = sigma[:-2] ** 2 + 4 * sigma[1:-1] ** 2 + sigma[2:] ** 2
     unit = np.mean(np.where(np.isfinite(expected), curvature**2 / expected, 0.0))
     doubt = np.sqrt(unit * _averaged(sigma**2) / SPAN)

@@ -29,7 +29,7 @@ RAMPS = (1, 2, 4, 8)  # that it may be as wide where it grows to its end or fall
 MOVES = (-0.25, 0.0, 0.25)  # by which it may lie elsewhere, over its width
 BOOSTS = (-2.0, 0.0, 2.0)  # by which it may be softer
 OF_WIDTH = 6.0  # power with which the fourth differences of a pulse grow, squared, as it gets narrower
-LARGEST = 100.0  # gain of twice the log-likelihood that is told from more
+MAX_GAIN = 100.0  # of twice the log-likelihood; above it all changes count the same, and exp does not overflow
 FAINTEST, MOST = 0.02, 8  # weight of a change that is kept, and how many are
 PERIODS, REACH = 3.0, 500  # of the cut-off that a window reaches to either side, and frames at the least
 
@@ -131,7 +131,7 @@ def _judged(data: Data, s: Structure, changes: Sequence[Change]) -> Group | None
     before = np.array([c.weight for c in changes])
     if changes[0].instead < 0:  # ramps of no depth are expected as well
         before = before / np.sum(before)
-    likely = before * np.exp(0.5 * np.minimum(gains, LARGEST))
+    likely = before * np.exp(0.5 * np.minimum(gains, MAX_GAIN))
     shares = likely / (1.0 + np.sum(likely))
     kept = [i for i in np.argsort(-shares)[:MOST].tolist() if shares[i] > FAINTEST]
     return Group(*window[:2], tuple(replace(changes[i], weight=float(shares[i])) for i in kept))

@@ -29,7 +29,7 @@ ROUNDS, MOST_ROUNDS = 3, 5  # where nothing stands in the way, and where somethi
 BACKGROUND_FRAMES = 15
 STRANGE = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
 STILL_FOUND = 0.95  # of the frames, in which a picture with short waves must be found as well
-PARTS = 8  # stretches of the path, every other of which foretells the rest
+PARTS = 8  # stretches of the path; a picture learnt from every second one is tested on the others
 BORDER_SLOPE = 0.2  # of the picture's slopes, that a border's may be off by
 TRUST_FRAMES = 64  # whose residual pictures are looked at
 
@@ -139,7 +139,7 @@ def _sharpened(seen: _Cuts, found: _Found, path: SmoothPath) -> tuple[_Found, Sm
         return found, path
     path = path.again(seen.corner + found.fine.at)
     with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
-        if not _foretells(seen, found, path):
+        if not _fits_other_stretches(seen, found, path):
             return found, path
         sharper = _round(seen, replace(found, template=path.widened(found.template)), path, None)
     better = path.again(seen.corner + sharper.fine.at)
@@ -152,11 +152,11 @@ def _still_found(again: Fine, before: Fine) -> bool:
     return bool(np.count_nonzero(again.settled) >= max(STILL_FOUND * np.count_nonzero(before.settled), 1))
 
 
-def _foretells(seen: _Cuts, found: _Found, path: SmoothPath) -> bool:
-    """Whether short waves that every other stretch of the path has taught fit the rest better than none.
+def _fits_other_stretches(seen: _Cuts, found: _Found, path: SmoothPath) -> bool:
+    """Whether short waves learnt from every second stretch of the path improve the fit to the other stretches.
 
-    Light that changes along the path, or a codec, makes such waves too, but each stretch has its own: the next one is
-    not found by them, or fits worse.
+    Light that changes along the path, or a codec, makes such waves too, but other ones in each stretch: with them the
+    target is not found in the next stretch, or fits worse.
     """
     odd = (np.arange(len(seen.cuts)) * PARTS // len(seen.cuts)) % 2 == 1
     part = replace(seen, cuts=seen.cuts[~odd], corner=seen.corner[~odd], rows=seen.rows[~odd])

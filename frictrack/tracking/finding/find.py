@@ -16,9 +16,9 @@ from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.finding.outline import outline
+from frictrack.tracking.finding.rotating import rotating_body
 from frictrack.tracking.finding.scene import Blob, Picture, Scene, sample, without
 from frictrack.tracking.finding.subpixel import most_moving
-from frictrack.tracking.finding.turned import turned_body
 from frictrack.tracking.match import Rectangle, correlate, vertex
 
 LEAST_TRAVEL = 1.5  # px
@@ -31,7 +31,6 @@ PURSUED = 8
 CUT_OFF = 0.2  # worth of a body that the picture's edge cuts off all the time: an arm, a rod
 # A second body is worth a question when it is as large and travels as far as this share of the first ...
 RIVAL_SIDE, RIVAL_AREA, RIVAL_TRAVEL, RIVAL_SCORE, RIVAL_SEEN = 16, 0.25, 0.5, 0.7, 0.6  # the side in px
-SCRAP = 0.25  # of the patch that travels: a smaller body that looks the same is part of what it uncovers
 APART = 0.3  # ... and moves against it by this share of the way; shadow, reflection and rod in contact do not
 
 
@@ -60,14 +59,14 @@ def locate(recording: Recording) -> tuple[Rectangle, int]:
     """Rectangle of the body that moves farthest, slightly inside its outline, and the frame it refers to.
 
     A body that turns as it goes never looks the same: then it is the patch of steady size that travels. Where nothing
-    travels by more than a pixel or two, it is the patch whose smaller motion stands out of the noise
-    most; where none does, the patch that is tracked best. Raises `FrictrackError` when the film has no contrast, no
-    patch has enough texture, or two bodies move apart.
+    travels by more than a pixel or two, it is the patch whose smaller motion stands out of the noise most; where none
+    does, the patch that is tracked best. Raises `FrictrackError` when the film has no contrast, no patch has enough
+    texture, or two bodies move apart.
     """
     scene, bodies = _looked(sample(recording))
-    turned = turned_body(scene)
-    if turned is not None and _is_scrap(scene, bodies, turned[2]):
-        return turned[:2]
+    rotating = rotating_body(scene, bodies[0].box[2] * bodies[0].box[3] if bodies else 0.0)
+    if rotating is not None:
+        return rotating
     if not bodies and scene.shake.any():  # perhaps what filled the picture was the body, and no shake
         scene, bodies = _looked(sample(recording, steady=False))
     if not bodies:
@@ -76,11 +75,6 @@ def locate(recording: Recording) -> tuple[Rectangle, int]:
     if rivals:
         raise FrictrackError(_which(recording, scene, (bodies[0], rivals[0])))
     return drawn(scene, bodies[0])
-
-
-def _is_scrap(scene: Scene, bodies: list[Body], area: int) -> bool:
-    """Whether what looks the same from frame to frame is nothing, or a scrap beside a patch of `area` px."""
-    return not bodies or bodies[0].box[2] * bodies[0].box[3] * scene.factor**2 < SCRAP * area
 
 
 def _subtle(recording: Recording, scene: Scene) -> tuple[Rectangle, int]:

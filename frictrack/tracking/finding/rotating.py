@@ -18,37 +18,33 @@ SAME_AREA = 0.25  # by which the patch may differ from its usual area: shadows, 
 MOST_FRAMES, FEWEST = 0.6, 4  # share and number of the sampled frames that must show it so
 FAR = 0.5  # times the root of its area that its middle must travel
 STEP = 0.4  # of the whole way: a longer step between two samples is a jump to something else
+SCRAP = 0.25  # of the patch: a smaller body that looks the same from frame to frame is part of what it uncovers
 NEARLY = 0.6  # of the largest rectangle inside it, that the first frame's must have to be taken
 
 
-def turned_body(scene: Scene) -> tuple[Rectangle, int, int] | None:
-    """Rectangle inside the one travelling patch, the frame it refers to, and the area of the patch, all in px.
+def rotating_body(scene: Scene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
+    """Rectangle inside the one travelling patch of foreground, px, and the frame it refers to.
 
-    None where no patch of a steady size travels.
+    None where no patch of a steady size travels, or where what was found already, `found_area` (px, reduced), is more
+    than a scrap of it.
     """
-    shown = [_largest(scene, row) for row in range(len(scene.small))]
-    areas = np.array([0 if mask is None else np.count_nonzero(mask) for mask in shown], dtype=np.float64)
+    areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
     if not np.any(areas):
         return None
     usual = float(np.median(areas[areas > 0]))
     rows = np.flatnonzero(np.abs(areas - usual) < SAME_AREA * usual)
-    masks = {int(row): mask for row in rows if (mask := shown[row]) is not None}
-    if len(rows) < max(FEWEST, MOST_FRAMES * len(shown)) or not _travels(masks, usual):
+    if found_area >= SCRAP * usual or len(rows) < max(FEWEST, MOST_FRAMES * len(areas)):
         return None
-    found = _rectangle(scene, masks)
-    return None if found is None else (*found, round(usual * scene.factor**2))
+    masks = {row: _largest(scene, row) for row in rows.tolist()}
+    return _rectangle(scene, masks) if _travels(masks, usual) else None
 
 
-def _largest(scene: Scene, row: int) -> Mask | None:
-    """The largest patch of foreground of a sampled frame, if it lies wholly in the picture."""
-    blobs = scene.blobs[row]
-    if not blobs or blobs[0].cut:
-        return None
-    _, labels = cv2.connectedComponents(scene.foreground[row].astype(np.uint8))
-    x, y, w, h = blobs[0].box
-    counts = np.bincount(labels[y : y + h, x : x + w].ravel())
-    counts[0] = 0
-    return np.asarray(labels == int(np.argmax(counts)))
+def _largest(scene: Scene, row: int) -> Mask:
+    """The largest patch of foreground of a sampled frame."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
+    blob = scene.blobs[row][0]
+    same = [k for k in range(1, len(stats)) if tuple(stats[k, :4]) == blob.box and stats[k, 4] == blob.area]
+    return np.asarray(labels == same[0])
 
 
 def _travels(masks: dict[int, Mask], area: float) -> bool:
