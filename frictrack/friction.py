@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -218,7 +219,8 @@ def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
 def _end(run: Run, first: int, stop: int) -> tuple[int, str]:
     """Last free frame, and why."""
     t, smear = run.motion.t, _smear(run)
-    impact = _impact(run, first, stop)
+    blows = [row for row in (_impact(run, first, stop), _bounce(run, first, stop)) if row is not None]
+    impact = min(blows, default=None)
     violent = None if impact is None else _event(run, impact)
     if impact is not None and violent and violent[0] - EVENT_REACH > first:  # nothing of it is smeared into the slide
         return min(violent[0] - EVENT_REACH, stop), f"an impact at {t[impact]:.4g} s"
@@ -301,3 +303,30 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
     quiet = np.flatnonzero(a[first:hardest] <= _hard(run, first, stop))
     return int(first + quiet[-1]) if len(quiet) else first
+
+
+def _bounce(run: Run, first: int, stop: int) -> int | None:
+    """Frame of the highest speed before the mass first bounces back: turned far faster than it came and went.
+
+    Told by highest speeds and the times between them, it is seen in records too rough for an acceleration.
+    """
+    t, v = run.motion.t, run.motion.v
+    moves = [s for s in stretches(is_moving(run)) if s.start <= stop and s.stop > first]
+    ways = [part for s in moves for part in _ways(v, slice(max(s.start, first), min(s.stop, stop + 1)))]
+    ways = [way for way in ways if is_motion(run, way)]
+    for before, after in pairwise(ways):
+        fastest = [way.start + int(np.argmax(np.abs(v[way]))) for way in (before, after)]
+        here, there = fastest
+        came, went = t[here] - t[before.start], t[after.stop - 1] - t[there]
+        if v[here] * v[there] < 0 and came > 0 and went > 0:
+            usual = max(abs(v[here]) / came, abs(v[there]) / went)
+            if abs(v[there] - v[here]) > IMPACT_FACTOR * usual * (t[there] - t[here]):
+                return here
+    return None
+
+
+def _ways(v: Array, s: slice) -> list[slice]:
+    """The parts of a stretch in which the velocity keeps its sign."""
+    cuts = np.flatnonzero(np.diff(np.sign(v[s]))) + 1
+    edges = [0, *cuts.tolist(), s.stop - s.start]
+    return [slice(s.start + a, s.start + b) for a, b in pairwise(edges)]

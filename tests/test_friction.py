@@ -170,6 +170,28 @@ def test_impact_at_an_end_stop_ends_the_section():
     assert "an impact at 0.10" in reason
 
 
+@pytest.mark.parametrize(("degrees", "seed"), [(-3.0, 0), (-3.0, 1), (-2.0, 2), (-5.0, 3)])
+def test_places_rounded_to_1_cm_show_the_first_bounce_on_a_buffer(degrees, seed):
+    pull = -MASS * GRAVITY * np.sin(np.radians(degrees))
+
+    def force(t, x, v):
+        return pull - 0.05 * np.tanh(1e3 * v) - (900.0 * (x - 0.25) if x > 0.25 else 0.0)
+
+    wait = 0.5 + np.random.default_rng(seed).uniform(0, 0.01)
+    t = np.arange(0, 6, 0.01)
+    slide = solve_ivp(lambda s, y: [y[1], force(s, *y) / MASS], (0, 6), [0, 0], dense_output=True, max_step=2e-3)
+    x = slide.sol(np.maximum(t - wait, 0))[0]
+    rounded = np.round(x, 2)
+    nan = np.full(len(t), np.nan)
+    displacement = Displacement(t, rounded, nan, nan, nan, nan, np.ones(len(t), bool), resolution=0.01)
+    motion = differentiate(low_pass(displacement))
+    run = Run(displacement, motion, mass=MASS, has_incline=True, incline=np.radians(degrees))
+    touch = np.flatnonzero(x > 0.25)[0]
+    sections = moving_sections(run)
+    assert len(sections) == 1
+    assert 0.8 * touch < sections[0].stop <= touch + 1
+
+
 def test_small_collision_does_not_end_the_section():
     def force(t, x, v):
         hit = 0.1 * np.pi / 2 / 1.5e-3 * np.sin(np.pi * (t - 0.05) / 1.5e-3) if 0.05 < t < 0.0515 else 0.0
