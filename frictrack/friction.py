@@ -112,6 +112,35 @@ def reverses_freely(run: Run, before: slice, after: slice) -> float | None:
     return pull if certain and np.all(run.displacement.valid[here]) and pull < SWING * usual else None
 
 
+def impact(run: Run) -> str:
+    """What first stops or turns the moving mass of a run without a drive at once, in words; "" where nothing does.
+
+    Examples
+    --------
+    >>> from frictrack import records
+    >>> t = np.arange(0, 1, 0.01)
+    >>> v = np.where(t < 0.6, 1.0 + 0.5 * t, -0.8 + 0.5 * (t - 0.6))
+    >>> nan, one = np.full(100, np.nan), np.ones(100)
+    >>> motion = records.Motion(t, 0 * t, v, 0 * t, nan, one, 1e-3 * one, one, nan, 0)
+    >>> seen = records.Displacement(t, 0 * t, nan, nan, nan, nan, one == 1)
+    >>> impact(records.Run(seen, motion, mass=1.0, has_incline=True, incline=-0.05))
+    'the mass hits something at 0.59 s, which turns its velocity from 1.29 to -0.8 m/s; friction is judged before that'
+
+    """
+    if run.free is not None or _measured(run):
+        return ""
+    start, stop = _main_motion(run)
+    hit, turned = _impact(run, start, stop), _bounce(run, start, stop)
+    rows = [row for row in (hit, turned and turned[0]) if row is not None]
+    if not rows:
+        return ""
+    t, v = run.motion.t, run.motion.v
+    does = "takes at least half of its velocity"
+    if turned and turned[0] == min(rows):
+        does = f"turns its velocity from {v[turned[0]]:.3g} to {v[turned[1]]:.3g} m/s"
+    return f"the mass hits something at {t[min(rows)]:.4g} s, which {does}; friction is judged before that"
+
+
 def friction(run: Run) -> Friction:
     """Friction force F = D - m a of a run with its standard deviation, and its free section.
 
@@ -219,13 +248,14 @@ def _begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
 def _end(run: Run, first: int, stop: int) -> tuple[int, str]:
     """Last free frame, and why."""
     t, smear = run.motion.t, _smear(run)
-    blows = [row for row in (_impact(run, first, stop), _bounce(run, first, stop)) if row is not None]
-    impact = min(blows, default=None)
-    violent = None if impact is None else _event(run, impact)
-    if impact is not None and violent and violent[0] - EVENT_REACH > first:  # nothing of it is smeared into the slide
-        return min(violent[0] - EVENT_REACH, stop), f"an impact at {t[impact]:.4g} s"
-    if impact is not None:
-        return max(impact - smear, first), f"an impact at {t[impact]:.4g} s less {smear} frames for the filter"
+    turned = _bounce(run, first, stop)
+    blows = [row for row in (_impact(run, first, stop), turned and turned[0]) if row is not None]
+    hit = min(blows, default=None)
+    violent = None if hit is None else _event(run, hit)
+    if hit is not None and violent and violent[0] - EVENT_REACH > first:  # nothing of it is smeared into the slide
+        return min(violent[0] - EVENT_REACH, stop), f"an impact at {t[hit]:.4g} s"
+    if hit is not None:
+        return max(hit - smear, first), f"an impact at {t[hit]:.4g} s less {smear} frames for the filter"
     if stop == np.flatnonzero(run.displacement.valid)[-1]:
         return stop, f"the last valid frame at {t[stop]:.4g} s"
     return stop, f"the last moving frame at {t[stop]:.4g} s"
@@ -305,8 +335,8 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     return int(first + quiet[-1]) if len(quiet) else first
 
 
-def _bounce(run: Run, first: int, stop: int) -> int | None:
-    """Frame of the highest speed before the mass first bounces back: turned far faster than it came and went.
+def _bounce(run: Run, first: int, stop: int) -> tuple[int, int] | None:
+    """Frames of the highest speeds before and after the first bounce: the mass turns far faster than it came and went.
 
     Told by highest speeds and the times between them, it is seen in records too rough for an acceleration.
     """
@@ -321,7 +351,7 @@ def _bounce(run: Run, first: int, stop: int) -> int | None:
         if v[here] * v[there] < 0 and came > 0 and went > 0:
             usual = max(abs(v[here]) / came, abs(v[there]) / went)
             if abs(v[there] - v[here]) > IMPACT_FACTOR * usual * (t[there] - t[here]):
-                return here
+                return here, there
     return None
 
 

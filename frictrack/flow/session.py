@@ -27,6 +27,7 @@ from frictrack.flow.summary import summary
 from frictrack.flow.tables import uneven_runs
 from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
+from frictrack.friction import impact
 from frictrack.results import Results, plain
 from frictrack.store import Entry
 from frictrack.study import Study, nearest
@@ -162,9 +163,11 @@ class Session:
         return {**found, "remarks": [*found["remarks"], *twice, *uneven], **more}
 
     def _in_records(self) -> list[dict[str, str]]:
-        """What was found in the displacement of every run before it was used, not what was looked for in vain."""
+        """What was found in the displacement of every run and what its mass first hits, nothing looked for in vain."""
         notes = [(work.run.name, note) for work in self.runs for note in work.get("displacement").notes]
-        return [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
+        found = [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
+        impacts = [{"run": work.run.name, "words": impact(work.record())} for work in self.runs]
+        return [*found, *(hit for hit in impacts if hit["words"])]
 
     def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
         """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
