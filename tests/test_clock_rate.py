@@ -11,7 +11,7 @@ from runs import BASE, FPS, MASS, SIX, Slider, Spec, integrate, measured
 
 from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.rivals import separation
+from frictrack.diagnose.model_selection import separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, restore, state
 from frictrack.fit.predict import predicted

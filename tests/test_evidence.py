@@ -16,8 +16,8 @@ from scipy.integrate import solve_ivp
 
 from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.evidence import Known, curves_of, evidence
-from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.auxiliary_signals import Known, curves_of, evidence
+from frictrack.diagnose.compressed import reduced
 from frictrack.fit import fit
 from frictrack.flow.witnesses import seen_beside
 from frictrack.records import Track

@@ -18,6 +18,7 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 from frictrack import effects, models, plots
 from frictrack.cli import show
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.effect_description import words
 from frictrack.diagnose.experiments import (
     Duel,
     Explanation,
@@ -28,11 +29,10 @@ from frictrack.diagnose.experiments import (
     next_experiment,
     settling,
 )
-from frictrack.diagnose.experiments.beside import ACCELEROMETER, LEVEL, checks
-from frictrack.diagnose.experiments.planned import Film, filmed
-from frictrack.diagnose.experiments.words import told_apart
-from frictrack.diagnose.here import words
-from frictrack.diagnose.rivals import information
+from frictrack.diagnose.experiments.advice_text import told_apart
+from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER, LEVEL, checks
+from frictrack.diagnose.experiments.virtual_runs import Film, filmed
+from frictrack.diagnose.model_selection import information
 from frictrack.fit import fit
 from frictrack.fit.simulated.growth import grow, settled
 from frictrack.records import GRAVITY
@@ -236,8 +236,8 @@ def test_candidates_speak_of_the_numbers_of_this_study():
 
 @pytest.mark.parametrize("name", sorted(set(effects.LIBRARY) - {"coulomb", "viscous", "lugre", "presliding"}))
 def test_every_effect_of_the_library_has_words_of_its_own(name):
-    from frictrack.diagnose.experiments.words import KEEPS  # noqa: PLC0415
-    from frictrack.diagnose.here import OWN  # noqa: PLC0415
+    from frictrack.diagnose.effect_description import OWN  # noqa: PLC0415
+    from frictrack.diagnose.experiments.advice_text import KEEPS  # noqa: PLC0415
 
     assert name in KEEPS
     assert name in OWN or name in ("stribeck", "measured_load")

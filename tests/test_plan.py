@@ -20,14 +20,14 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.cli import main, show
-from frictrack.diagnose.rivals import information
+from frictrack.diagnose.model_selection import information
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.fit.simulated.growth import grow, settled
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
 from frictrack.plan import Stand, choose, menu, of_fit, summary, usual
-from frictrack.plan.stand import BRAKING, NOISE
+from frictrack.plan.experiment_setup import BRAKING, NOISE
 from frictrack.plan.traces import film_all
 from frictrack.results import plain
 from frictrack.simulate.slide import Conditions, simulate

@@ -11,7 +11,7 @@ import tifffile
 from scipy.fft import dct
 
 from frictrack.calibration import calibrate
-from frictrack.diagnose.null import locked, slow_errors
+from frictrack.diagnose.null_distribution import locked, slow_errors
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track

@@ -8,8 +8,8 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.lines import seen, waves
-from frictrack.diagnose.experiments.expected import _few
+from frictrack.compare.spectral_lines import seen, waves
+from frictrack.diagnose.experiments.expected_separation import _few
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.fit.series import compact, weighed

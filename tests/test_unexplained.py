@@ -13,13 +13,13 @@ import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack.diagnose.axes import axes, smooth_forces
-from frictrack.diagnose.formulas import formulas
-from frictrack.diagnose.plainer import plainer
-from frictrack.diagnose.reduced import reduced
-from frictrack.diagnose.repeats import Repeat, Repeats
-from frictrack.diagnose.rivals import information
-from frictrack.diagnose.shapes import SHAPES
+from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.formulas.formula_search import formulas
+from frictrack.diagnose.formulas.shapes import SHAPES
+from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.repeatability.common_curves import Repeat, Repeats
+from frictrack.diagnose.simpler_model import plainer
+from frictrack.diagnose.smooth_forces import axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects.settings import definitions, read
 from frictrack.fit import fit

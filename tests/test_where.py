@@ -10,12 +10,12 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, models, plots
 from frictrack.compare import failing_spans
-from frictrack.compare.chance import Chance, arc
+from frictrack.compare.bump_dictionary import _times
 from frictrack.compare.deconvolve import deconvolved
-from frictrack.compare.local import local_forces
-from frictrack.compare.looks import _times
-from frictrack.diagnose.repeats import Repeat, repeats, told
-from frictrack.diagnose.where import common, figures_of
+from frictrack.compare.global_significance import Chance, arc
+from frictrack.compare.local_forces import local_forces
+from frictrack.diagnose.repeatability.common_curves import Repeat, repeats, told
+from frictrack.diagnose.repeatability.residual_curves import common, figures_of
 from frictrack.fit import fit
 from frictrack.fit.simulated.curves import hats, matern
 from frictrack.fit.simulated.growth import grow

@@ -4,6 +4,6 @@ Noise averages out in the mean, as its full covariance has it; scale, mass and t
 stands in the table without a number: a budget that leaves it out would be no budget.
 """
 
-from frictrack.budget.table import Budget, Contribution, budget
+from frictrack.budget.error_budget import Budget, Contribution, budget
 
 __all__ = ["Budget", "Contribution", "budget"]

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.compare.lines import Line, line_at, strongest_line, strongest_ripple
-from frictrack.compare.local import ALPHA, local_forces, uncertain
+from frictrack.compare.local_forces import ALPHA, local_forces, uncertain
+from frictrack.compare.spectral_lines import Line, line_at, strongest_line, strongest_ripple
 from frictrack.fit.series import SeriesPiece
 from frictrack.fit.simulated.curves import hats, matern
 from frictrack.fit.simulated.linearised import Linearised, place, traces

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from frictrack.compare.local import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
-from frictrack.compare.looks import Bump, limits
+from frictrack.compare.bump_dictionary import Bump, limits
+from frictrack.compare.local_forces import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
 from frictrack.fit.series import SeriesPiece, compact

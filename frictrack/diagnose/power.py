@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
+from frictrack.diagnose.hypothesis_tests import Scanned
 from frictrack.diagnose.rounds import Round
-from frictrack.diagnose.tests import Scanned
 from frictrack.fit import Fit
 from frictrack.fit.simulated.beside import Strip
 from frictrack.records import Array

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.diagnose.admissible import implausible, objection
-from frictrack.diagnose.null import Ensemble, ensemble
-from frictrack.diagnose.rivals import EVEN, NEAR, SAME, information, price, separation
-from frictrack.diagnose.tests import ALPHA, Scanned, Tests, candidates, run_tests
+from frictrack.diagnose.hypothesis_tests import ALPHA, Scanned, Tests, candidates, run_tests
+from frictrack.diagnose.model_selection import EVEN, NEAR, SAME, information, price, separation
+from frictrack.diagnose.null_distribution import Ensemble, ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.beside import Beside, beside

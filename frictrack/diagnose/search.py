@@ -10,21 +10,21 @@ import numpy as np
 
 from frictrack.compare import failing_spans
 from frictrack.diagnose.admissible import objection
-from frictrack.diagnose.evidence import Beside, Evidence, Known, curves_of, evidence, sensed
+from frictrack.diagnose.auxiliary_signals import Beside, Evidence, Known, curves_of, evidence, sensed
+from frictrack.diagnose.detection_limits import detection_limit
+from frictrack.diagnose.effect_description import words
 from frictrack.diagnose.experiments import for_unexplained, settling
-from frictrack.diagnose.here import words
-from frictrack.diagnose.limits import detection_limit
-from frictrack.diagnose.plainer import plainer
+from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose.model_selection import NEAR
+from frictrack.diagnose.parsimony import explained_alone, first_of_pair, nested, simplest
 from frictrack.diagnose.power import Undetermined, undetermined
-from frictrack.diagnose.rivals import NEAR
+from frictrack.diagnose.repeatability import where_it_fails
 from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
-from frictrack.diagnose.sampled import sampled, thinned
-from frictrack.diagnose.simple import explained_alone, first_of_pair, nested, simplest
-from frictrack.diagnose.tests import ALPHA
+from frictrack.diagnose.simpler_model import plainer
+from frictrack.diagnose.subsampling import sampled, thinned
 from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.unsegmented import uncut
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
-from frictrack.diagnose.where import where_it_fails
-from frictrack.diagnose.whole import uncut
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, series

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.axes import smooth_forces
+from frictrack.diagnose.compressed import reduced
 from frictrack.diagnose.formulas import formulas
-from frictrack.diagnose.reduced import reduced
+from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.fit.series import compact
 from frictrack.fit.simulated.solve import Solution
 

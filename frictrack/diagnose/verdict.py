@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from frictrack.diagnose.evidence import Evidence
+from frictrack.diagnose.auxiliary_signals import Evidence
 from frictrack.diagnose.power import Undetermined
-from frictrack.diagnose.repeats import Repeats
+from frictrack.diagnose.repeatability import Repeats
 from frictrack.records import Array
 
 NO_WORSE = 1.002  # times the held-out error before: a change of that size is none

@@ -8,9 +8,9 @@ size, and every other effect in its best form is fitted to what it leaves. Runs 
 that the pairs that cannot be told apart become fewest.
 """
 
-from frictrack.plan.choose import PARTED, Chosen, choose
-from frictrack.plan.known import of_fit
-from frictrack.plan.stand import Entry, Stand, film, menu, usual
-from frictrack.plan.told import summary
+from frictrack.plan.experiment_setup import Entry, Stand, film, menu, usual
+from frictrack.plan.plan_summary import summary
+from frictrack.plan.selection import PARTED, Chosen, choose
+from frictrack.plan.setup_from_fit import of_fit
 
 __all__ = ["PARTED", "Chosen", "Entry", "Stand", "choose", "film", "menu", "of_fit", "summary", "usual"]

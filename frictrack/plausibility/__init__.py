@@ -6,12 +6,12 @@ was read, why it is implausible, and what to type instead. The ranges stand in `
 """
 
 from frictrack.plausibility.clocks import implausible_clocks
+from frictrack.plausibility.entered_values import Typed, implausible
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
-from frictrack.plausibility.inclines import implausible_inclines
+from frictrack.plausibility.incline_consistency import implausible_inclines
 from frictrack.plausibility.masses import implausible_masses
 from frictrack.plausibility.slide import Slide, implausible_slide, slide_of
-from frictrack.plausibility.typed import Typed, implausible
 
 __all__ = [
     "ERROR",

@@ -11,7 +11,7 @@ from math import asin, degrees, sin
 import numpy as np
 
 from frictrack.plausibility.finding import ERROR, Finding
-from frictrack.plausibility.legs import MIN_SIGMAS, Leg, legs_of, mean, total
+from frictrack.plausibility.strokes import MIN_SIGMAS, Leg, legs_of, mean, total
 from frictrack.records import GRAVITY, Run, Track
 
 MAX_MISFIT = 0.02  # rms off a parabola over the way: a push by hand is not as constant as gravity

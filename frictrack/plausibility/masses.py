@@ -19,8 +19,8 @@ import numpy as np
 
 from frictrack.friction import is_moving
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.legs import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.plausibility.slide import Slide, slide_of
+from frictrack.plausibility.strokes import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.records import GRAVITY, Array, Run
 
 MAX_SPREAD_DECADES = 0.2  # decades within which the other runs agree, or two numbers are the same up to a power of ten

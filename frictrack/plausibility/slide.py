@@ -10,8 +10,8 @@ import numpy as np
 
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
-from frictrack.plausibility.legs import Leg, legs_of, mean, total
 from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, TRAVEL, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
+from frictrack.plausibility.strokes import Leg, legs_of, mean, total
 from frictrack.records import GRAVITY, Run
 
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 from typing import Any
 
-from frictrack.diagnose.experiments.axes import along_axes
-from frictrack.diagnose.experiments.beside import checks
-from frictrack.diagnose.experiments.expected import Duel, Explanation, explanation
+from frictrack.diagnose.experiments.advice_text import because, told_apart, unparted
+from frictrack.diagnose.experiments.direct_checks import checks
+from frictrack.diagnose.experiments.expected_separation import Duel, Explanation, explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
-from frictrack.diagnose.experiments.words import because, told_apart, unparted
+from frictrack.diagnose.experiments.unknown_cause import along_axes
 from frictrack.errors import FrictrackError
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.solve import Solution

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.diagnose.experiments.planned import Film
+from frictrack.diagnose.experiments.virtual_runs import Film
 from frictrack.fit.simulated.solve import Solution
 
 FASTEST = 8.0  # m/s, that the set-ups of this field reach

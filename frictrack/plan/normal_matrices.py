@@ -17,7 +17,7 @@ import numpy as np
 
 from frictrack.fit.simulated.scan import per_run_coefficients
 from frictrack.fit.unknowns.layout import MIN_RUNS
-from frictrack.plan.library import Cause
+from frictrack.plan.causes import Cause
 from frictrack.plan.traces import Filmed, columns
 from frictrack.records import Array
 

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare.lines import wave_traces
-from frictrack.compare.looks import Nodes, course, nodes
-from frictrack.diagnose.along import Repeat, ordered, told
-from frictrack.diagnose.axes import each_alone, smooth_forces
-from frictrack.diagnose.phases import FORETOLD, in_phase, surplus
-from frictrack.diagnose.reduced import reduced
+from frictrack.compare.bump_dictionary import Nodes, course, nodes
+from frictrack.compare.spectral_lines import wave_traces
+from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.repeatability.axis_result import Repeat, ordered, told
+from frictrack.diagnose.repeatability.common_frequency import FORETOLD, in_phase, surplus
+from frictrack.diagnose.smooth_forces import each_alone, smooth_forces
 from frictrack.effects.texture import periods
 from frictrack.fit.simulated.curves import hats, matern
 from frictrack.fit.simulated.linearised import Linearised, linearised, traces

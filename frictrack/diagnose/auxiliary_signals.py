@@ -20,9 +20,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
-from frictrack.diagnose.reduced import Reduced, reduced
-from frictrack.diagnose.rivals import SAME
-from frictrack.diagnose.wander import Moves, chance, untrended
+from frictrack.diagnose.compressed import Reduced, reduced
+from frictrack.diagnose.model_selection import SAME
+from frictrack.diagnose.surrogates import Moves, chance, untrended
 from frictrack.fit.simulated.problem import Response
 from frictrack.fit.simulated.solve import Solution
 from frictrack.motion import differentiate, low_pass, noise_level

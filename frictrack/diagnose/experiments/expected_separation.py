@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from frictrack.diagnose.experiments.planned import Film, extended, filmed, spread
-from frictrack.diagnose.rivals import information
+from frictrack.diagnose.experiments.virtual_runs import Film, extended, filmed, spread
+from frictrack.diagnose.model_selection import information
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments.planned import Bench, Film
+from frictrack.diagnose.experiments.virtual_runs import Bench, Film
 from frictrack.effects import Path
 from frictrack.models import Model
 from frictrack.records import GRAVITY

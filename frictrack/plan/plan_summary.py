@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.experiments.beside import DIRECT
-from frictrack.diagnose.experiments.words import MEANS
+from frictrack.diagnose.experiments.advice_text import MEANS
+from frictrack.diagnose.experiments.direct_checks import DIRECT
 from frictrack.effects import Effect
-from frictrack.plan.choose import PARTED, Chosen, Step, pairs, threshold
-from frictrack.plan.library import FRAMES, PICTURE, SHARE
+from frictrack.plan.causes import FRAMES, PICTURE, SHARE
+from frictrack.plan.selection import PARTED, Chosen, Step, pairs, threshold
 from frictrack.records import Array
 
 ALIKE = 1.0  # expected chi-squared below which two traces are one

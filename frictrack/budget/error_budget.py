@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.budget.clock import rate_error
-from frictrack.budget.response import Response
-from frictrack.budget.words import RATE, sentences
+from frictrack.budget.budget_summary import RATE, sentences
+from frictrack.budget.filter_response import Response
+from frictrack.budget.frame_rate import rate_error
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
 from frictrack.motion import noise_level

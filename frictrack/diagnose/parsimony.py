@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
-from frictrack.diagnose.rivals import EVEN, information, price
+from frictrack.diagnose.model_selection import EVEN, information, price
 from frictrack.diagnose.rounds import Round, Tried
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from frictrack.budget.table import Budget, Contribution
+    from frictrack.budget.error_budget import Budget, Contribution
 
 MOSTLY = 0.5  # share of a variance
 HARDLY = 0.95  # of the total is left: not worth doing

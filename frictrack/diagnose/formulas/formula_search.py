@@ -16,12 +16,21 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from frictrack.diagnose.axes import smooth_forces
-from frictrack.diagnose.reduced import Reduced, reduced
-from frictrack.diagnose.rivals import information
-from frictrack.diagnose.shapes import SHAPES, Shape
-from frictrack.diagnose.terms import LETTERS, NAME, Formula, Term, bounds_of, coefficients_of, effect_of, letters_of
-from frictrack.diagnose.told import told
+from frictrack.diagnose.compressed import Reduced, reduced
+from frictrack.diagnose.formulas.formula_text import told
+from frictrack.diagnose.formulas.shapes import SHAPES, Shape
+from frictrack.diagnose.formulas.terms import (
+    LETTERS,
+    NAME,
+    Formula,
+    Term,
+    bounds_of,
+    coefficients_of,
+    effect_of,
+    letters_of,
+)
+from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.growth import grow, settled, without
 from frictrack.fit.simulated.solve import Solution, settle_scatter

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.compare.lines import scanned, seen
+from frictrack.compare.spectral_lines import scanned, seen
 from frictrack.fit.simulated.linearised import Linearised
 from frictrack.records import Array
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare.chance import Chance, arc
+from frictrack.compare.global_significance import Chance, arc
 from frictrack.fit.series import SeriesPiece
 from frictrack.fit.simulated.linearised import Linearised, place, traces
 from frictrack.fit.simulated.problem import Response

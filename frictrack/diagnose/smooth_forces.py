@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
-from frictrack.diagnose.reduced import CUBIC, Reduced
+from frictrack.diagnose.compressed import CUBIC, Reduced
 from frictrack.effects import Path
 from frictrack.records import Array
 

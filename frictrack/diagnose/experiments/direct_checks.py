@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.diagnose.experiments.expected import Explanation
+from frictrack.diagnose.experiments.expected_separation import Explanation
 from frictrack.effects import Effect
 from frictrack.fit.simulated.problem import Response
 from frictrack.records import GRAVITY, Array

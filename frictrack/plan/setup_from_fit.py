@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments.planned import Film
+from frictrack.diagnose.experiments.virtual_runs import Film
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.unknowns.layout import MIN_RUNS
-from frictrack.plan.stand import NOISE, SCATTER, Entry, Stand
+from frictrack.plan.experiment_setup import NOISE, SCATTER, Entry, Stand
 
 PLAIN = ("coulomb", "stribeck", "viscous", "drag", "spring", "slope", "asymmetry")  # what a base law may hold
 

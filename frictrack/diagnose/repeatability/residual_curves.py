@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
-from frictrack.compare.lines import Line
-from frictrack.diagnose.repeats import Repeats, repeats
+from frictrack.compare.spectral_lines import Line
+from frictrack.diagnose.repeatability.common_curves import Repeats, repeats
 from frictrack.fit.series import compact
 from frictrack.fit.simulated.solve import Solution
 from frictrack.records import Array

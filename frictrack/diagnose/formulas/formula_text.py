@@ -9,8 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.axes import OTHER
-from frictrack.diagnose.terms import LETTERS, NAME, Formula, Term, bounds_of, coefficients_of, letters_of, text_of
+from frictrack.diagnose.formulas.terms import (
+    LETTERS,
+    NAME,
+    Formula,
+    Term,
+    bounds_of,
+    coefficients_of,
+    letters_of,
+    text_of,
+)
+from frictrack.diagnose.smooth_forces import OTHER
 from frictrack.fit.simulated.solve import Solution
 from frictrack.words import AXES
 

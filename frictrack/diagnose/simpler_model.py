@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.axes import smooth_forces
-from frictrack.diagnose.formulas import EQUAL
-from frictrack.diagnose.reduced import reduced
-from frictrack.diagnose.repeats import Repeats
-from frictrack.diagnose.rivals import SAME, information
-from frictrack.diagnose.shapes import SHAPES
-from frictrack.diagnose.terms import LETTERS
+from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.formulas import EQUAL, LETTERS, SHAPES
+from frictrack.diagnose.model_selection import SAME, information
+from frictrack.diagnose.repeatability import Repeats
+from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.simulated.solve import Solution
 from frictrack.words import AXES

@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-from frictrack.diagnose.limits import noncentrality
-from frictrack.diagnose.tests import ALPHA
+from frictrack.diagnose.detection_limits import noncentrality
+from frictrack.diagnose.hypothesis_tests import ALPHA
 from frictrack.effects import Span
-from frictrack.plan.library import Cause, library
-from frictrack.plan.reduced import Reduced, nothing, rival, total
-from frictrack.plan.stand import Entry, Stand, menu
+from frictrack.plan.causes import Cause, library
+from frictrack.plan.experiment_setup import Entry, Stand, menu
+from frictrack.plan.normal_matrices import Reduced, nothing, rival, total
 from frictrack.plan.traces import Filmed, amplitude, film_all, trace
 from frictrack.records import Array
 from frictrack.threads import one_thread

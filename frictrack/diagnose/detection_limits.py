@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
-from frictrack.diagnose.null import Ensemble
-from frictrack.diagnose.tests import Scanned
+from frictrack.diagnose.hypothesis_tests import Scanned
+from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.simulated.scan import ABSORBED, Scan
 from frictrack.records import Array

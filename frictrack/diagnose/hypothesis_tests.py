@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import dct
 
 from frictrack import effects
-from frictrack.diagnose.null import Ensemble
+from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.series import is_series
 from frictrack.fit.simulated.scan import Scan, families, scan

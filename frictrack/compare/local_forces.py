@@ -14,8 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.compare.chance import Chance
-from frictrack.compare.looks import Bump, Looks, Nodes, chances, families, limits, looks_of, nodes, norms, over
+from frictrack.compare.bump_dictionary import (
+    Bump,
+    Looks,
+    Nodes,
+    chances,
+    families,
+    limits,
+    looks_of,
+    nodes,
+    norms,
+    over,
+)
+from frictrack.compare.global_significance import Chance
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.linearised import Linearised, linearised, traces
 from frictrack.fit.simulated.pieces import Piece

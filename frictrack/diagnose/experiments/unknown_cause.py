@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.diagnose.axes import Axis, Smooth, smooth_forces
-from frictrack.diagnose.experiments.expected import Explanation
-from frictrack.diagnose.reduced import reduced
-from frictrack.diagnose.terms import LETTERS
+from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.experiments.expected_separation import Explanation
+from frictrack.diagnose.formulas import LETTERS
+from frictrack.diagnose.smooth_forces import Axis, Smooth, smooth_forces
 from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.diagnose.axes import Axis
-from frictrack.diagnose.shapes import SHAPES, Shape
+from frictrack.diagnose.formulas.shapes import SHAPES, Shape
+from frictrack.diagnose.smooth_forces import Axis
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
 from frictrack.fit.simulated.solve import Solution

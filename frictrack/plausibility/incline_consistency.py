@@ -14,7 +14,7 @@ import numpy as np
 
 from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MAX_PULL_RATIO, sign_error
-from frictrack.plausibility.legs import MIN_SIGMAS, Leg, legs_of
+from frictrack.plausibility.strokes import MIN_SIGMAS, Leg, legs_of
 from frictrack.records import GRAVITY, Run
 
 MIN_LEGS = 5  # slides for three numbers and their scatter

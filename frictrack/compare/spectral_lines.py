@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from frictrack.compare.looks import Nodes, nodes
+from frictrack.compare.bump_dictionary import Nodes, nodes
 from frictrack.effects.base import frequencies
 from frictrack.effects.texture import periods
 from frictrack.fit.simulated.linearised import Linearised, traces
