@@ -7,12 +7,20 @@ from scipy.optimize import least_squares
 from frictrack import effects, models
 from frictrack.effects import Path, Span
 from frictrack.fit import fit
-from frictrack.fit.along import Along, Projected, Search, displacement_block, force_block, search_of
-from frictrack.fit.along.blocks import double_integral
-from frictrack.fit.along.misfit import Misfit, Reduced
-from frictrack.fit.along.newton import bounded
-from frictrack.fit.along.table import Grid, Table
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.parameters import Layout
+from frictrack.fit.separable import (
+    Along,
+    Misfit,
+    Projected,
+    Reduced,
+    Search,
+    displacement_block,
+    force_block,
+    search_of,
+)
+from frictrack.fit.separable.blocks import double_integral
+from frictrack.fit.separable.newton import bounded
+from frictrack.fit.separable.scan_tables import Grid, Table
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
 

@@ -14,16 +14,13 @@ from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.fit import fit
-from frictrack.fit.heldout import UNSEEN, heldout_rms
-from frictrack.fit.simulated.begin import reference_of
-from frictrack.fit.simulated.beside import beside
-from frictrack.fit.simulated.growth import grow, simulated
-from frictrack.fit.simulated.pieces import pieces_of
-from frictrack.fit.simulated.scan import families, one_series, scan
-from frictrack.fit.simulated.solve import refine
-from frictrack.fit.simulated.traced import traced
-from frictrack.fit.simulated.trial import bare, deepened, shortfall, tried
-from frictrack.fit.unknowns.scatter import basis_of
+from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms, refine
+from frictrack.fit.linearised import beside, families, one_series, scan
+from frictrack.fit.linearised.measured_motion import traced
+from frictrack.fit.parameters import basis_of
+from frictrack.fit.segments import reference_of
+from frictrack.fit.segments.pieces import pieces_of
+from frictrack.fit.stepwise import bare, deepened, grow, shortfall, simulated, tried
 from frictrack.friction import free_section
 from frictrack.simulate.rows import Rows
 from frictrack.simulate.slide import Conditions, simulate
@@ -115,7 +112,7 @@ class TestHeldOut:
             pieces = []
             for p in problem.pieces:
                 hidden = np.arange(len(p.t)) % 2 == 1
-                pieces.append(replace(p, sigma=np.where(hidden, UNSEEN, 1.0) * p.sigma))
+                pieces.append(replace(p, sigma=np.where(hidden, HIDDEN_SIGMA_FACTOR, 1.0) * p.sigma))
             refitted = refine(problem.over(problem.layout, pieces), solution.p, solution.starts, tau=solution.tau)
             odd = np.concatenate([(r.piece.y - r.model_y)[1::2] for r in refitted.responses])
             assert heldout_rms(solution, "frames")[0] == pytest.approx(np.sqrt(np.mean(odd**2)), rel=accuracy)

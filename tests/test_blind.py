@@ -29,7 +29,7 @@ from frictrack.blind.write import table, write_study
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import without
+from frictrack.fit.stepwise import without
 from frictrack.flow import Session, open_study
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}

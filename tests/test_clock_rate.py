@@ -14,9 +14,9 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, restore, state
-from frictrack.fit.predict import predicted
-from frictrack.fit.simulated.begin import reference_of
-from frictrack.fit.simulated.pieces import pieces_of
+from frictrack.fit.prediction import predicted
+from frictrack.fit.segments import reference_of
+from frictrack.fit.segments.pieces import pieces_of
 from frictrack.flow.doubts import doubted
 from frictrack.friction import free_section
 from frictrack.plausibility import Finding

@@ -13,8 +13,7 @@ from runs import BASE, FPS, HIDDEN, MASS, PER_RUN_PHASE, SIX, Slider, Spec, inte
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
-from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.simulated.solve import refine
+from frictrack.fit.least_squares import heldout_rms, refine
 from frictrack.records import Displacement, Motion
 from frictrack.results import plain
 from frictrack.simulate.slide import Conditions, simulate
@@ -373,7 +372,7 @@ def test_levels_of_few_runs_are_free_about_a_mean_of_one(runs):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
     """Where scans take the levels as they stand, what these scatter by looks like an effect at a wrong place."""
-    monkeypatch.setattr(sys.modules["frictrack.fit.simulated.start"], "EXPLAINED", np.inf)  # the first way alone
+    monkeypatch.setattr(sys.modules["frictrack.fit.displacement.start"], "EXPLAINED", np.inf)  # the first way alone
     law, values = with_hidden(name)
     small = values | {name: {k: 0.3 * v if k in ("amplitude", "F") else v for k, v in values[name].items()}}
     made, _ = study(law, small, SIX[1:5], sigma=5e-6, scatter=0.1, rng=np.random.default_rng(seed))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from frictrack.diagnose import detection_limits
+
 
 @pytest.fixture
 def rng() -> np.random.Generator:

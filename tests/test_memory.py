@@ -14,8 +14,8 @@ from frictrack import models
 from frictrack.effects import Path, get
 from frictrack.effects.memory import headings
 from frictrack.effects.presliding import bending
-from frictrack.fit.simulated.begin import reference_of
-from frictrack.fit.simulated.pieces import pieces_of
+from frictrack.fit.segments import reference_of
+from frictrack.fit.segments.pieces import pieces_of
 from frictrack.friction import free_section
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate.slide import Conditions, simulate

@@ -34,7 +34,7 @@ from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER, LEVEL, c
 from frictrack.diagnose.experiments.virtual_runs import Film, filmed
 from frictrack.diagnose.model_selection import information
 from frictrack.fit import fit
-from frictrack.fit.simulated.growth import grow, settled
+from frictrack.fit.stepwise import grow, settled
 from frictrack.records import GRAVITY
 from frictrack.report import settle
 from frictrack.results import plain

@@ -23,7 +23,7 @@ from frictrack.cli import main, show
 from frictrack.diagnose.model_selection import information
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.fit.simulated.growth import grow, settled
+from frictrack.fit.stepwise import grow, settled
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
 from frictrack.plan import Stand, choose, menu, of_fit, summary, usual

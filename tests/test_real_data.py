@@ -13,7 +13,7 @@ import pytest
 
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.fit.series import weighed
+from frictrack.fit.measured_friction import weighed
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table

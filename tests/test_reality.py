@@ -17,8 +17,9 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import implausible
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit
-from frictrack.fit.series.noise import noise_of, strokes
-from frictrack.fit.simulated.swings import joined
+from frictrack.fit.measured_friction import noise_of
+from frictrack.fit.measured_friction.noise import strokes
+from frictrack.fit.segments.swings import joined
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.samples import screened

@@ -20,7 +20,7 @@ from frictrack.compare import compare
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
-from frictrack.fit.series import covariance, series_pieces
+from frictrack.fit.measured_friction import covariance, series_pieces
 from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run

@@ -12,12 +12,10 @@ from frictrack.compare.spectral_lines import seen, waves
 from frictrack.diagnose.experiments.expected_separation import _few
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.fit.series import compact, weighed
-from frictrack.fit.simulated.beside import beside
-from frictrack.fit.simulated.growth import _enough
-from frictrack.fit.simulated.linearised import traces
-from frictrack.fit.simulated.scan import families
-from frictrack.fit.simulated.solve import continued, promising, refine, resettled, settle_scatter
+from frictrack.fit.least_squares import continued, promising, refine, resettled, settle_scatter, traces
+from frictrack.fit.linearised import beside, families
+from frictrack.fit.measured_friction import compact, weighed
+from frictrack.fit.stepwise.growth import _enough
 from frictrack.simulate.panels import _inverse
 
 MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]

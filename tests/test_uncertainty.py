@@ -20,10 +20,10 @@ from frictrack import models, plots
 from frictrack.cli.commands import app
 from frictrack.errors import FrictrackError
 from frictrack.fit import certainty, fit, with_certainty
-from frictrack.fit.sure import held as held_module
-from frictrack.fit.sure.certainty import merged
-from frictrack.fit.sure.profile import Walk
-from frictrack.fit.sure.quoted import quantity
+from frictrack.fit.uncertainty import held as held_module
+from frictrack.fit.uncertainty import merged
+from frictrack.fit.uncertainty.profile import Walk
+from frictrack.fit.uncertainty.quoted import quantity
 from frictrack.report import tables, words
 from frictrack.results import ModelResults
 
@@ -132,7 +132,7 @@ def test_what_is_quoted_is_profiled_whichever_unknown_follows(monkeypatch):
     found = ft.profile(fitted, "stribeck.F_s")
     layout = fitted.solution.problem.layout
     for slot in (layout.index("stribeck", "F_s"), layout.index("coulomb", "F_c")):
-        monkeypatch.setattr(sys.modules["frictrack.fit.sure.profile"], "pivot_of", lambda *_, slot=slot: slot)
+        monkeypatch.setattr(sys.modules["frictrack.fit.uncertainty.profile"], "pivot_of", lambda *_, slot=slot: slot)
         walk = Walk(fitted.solution, quantity(layout, "stribeck.F_s"), fitted.estimates.covariance).profile()
         assert (walk.low, walk.high) == pytest.approx((found.low, found.high), rel=3e-3)
     assert found.value == pytest.approx(fitted.parameters["stribeck.F_s"].value)
@@ -313,7 +313,7 @@ def test_draws_from_scratch_agree():
 
 def test_failed_draws_are_counted_and_said(monkeypatch):
     fitted = fit("coulomb", [slide()])
-    module = sys.modules["frictrack.fit.sure.bootstrap"]
+    module = sys.modules["frictrack.fit.uncertainty.bootstrap"]
     real, calls = module.settle_scatter, iter(range(1000))
 
     def sometimes(*args, **kwargs):

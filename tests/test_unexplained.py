@@ -23,7 +23,7 @@ from frictrack.diagnose.smooth_forces import axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects.settings import definitions, read
 from frictrack.fit import fit
-from frictrack.fit.simulated.solve import refine
+from frictrack.fit.least_squares import refine
 
 LAW = ["coulomb", "viscous"]
 PLAN = ((3.4, 1), (4.0, 1), (6.0, 1), (4.5, 2), (-4.0, 1), (-5.5, 1))  # start speed m/s, mass over the reference

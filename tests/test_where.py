@@ -17,8 +17,8 @@ from frictrack.compare.local_forces import local_forces
 from frictrack.diagnose.repeatability.common_curves import Repeat, repeats, told
 from frictrack.diagnose.repeatability.residual_curves import common, figures_of
 from frictrack.fit import fit
-from frictrack.fit.simulated.curves import hats, matern
-from frictrack.fit.simulated.growth import grow
+from frictrack.fit.smooth_functions import hats, matern
+from frictrack.fit.stepwise import grow
 from frictrack.plots import style
 
 DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}

@@ -11,14 +11,10 @@ from frictrack.blind.detector import LEAST_SCATTER
 from frictrack.blind.truth import Numbers, RunTruth, Truth, made
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.beside import Beside, beside
-from frictrack.fit.simulated.growth import rebuilt, simulated, without
-from frictrack.fit.simulated.scan import families, one_series, scan
-from frictrack.fit.simulated.solve import Solution, refine
-from frictrack.fit.simulated.trial import tried
-from frictrack.fit.simulated.turns import known
-from frictrack.fit.unknowns.layout import Layout
-from frictrack.fit.unknowns.scatter import restraint
+from frictrack.fit.least_squares import Solution, refine
+from frictrack.fit.linearised import Beside, beside, families, one_series, scan
+from frictrack.fit.parameters import Layout, restraint
+from frictrack.fit.stepwise import known, rebuilt, simulated, tried, without
 from frictrack.records import Array
 
 SAME = 10.0  # expected chi-squared below which two causes are one for these runs

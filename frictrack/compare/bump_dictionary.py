@@ -10,10 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.compare.global_significance import Chance, arc
-from frictrack.fit.series import SeriesPiece
-from frictrack.fit.simulated.linearised import Linearised, place, traces
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Linearised, Response, Solution, place, traces
+from frictrack.fit.measured_friction import SeriesPiece
 from frictrack.motion.noise import SPREAD
 from frictrack.records import Array
 

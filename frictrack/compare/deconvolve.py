@@ -17,11 +17,9 @@ import numpy as np
 
 from frictrack.compare.local_forces import ALPHA, local_forces, uncertain
 from frictrack.compare.spectral_lines import Line, line_at, strongest_line, strongest_ripple
-from frictrack.fit.series import SeriesPiece
-from frictrack.fit.simulated.curves import hats, matern
-from frictrack.fit.simulated.linearised import Linearised, place, traces
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Linearised, Response, Solution, place, traces
+from frictrack.fit.measured_friction import SeriesPiece
+from frictrack.fit.smooth_functions import hats, matern
 from frictrack.records import Array
 
 KNOTS = 100  # of a piece at most

@@ -28,10 +28,8 @@ from frictrack.compare.bump_dictionary import (
 )
 from frictrack.compare.global_significance import Chance
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.linearised import Linearised, linearised, traces
-from frictrack.fit.simulated.pieces import Piece
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.least_squares import Linearised, Problem, Solution, linearised, refine, traces
+from frictrack.fit.segments import Piece
 from frictrack.records import Array
 
 ALPHA = 0.01  # of the whole search for local forces

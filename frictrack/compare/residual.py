@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.series import SeriesPiece
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Response, Solution
+from frictrack.fit.measured_friction import SeriesPiece
 from frictrack.models import Model
 from frictrack.records import Array
 

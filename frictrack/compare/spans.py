@@ -14,11 +14,9 @@ from frictrack.compare.bump_dictionary import Bump, limits
 from frictrack.compare.local_forces import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
-from frictrack.fit.series import SeriesPiece, compact
-from frictrack.fit.simulated.linearised import Linearised, linearised, place, traces
-from frictrack.fit.simulated.pieces import Rows
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Linearised, Response, Solution, linearised, place, traces
+from frictrack.fit.measured_friction import SeriesPiece, compact
+from frictrack.fit.segments import Rows
 from frictrack.records import Array, Mask, Run, stretches
 
 REACH = 2.0  # widths on either side that a Gaussian force spans

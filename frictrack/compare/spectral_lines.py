@@ -12,8 +12,7 @@ from scipy.stats import chi2
 from frictrack.compare.bump_dictionary import Nodes, nodes
 from frictrack.effects.base import frequencies
 from frictrack.effects.texture import periods
-from frictrack.fit.simulated.linearised import Linearised, traces
-from frictrack.fit.simulated.problem import Response
+from frictrack.fit.least_squares import Linearised, Response, traces
 from frictrack.records import Array
 
 PERIODS = 3.0

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.sure.covariance import inverse
-from frictrack.fit.unknowns.layout import Layout
-from frictrack.fit.unknowns.scatter import restraint_rows
+from frictrack.fit.least_squares import Solution, inverse
+from frictrack.fit.parameters import Layout, restraint_rows
 from frictrack.records import Array
 
 MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an effect must exceed

@@ -23,8 +23,7 @@ from scipy.stats import norm
 from frictrack.diagnose.compressed import Reduced, reduced
 from frictrack.diagnose.model_selection import SAME
 from frictrack.diagnose.surrogates import Moves, chance, untrended
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Response, Solution
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 

@@ -16,10 +16,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from frictrack.effects import Path
-from frictrack.fit.simulated.pieces import Rows
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.unknowns.scatter import basis_of, prior_rows
+from frictrack.fit.least_squares import Response, Solution
+from frictrack.fit.parameters import basis_of, prior_rows
+from frictrack.fit.segments import Rows
 from frictrack.records import Array
 
 MOST = 800  # numbers over all pieces, about

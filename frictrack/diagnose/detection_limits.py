@@ -11,7 +11,7 @@ from scipy.stats import ncx2
 from frictrack.diagnose.hypothesis_tests import Scanned
 from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
-from frictrack.fit.simulated.scan import ABSORBED, Scan
+from frictrack.fit.linearised import ABSORBED, Scan
 from frictrack.records import Array
 
 POWER = 0.95

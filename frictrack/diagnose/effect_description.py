@@ -9,9 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.simulated.linearised import place
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Response, Solution, place
 from frictrack.models import Model
 from frictrack.records import GRAVITY, Array, stretches
 

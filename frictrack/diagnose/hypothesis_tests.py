@@ -11,11 +11,10 @@ from scipy.fft import dct
 from frictrack import effects
 from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
-from frictrack.fit.series import is_series
-from frictrack.fit.simulated.scan import Scan, families, scan
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.trial import PULSE_PRICE
-from frictrack.fit.simulated.turns import follows, known
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import Scan, families, scan
+from frictrack.fit.measured_friction import is_series
+from frictrack.fit.stepwise import PULSE_PRICE, follows, known
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.threads import side_by_side

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.solve import Solution, refine
-from frictrack.fit.unknowns.layout import Layout
-from frictrack.fit.unknowns.scatter import restraint
+from frictrack.fit.least_squares import Problem, Solution, refine
+from frictrack.fit.parameters import Layout, restraint
 
 SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
 EVEN = 2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)

@@ -13,10 +13,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import idct
 
-from frictrack.fit.simulated.beside import Beside, beside
-from frictrack.fit.simulated.pieces import Piece, Rows
-from frictrack.fit.simulated.scan import Series, Short
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import Beside, Series, Short, beside
+from frictrack.fit.segments import Piece, Rows
 from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
 from frictrack.records import Array, Mask
 

@@ -10,10 +10,9 @@ from frictrack.diagnose.model_selection import EVEN, information, price
 from frictrack.diagnose.rounds import Round, Tried
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import simulated, without
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.trial import STRONG, Trial, bare, tried_together
-from frictrack.fit.sure.misfit import dispersion
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.stepwise import STRONG, Trial, bare, simulated, tried_together, without
+from frictrack.fit.uncertainty import dispersion
 
 
 def is_smooth(effect: Effect) -> bool:

@@ -16,7 +16,7 @@ from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.hypothesis_tests import Scanned
 from frictrack.diagnose.rounds import Round
 from frictrack.fit import Fit
-from frictrack.fit.simulated.beside import Strip
+from frictrack.fit.linearised import Strip
 from frictrack.records import Array
 
 BASIC = ("stribeck", "viscous", "drag", "texture", "vibration")  # effects that a complete law must be able to exclude

@@ -13,14 +13,11 @@ from frictrack.diagnose.model_selection import EVEN, NEAR, SAME, information, pr
 from frictrack.diagnose.null_distribution import Ensemble, ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.beside import Beside, beside
-from frictrack.fit.simulated.growth import settled, simulated, without
-from frictrack.fit.simulated.scan import families, one_series, scan
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.simulated.trial import Trial, bare, deepened, shortfall, tried
-from frictrack.fit.simulated.turns import known
-from frictrack.fit.sure.misfit import dispersion
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.linearised import Beside, beside, families, one_series, scan
+from frictrack.fit.parameters import Layout
+from frictrack.fit.stepwise import Trial, bare, deepened, known, settled, shortfall, simulated, tried, without
+from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
 
 STANDS_OUT = 0.05  # p of a candidate that is refined; the best two are in any case

@@ -27,13 +27,11 @@ from frictrack.diagnose.unsegmented import uncut
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit, series
-from frictrack.fit.force import linear_estimates
+from frictrack.fit import Fit, measured_friction
 from frictrack.fit.groups import GroupFits
-from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.simulated.growth import settled
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.sure.estimate import Estimates, estimates
+from frictrack.fit.least_squares import Solution, heldout_rms
+from frictrack.fit.stepwise import settled
+from frictrack.fit.uncertainty import Estimates, estimates, linear_estimates
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -76,7 +74,7 @@ def diagnose(
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
-    start, left_out = (series.weighed(start)[0], "") if fit.measured else sampled(start)
+    start, left_out = (measured_friction.weighed(start)[0], "") if fit.measured else sampled(start)
     start, coarse = (start, "") if fit.measured else thinned(start)
     found = _search(fit, start, (own, beside), (np.random.default_rng(seed), tell))
     said = _concluded(fit, found, beside, tell)
@@ -124,7 +122,7 @@ def _search(
                 break
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = one_round(series.weighed(law)[0] if fit.measured else law, own, rng, told)
+        last = one_round(measured_friction.weighed(law)[0] if fit.measured else law, own, rng, told)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return _Search(start, first, last, found, again)
 
@@ -254,7 +252,7 @@ def _noise(fit: Fit) -> tuple[float, float]:
     if not fit.measured:
         noise = float(np.sqrt(np.mean(np.concatenate([r.piece.noise for r in fit.solution.responses]) ** 2)))
         return noise, fit.reduced_chi2
-    noise = series.weighed(fit.solution)[1].rms
+    noise = measured_friction.weighed(fit.solution)[1].rms
     left = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
     return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
@@ -300,7 +298,7 @@ class _Held:
     def __init__(self, bare: Solution) -> None:
         self._bare = bare
         self._known: dict[str, float] = {}
-        self._how = heldout_rms if bare.problem.simulates else series.heldout_rms
+        self._how = heldout_rms if bare.problem.simulates else measured_friction.heldout_rms
 
     def __call__(self, solution: Solution) -> tuple[float, float, str]:
         """Error of the bare law, of this one, and how they were held out."""
@@ -341,8 +339,8 @@ def _candidate(tried: Tried, hold: _Held | None) -> Candidate:
 
 def _known(solution: Solution) -> Estimates:
     """Parameters with deviations, of a measured friction from blocks of its residual."""
-    if series.is_series(solution.problem):
-        return linear_estimates(solution, series.covariance(solution))
+    if measured_friction.is_series(solution.problem):
+        return linear_estimates(solution, measured_friction.covariance(solution))
     return estimates(solution, profile=False)
 
 
@@ -374,7 +372,7 @@ def _plural(why: str, count: int) -> str:
 def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
     out = _untried(barred)
     if fit.measured:
-        return out + series.remarks(fit.solution, fit.runs, series.weighed(fit.solution)[1])
+        return out + measured_friction.remarks(fit.solution, fit.runs, measured_friction.weighed(fit.solution)[1])
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
     if any(run.has_incline for run in fit.runs):

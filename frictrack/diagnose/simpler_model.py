@@ -18,7 +18,7 @@ from frictrack.diagnose.model_selection import SAME, information
 from frictrack.diagnose.repeatability import Repeats
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
 from frictrack.words import AXES
 
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.simulated.pieces import Piece
-from frictrack.fit.simulated.segments import knows_its_past
-from frictrack.fit.simulated.solve import Solution, refine, settle_scatter
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.least_squares import Solution, refine, settle_scatter
+from frictrack.fit.parameters import Layout
+from frictrack.fit.segments import Piece, knows_its_past
 
 MOST = 32  # pieces that are looked at, unless there are more runs
 FASTEST = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`

@@ -9,8 +9,8 @@ import numpy as np
 from frictrack.diagnose.compressed import reduced
 from frictrack.diagnose.formulas import formulas
 from frictrack.diagnose.smooth_forces import smooth_forces
-from frictrack.fit.series import compact
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.measured_friction import compact
 
 
 def unexplained_force(solution: Solution, beside: Solution | None = None) -> dict[str, Any]:

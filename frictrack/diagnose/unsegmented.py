@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.simulated.sections import sections_of
-from frictrack.fit.simulated.solve import Solution, settle_scatter
-from frictrack.fit.unknowns.rules import MASS
+from frictrack.fit.least_squares import Solution, settle_scatter
+from frictrack.fit.parameters import MASS
+from frictrack.fit.segments import sections_of
 
 WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 

@@ -10,12 +10,11 @@ import numpy as np
 from frictrack import models
 from frictrack.effects.settings import check_ties
 from frictrack.errors import FrictrackError
+from frictrack.fit.displacement import solve_model
+from frictrack.fit.global_search import Callback, scaffold
 from frictrack.fit.groups import GroupFits, by_group
-from frictrack.fit.papers import Callback, check_how, scaffold
-from frictrack.fit.predict import predicted
-from frictrack.fit.result import Fit
-from frictrack.fit.routes import Found, Route, by_search, in_force, standing
-from frictrack.fit.series import (
+from frictrack.fit.least_squares import Problem, refine
+from frictrack.fit.measured_friction import (
     SeriesProblem,
     check_model,
     common_load,
@@ -26,19 +25,23 @@ from frictrack.fit.series import (
     solve_series,
     spans_of_series,
 )
-from frictrack.fit.simulated.begin import Reference, reference_of
-from frictrack.fit.simulated.growth import grow, without
-from frictrack.fit.simulated.pieces import Piece, spans_of
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.sections import sections_of
-from frictrack.fit.simulated.segments import divided, segment_frames
-from frictrack.fit.simulated.solve import refine
-from frictrack.fit.simulated.start import solve_model
-from frictrack.fit.sure.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.sure.certainty import Certainty, certainty, with_certainty
-from frictrack.fit.sure.profile import Profile, profile
-from frictrack.fit.unknowns.layout import Layout
-from frictrack.fit.unknowns.mass import MASS, friction_law, guessed, in_units, is_sought, ratio, rescaled, with_mass
+from frictrack.fit.parameters import MASS_EFFECT, Layout, friction_law, is_sought, ratio, rescaled, with_mass
+from frictrack.fit.prediction import predicted
+from frictrack.fit.result import Fit, with_certainty
+from frictrack.fit.routes import Found, Route, by_search, check_how, in_force, standing
+from frictrack.fit.segments import (
+    Piece,
+    Reference,
+    divided,
+    guessed,
+    in_units,
+    reference_of,
+    sections_of,
+    segment_frames,
+    spans_of,
+)
+from frictrack.fit.stepwise import grow, without
+from frictrack.fit.uncertainty import Bootstrap, Certainty, Profile, bootstrap, certainty, profile
 from frictrack.models import Model
 from frictrack.records import Array, Run
 from frictrack.threads import one_thread
@@ -186,7 +189,7 @@ def _names_differ(runs: Sequence[Run]) -> None:
 
 def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
     route, lengths = how
-    if MASS.name in found.solution.problem.model:
+    if MASS_EFFECT.name in found.solution.problem.model:
         reference = Reference(found.solution.problem.pieces[0].mass, reference.load)
     validation = tuple(r for r in runs if r.role == "validation")
     return Fit(
@@ -207,7 +210,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
     layout = result.solution.problem.layout
     return {
         "law": friction_law(layout.model).to_toml(),
-        "weighed": MASS.name not in layout.model,
+        "weighed": MASS_EFFECT.name not in layout.model,
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
         "starts": np.array(result.solution.starts),

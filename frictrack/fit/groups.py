@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit import series
-from frictrack.fit.freerun import free_errors
+from frictrack.fit import measured_friction
+from frictrack.fit.free_run import free_errors
 from frictrack.fit.result import Fit, errors_of
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
@@ -68,7 +68,7 @@ class GroupFits:
     def _errors(self) -> dict[str, Any]:
         each = list(self.fits.values())
         if each[0].measured:
-            return series.errors_of([r for f in each for r in f.solution.responses])
+            return measured_friction.errors_of([r for f in each for r in f.solution.responses])
         return errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
 
     def summary(self) -> dict[str, Any]:

@@ -9,21 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit import routes, series
-from frictrack.fit.blows import collisions
-from frictrack.fit.force import linear_estimates, quoted, reduced_chi2
-from frictrack.fit.freerun import FreeRun, free_errors, free_run
-from frictrack.fit.heldout import heldout_rms
-from frictrack.fit.modelled import bands, modelled
+from frictrack.fit import measured_friction, routes
+from frictrack.fit.collisions import collisions
+from frictrack.fit.force_domain import reduced_chi2
+from frictrack.fit.free_run import FreeRun, free_errors, free_run
+from frictrack.fit.least_squares import Response, Solution, heldout_rms
+from frictrack.fit.modelled_motion import bands, covariance_at_fitted_scatter, modelled
+from frictrack.fit.parameters import MIN_RUNS, friction_law, weighed
 from frictrack.fit.routes import Found, Route
-from frictrack.fit.simulated.begin import Reference
-from frictrack.fit.simulated.problem import Response
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.sure.certainty import Certainty
-from frictrack.fit.sure.estimate import Estimate, Estimates, estimates, with_misfit
-from frictrack.fit.sure.misfit import Misfit, misfit_of
-from frictrack.fit.unknowns.mass import friction_law, weighed
-from frictrack.fit.unknowns.scatter import MIN_RUNS
+from frictrack.fit.segments import Reference
+from frictrack.fit.uncertainty import (
+    Certainty,
+    Estimate,
+    Estimates,
+    Misfit,
+    estimates,
+    linear_estimates,
+    misfit_of,
+    with_misfit,
+)
+from frictrack.fit.uncertainty import quoted_by_address as quoted
 from frictrack.models import Model
 from frictrack.records import Array, Curve, Modelled, Run
 
@@ -47,6 +52,16 @@ class Fit:
         return self.found.solution
 
     @property
+    def compared(self) -> Solution:
+        """The same in the domain that was compared: displacement, acceleration or measured friction."""
+        return self.found.force or self.solution
+
+    @property
+    def is_default_route(self) -> bool:
+        """Whether variable projection fitted the displacement."""
+        return self.route.plain
+
+    @property
     def domain(self) -> str:
         """What was compared: "displacement" or "force"."""
         return self.route.domain
@@ -64,7 +79,7 @@ class Fit:
     @property
     def measured(self) -> bool:
         """Whether friction itself was measured and the law is held against that."""
-        return series.is_series(self.solution.problem)
+        return measured_friction.is_series(self.solution.problem)
 
     @property
     def model(self) -> Model:
@@ -97,8 +112,13 @@ class Fit:
     @cached_property
     def _deviations(self) -> Estimates:
         if self.measured:
-            return linear_estimates(self.solution, series.covariance(self.solution))
+            return linear_estimates(self.solution, measured_friction.covariance(self.solution))
         return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (P, P) of the unknowns."""
+        return self.estimates.covariance
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -109,7 +129,7 @@ class Fit:
     def heldout(self) -> tuple[float, str]:
         """Held-out root mean square, m (N where friction itself was measured), and how it was held out."""
         if self.measured:
-            return series.heldout_rms(self.solution)
+            return measured_friction.heldout_rms(self.solution)
         if self.route.plain:
             return heldout_rms(self.solution)
         return routes.heldout_rms(self.found, self.runs, self.route)
@@ -132,7 +152,7 @@ class Fit:
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
         """Measurement beside model, run by run, validation runs last."""
-        told = series.curves if self.measured else _curves
+        told = measured_friction.curves if self.measured else _curves
         fitted = told(self.solution, self.runs, "fit")
         return fitted + tuple(
             c for s, run in zip(self.predictions, self.validation, strict=True) for c in told(s, [run], "validation")
@@ -144,12 +164,16 @@ class Fit:
 
         Where friction itself was measured, the law tells no motion: none.
         """
-        return () if self.measured else modelled(self)
+        if self.measured:
+            return ()
+        held = self.found.force is None
+        covariance = covariance_at_fitted_scatter(self.solution) if held else self.estimates.covariance
+        return modelled(self.solution, covariance, self.runs, list(zip(self.predictions, self.validation, strict=True)))
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
         """Impulse of every collision of the law, and what is known of how short it was: JSON."""
-        return collisions(self)
+        return collisions(self.solution, self.estimates)
 
     @cached_property
     def free_runs(self) -> dict[str, FreeRun | None]:
@@ -169,7 +193,7 @@ class Fit:
         """Errors over the fitted runs, as the contract names them."""
         rms, how = self.heldout
         if self.measured:
-            out = series.errors_of(self.solution.responses)
+            out = measured_friction.errors_of(self.solution.responses)
         else:
             out = errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
         return out | {
@@ -226,9 +250,9 @@ class Fit:
 
     def _per_run(self) -> list[dict[str, Any]]:
         if self.measured:
-            rows = [series.row(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
+            rows = [measured_friction.row(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
             predicted = zip(self.predictions, self.validation, strict=True)
-            return rows + [series.row(s, 0, run, "validation") for s, run in predicted]
+            return rows + [measured_friction.row(s, 0, run, "validation") for s, run in predicted]
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.weighed)]
         rows += [
             _row(s, 0, weighed(run, self.reference.mass), "validation", self.curves)
@@ -242,6 +266,11 @@ class Fit:
         if row["role"] != ("validation" if self.validation else "fit"):
             return row
         return row | {"errors": row["errors"] | free_errors([self.free_runs[row["run"]]])}
+
+
+def with_certainty(result: Fit, found: Certainty) -> Fit:
+    """The same fit, its parameters with intervals, its summary with profiles and bootstrap."""
+    return replace(result, certainty=found)
 
 
 def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 
-from frictrack.fit.force import Chain, ForceProblem, at_rest, chains_of, seen, solve_force
-from frictrack.fit.heldout import UNSEEN, _predictable
-from frictrack.fit.papers import Callback, misfit_of, searched, spread_of
-from frictrack.fit.simulated.pieces import Piece
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.solve import Solution, refine
-from frictrack.fit.simulated.start import until_stop
+from frictrack.errors import FrictrackError
+from frictrack.fit.displacement import until_stop
+from frictrack.fit.force_domain import ForceProblem, at_rest, seen, solve_force
+from frictrack.fit.global_search import Callback, misfit_of, searched, spread_of
+from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, Problem, Solution, is_predictable, refine
+from frictrack.fit.segments import Chain, Piece, chains_of
 from frictrack.records import Array, Mask, Run
+from frictrack.search import METHODS
 
+DOMAINS = ("displacement", "force")
+SEARCHES = ("varpro", *METHODS)
+OVER = ("all", "nonlinear")
 PERIODS = 2.0  # of the cut-off: length of the blocks that are held out within a run
 
 
@@ -46,6 +50,28 @@ class Found:
     force: Solution | None = None
     optima: Array = field(default_factory=lambda: np.empty((0, 0)))
     costs: Array = field(default_factory=lambda: np.empty(0))
+
+
+def check_how(domain: str, search: str, per: str | None = None, over: str = "all") -> None:
+    """Raise FrictrackError (usage) for an unknown domain, search, division or extent, with the nearest right one."""
+    asked_for = (
+        ("domain", domain, DOMAINS),
+        ("search", search, SEARCHES),
+        ("per", per, ("group",)),
+        ("over", over, OVER),
+    )
+    for what, asked, known in asked_for:
+        if asked is not None and asked not in known:
+            near = get_close_matches(asked.lower(), known, 1, 0.0)[0]
+            raise FrictrackError(
+                f'expected a {what} among {", ".join(known)} but got "{asked}"; did you mean {near}?', usage=True
+            )
+    if over != "all" and search == "varpro":
+        raise FrictrackError(
+            f'expected over = "{over}" with a global search ({", ".join(METHODS)}) but got search = "varpro", which '
+            "works on the non-linear parameters anyway; leave it out",
+            usage=True,
+        )
 
 
 def by_search(problem: Problem, runs: Sequence[Run], route: Route, callback: Callback | None = None) -> Found:
@@ -89,7 +115,7 @@ def heldout_rms(found: Found, runs: Sequence[Run], route: Route) -> tuple[float,
     """
     solution = found.solution
     n = len(solution.problem.layout.run_names)
-    if n < 2 or not _predictable(solution):
+    if n < 2 or not is_predictable(solution):
         return float(np.sqrt(np.mean(_blocks(found, runs, route) ** 2))), "frames"
     folds = [{r} for r in range(n)] if route.search == "varpro" else [set(range(n)[::2]), set(range(n)[1::2])]
     residuals = np.concatenate([_left_out(found, runs, route, fold) for fold in folds])
@@ -150,4 +176,4 @@ def _other_blocks(piece: Piece, run: Run) -> Mask:
 
 
 def _without(piece: Piece, hidden: Mask) -> Piece:
-    return replace(piece, sigma=np.where(hidden, UNSEEN, 1.0) * piece.sigma)
+    return replace(piece, sigma=np.where(hidden, HIDDEN_SIGMA_FACTOR, 1.0) * piece.sigma)

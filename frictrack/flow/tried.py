@@ -13,8 +13,8 @@ from frictrack import effects, models, store
 from frictrack.effects import Effect
 from frictrack.effects.settings import Settings, check_ties, definitions
 from frictrack.fit import fit, restore, state
-from frictrack.fit.papers import GENERATIONS
-from frictrack.fit.sure.certainty import merged
+from frictrack.fit.global_search import GENERATIONS
+from frictrack.fit.uncertainty import merged
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.simulated.scan import per_run_coefficients
-from frictrack.fit.unknowns.layout import MIN_RUNS
+from frictrack.fit.linearised import per_run_coefficients
+from frictrack.fit.parameters import MIN_RUNS
 from frictrack.plan.causes import Cause
 from frictrack.plan.traces import Filmed, columns
 from frictrack.records import Array

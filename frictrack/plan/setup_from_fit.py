@@ -10,7 +10,7 @@ from frictrack import models
 from frictrack.diagnose.experiments.virtual_runs import Film
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.unknowns.layout import MIN_RUNS
+from frictrack.fit.parameters import MIN_RUNS
 from frictrack.plan.experiment_setup import NOISE, SCATTER, Entry, Stand
 
 PLAIN = ("coulomb", "stribeck", "viscous", "drag", "spring", "slope", "asymmetry")  # what a base law may hold

@@ -9,10 +9,10 @@ import numpy as np
 from frictrack.diagnose.experiments.virtual_runs import GOLDEN, NAME, blank, moved
 from frictrack.effects import Effect, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.pieces import Piece, spans_of
-from frictrack.fit.simulated.problem import Problem, Response
-from frictrack.fit.simulated.scan import per_run_coefficients
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.least_squares import Problem, Response
+from frictrack.fit.linearised import per_run_coefficients
+from frictrack.fit.parameters import Layout
+from frictrack.fit.segments import Piece, spans_of
 from frictrack.plan.causes import FRAMES, PICTURE, SHARE, Cause
 from frictrack.plan.experiment_setup import Entry, Stand
 from frictrack.records import Array

@@ -17,8 +17,8 @@ from frictrack.diagnose.experiments.expected_separation import Duel, Explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
 from frictrack.diagnose.experiments.unknown_cause import along_axes
 from frictrack.errors import FrictrackError
-from frictrack.fit.series import is_series
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.measured_friction import is_series
 
 __all__ = [
     "Duel",

@@ -14,7 +14,7 @@ import numpy as np
 
 from frictrack.diagnose.experiments.expected_separation import Explanation
 from frictrack.effects import Effect
-from frictrack.fit.simulated.problem import Response
+from frictrack.fit.least_squares import Response
 from frictrack.records import GRAVITY, Array
 
 MARKS = 20  # of a rule, or flashes of a diode, that are looked at

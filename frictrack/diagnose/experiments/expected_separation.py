@@ -14,14 +14,11 @@ from frictrack.diagnose.experiments.virtual_runs import Film, extended, filmed, 
 from frictrack.diagnose.model_selection import information
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import grow
-from frictrack.fit.simulated.pieces import Piece, spans_of
-from frictrack.fit.simulated.problem import Problem, Response
-from frictrack.fit.simulated.scan import per_run_coefficients
-from frictrack.fit.simulated.solve import Solution, continued, promising, refine
-from frictrack.fit.simulated.trial import TIE_ALPHA, is_loose
-from frictrack.fit.unknowns.layout import LEVEL, Layout
-from frictrack.fit.unknowns.scatter import restraint
+from frictrack.fit.least_squares import Problem, Response, Solution, continued, promising, refine
+from frictrack.fit.linearised import per_run_coefficients
+from frictrack.fit.parameters import LEVEL, Layout, restraint
+from frictrack.fit.segments import Piece, spans_of
+from frictrack.fit.stepwise import TIE_ALPHA, grow, is_loose
 from frictrack.records import Array
 
 PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought

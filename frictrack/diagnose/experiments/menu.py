@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.diagnose.experiments.virtual_runs import Film
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
 
 FASTEST = 8.0  # m/s, that the set-ups of this field reach
 SLOWEST = 0.3  # m/s

@@ -17,7 +17,7 @@ from frictrack.diagnose.smooth_forces import Axis, Smooth, smooth_forces
 from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.solve import Solution, refine
+from frictrack.fit.least_squares import Solution, refine
 from frictrack.records import Array
 from frictrack.words import AXES
 

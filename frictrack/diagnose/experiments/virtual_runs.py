@@ -9,10 +9,9 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.pieces import MIN_FRAMES, Piece
-from frictrack.fit.simulated.problem import Problem
-from frictrack.fit.simulated.solve import Solution
-from frictrack.fit.unknowns.layout import LEVEL, MIN_RUNS, Layout, Slot
+from frictrack.fit.least_squares import Problem, Solution
+from frictrack.fit.parameters import LEVEL, MIN_RUNS, Layout, Slot
+from frictrack.fit.segments import MIN_FRAMES, Piece
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import Panels
 

@@ -32,9 +32,8 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.model_selection import information
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.growth import grow, settled, without
-from frictrack.fit.simulated.solve import Solution, settle_scatter
-from frictrack.fit.simulated.turns import in_turn
+from frictrack.fit.least_squares import Solution, settle_scatter
+from frictrack.fit.stepwise import grow, in_turn, settled, without
 from frictrack.models import Model
 from frictrack.records import Array
 

@@ -20,7 +20,7 @@ from frictrack.diagnose.formulas.terms import (
     text_of,
 )
 from frictrack.diagnose.smooth_forces import OTHER
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
 from frictrack.words import AXES
 
 FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words

@@ -14,7 +14,7 @@ from frictrack.diagnose.formulas.shapes import SHAPES, Shape
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.effects import Effect, Path
 from frictrack.errors import FrictrackError
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
 LETTERS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # axes of formulas: in a study file, to read

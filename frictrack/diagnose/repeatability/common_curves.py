@@ -30,9 +30,8 @@ from frictrack.diagnose.repeatability.axis_result import Repeat, ordered, told
 from frictrack.diagnose.repeatability.common_frequency import FORETOLD, in_phase, surplus
 from frictrack.diagnose.smooth_forces import each_alone, smooth_forces
 from frictrack.effects.texture import periods
-from frictrack.fit.simulated.curves import hats, matern
-from frictrack.fit.simulated.linearised import Linearised, linearised, traces
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Linearised, Solution, linearised, traces
+from frictrack.fit.smooth_functions import hats, matern
 from frictrack.records import Array
 
 DRAWS = 199

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.compare.spectral_lines import scanned, seen
-from frictrack.fit.simulated.linearised import Linearised
+from frictrack.fit.least_squares import Linearised
 from frictrack.records import Array
 
 FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there

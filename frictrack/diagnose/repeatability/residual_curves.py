@@ -9,8 +9,8 @@ import numpy as np
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.spectral_lines import Line
 from frictrack.diagnose.repeatability.common_curves import Repeats, repeats
-from frictrack.fit.series import compact
-from frictrack.fit.simulated.solve import Solution
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.measured_friction import compact
 from frictrack.records import Array
 from frictrack.words import AXES
 

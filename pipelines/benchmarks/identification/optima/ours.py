@@ -10,10 +10,9 @@ import numpy as np
 
 from frictrack import models
 from frictrack.effects import Path, Span
-from frictrack.fit.along import Along, Search, Tied, force_block, search_of
-from frictrack.fit.along.misfit import Misfit, Reduced
-from frictrack.fit.papers import settings_of
-from frictrack.fit.unknowns.layout import Layout
+from frictrack.fit.global_search import settings_of
+from frictrack.fit.parameters import Layout
+from frictrack.fit.separable import Along, Misfit, Reduced, Search, Tied, force_block, search_of
 from frictrack.search import minimise
 
 from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X

@@ -1,0 +1,92 @@
+"""Collisions: the impulse is what a film tells; how short the blow was, and so its peak force, mostly not.
+
+Displacement feels a pulse J g((t - time)/width) through its moments: J, J time and J width^2/2. The square of the
+width is thus what is nearly linear in the data, with the standard deviation 2 width std(width).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from frictrack.effects import Effect
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.segments import Piece
+from frictrack.fit.uncertainty import Estimates
+from frictrack.records import Array, Mask
+
+RESOLVED = 0.3  # relative standard deviation of the width up to which a peak force is known at all
+SEEN = 3.0  # standard deviations of the impulse below which there may have been no blow
+REACH = 3.0  # widths on either side that hold the pulse
+
+
+def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
+    """Every collision of the fitted runs, JSON: impulse in N s, time since release, and what is known of its width."""
+    layout = solution.problem.layout
+    return [
+        _collision(solution, estimates, effect, (i, run))
+        for effect in _of(solution)
+        for i, run in enumerate(layout.run_names)
+        if (effect.name, i) not in layout.absent
+    ]
+
+
+def struck(solution: Solution, covariance: Array, piece: Piece) -> Mask:
+    """Frames (n,) of a blow whose width is not resolved."""
+    layout = solution.problem.layout
+    values, _ = layout.values(solution.p, piece.run)
+    out = np.zeros(len(piece.t), dtype=bool)
+    for effect in _of(solution):
+        width, std = _width(solution, covariance, effect, piece.run)
+        if (effect.name, piece.run) not in layout.absent and std > RESOLVED * width:
+            out |= np.abs(piece.t - values[effect.name]["time"]) <= REACH * longest(width, std)
+    return out
+
+
+def longest(width: float, std: float) -> float:
+    """The width (s) that a pulse has at most, two standard deviations of its square away."""
+    return float(np.sqrt(width**2 + 4 * width * std))
+
+
+def _of(solution: Solution) -> list[Effect]:
+    return [e for e in solution.problem.model.effects if e.kind == "collision"]
+
+
+def _width(solution: Solution, covariance: Array, effect: Effect, run: int) -> tuple[float, float]:
+    """Width of a collision and its standard deviation, s; 0 where it is fixed."""
+    layout = solution.problem.layout
+    values, _ = layout.values(solution.p, run)
+    at = [i for i in layout.active(run) if (s := layout.slots[i]).effect == effect.name and s.parameter == "width"]
+    return values[effect.name]["width"], float(np.sqrt(covariance[at[0], at[0]])) if at else 0.0
+
+
+def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: tuple[int, str]) -> dict[str, Any]:
+    (index, run), known = where, estimates.parameters
+    impulse, time = known[f"{effect.name}.J[{run}]"], known[f"{effect.name}.time[{run}]"]
+    width, std = _width(solution, estimates.covariance, effect, index)
+    resolved = std <= RESOLVED * width
+    return {
+        "effect": effect.name,
+        "run": run,
+        "impulse_N_s": impulse.value,
+        "std": impulse.std,
+        "relative_std": impulse.std / abs(impulse.value) if impulse.value and impulse.std is not None else None,
+        "time_s": time.value,
+        "width_s": width,
+        "width_std": std,
+        "width_at_most_s": longest(width, std),
+        "resolved": resolved,
+        "words": _words(width, std, faint=not impulse.value or abs(impulse.value) < SEEN * (impulse.std or np.inf)),
+    }
+
+
+def _words(width: float, std: float, *, faint: bool) -> str:
+    if faint:
+        return "no blow is told from none in this run"
+    if std <= RESOLVED * width:
+        return "its width is resolved"
+    return (
+        f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * longest(width, std):.2g} ms): "
+        "the impulse is what these frames tell, a peak force they do not"
+    )

@@ -1,0 +1,235 @@
+"""From nothing to a law: all effects at once along the measured motion; where that fails, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from frictrack.effects import Effect, Parameter, Span
+from frictrack.errors import FrictrackError
+from frictrack.fit.displacement.reversals import bent, first_law, lengthened
+from frictrack.fit.least_squares import Problem, Response, Solution, refine, settle_scatter
+from frictrack.fit.linearised import per_run_coefficients
+from frictrack.fit.parameters import LEVEL, Layout
+from frictrack.fit.segments import MIN_FRAMES, Piece, spans_of
+from frictrack.fit.separable import Along, Projected, displacement_block, is_scannable, search_of
+from frictrack.fit.stepwise import (
+    PULSE_PRICE,
+    TIE_ALPHA,
+    first_guess,
+    grow,
+    in_turn,
+    is_loose,
+    led_the_other_way,
+    reordered,
+    settled,
+)
+from frictrack.models import Model
+from frictrack.records import Array, Mask
+
+STOPPING = 2.0  # frames before the stop that are left out
+EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
+MOST_TURNING = 16  # segments of a long record on which a law that passes reversals is settled before it sees all
+SHARES = (0.5, 0.2, 0.0)  # of the coefficients that a start keeps where no motion can be integrated under all
+
+
+def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model from scratch.
+
+    Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
+    """
+    pieces = [p.timed(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
+    spans = spans_of(pieces, len(names), fps)
+    if any(p.turns for p in pieces):
+        return _through_turns(model, pieces, names, spans)
+    found = []
+    with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
+        found.append(_along(model, pieces, names, spans))
+    grown = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
+    if not found or (grown and found[0].chi2 > EXPLAINED * found[0].problem.n_frames):
+        found += _by_growth(model, pieces, names, spans, needed=not found)
+    return until_stop(min(found, key=lambda s: s.objective))
+
+
+def _by_growth(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], needed: bool
+) -> list[Solution]:
+    """Laws to which one effect after the other was added; raises FrictrackError when `needed` and there is none."""
+    found = []
+    with nullcontext() if needed else suppress(FrictrackError):
+        found.append(_from_scratch(model, pieces, names, spans))
+    for other in led_the_other_way(model):
+        with suppress(FrictrackError):  # the way that was asked for is there already
+            found.append(_retold(_from_scratch(other, pieces, names, spans), model))
+    return found
+
+
+def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The law that variable projection finds along the measured motion, all effects at once; then what it cannot scan.
+
+    Raises FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
+    """
+    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
+    if any(lacking):
+        raise FrictrackError(next(filter(None, lacking)))
+    _, scanned = in_turn(model)
+    later = [e for e in scanned if not is_scannable(e) or e.clock is not None]  # a clock: for few runs, in simulation
+    first = Model(tuple(e for e in model.effects if e not in later))
+    layout = Layout(first, names, spans)
+    fine = max(e.fine for e in first.effects)
+    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
+    blocks = [displacement_block(p) for p in ready]
+    along = Along(layout, blocks)
+    search = search_of(along)
+    state = search()
+    absent = search.idle(state, PULSE_PRICE * np.log(along.size))
+    if absent:
+        layout = replace(layout, absent=absent)
+        along = Along(layout, blocks)
+        known = dict(zip(search.along.layout.names, state.numbers, strict=True))
+        problem = Projected(along, along.data)
+        state = problem.refine(problem.at(np.array([known[n] for n in layout.names])))
+    law = Problem(first, layout, ready)
+    solution = _each_loosened(_tamed(law, along.law(state.numbers, state.coefficients)))
+    for effect in later:
+        solution = grow(solution, effect)
+    return settled(reordered(solution, model)) if later else solution
+
+
+def _tamed(problem: Problem, p: Array) -> Solution:
+    """The law refined from p (P,), or the best from a share of its coefficients where no motion can be integrated.
+
+    Along the measured motion a law that lacks an effect may be so wild that its own motion runs away.
+    Raises FrictrackError when no share of it leads anywhere.
+    """
+    starts = problem.first_starts()
+    with suppress(FrictrackError):
+        return settle_scatter(problem, p, starts)
+    linear, found = np.array([s.linear for s in problem.layout.slots]), []
+    for share in SHARES:
+        with suppress(FrictrackError):
+            found.append(settle_scatter(problem, np.where(linear, share * p, p), starts))
+    if not found:
+        raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
+    return min(found, key=lambda s: s.objective)
+
+
+def _each_loosened(solution: Solution) -> Solution:
+    """One amplitude for all runs, or one per run where that is significantly better, wave after wave."""
+    runs = len(solution.problem.layout.run_names)
+    for effect in solution.problem.model.effects if runs > 1 else ():
+        sizes = {
+            p.name: {"per_run": True}
+            for p in effect.parameters
+            if p.role == "amplitude" and is_loose(p) and not p.per_run
+        }
+        if not sizes or not per_run_coefficients(effect):
+            continue
+        old = solution.problem.layout
+        changed = Model(tuple(effect.adjusted(**sizes) if e is effect else e for e in old.model.effects))
+        layout = replace(old, model=changed)
+        there = dict(zip(old.names, solution.p, strict=True))
+        p = np.array([there.get(name, there.get(name.split("[")[0], 0.0)) for name in layout.names])
+        loose = settle_scatter(solution.problem.over(layout, solution.problem.pieces), p, solution.starts, solution.tau)
+        if solution.objective - loose.objective > chi2_distribution.isf(TIE_ALPHA, runs - 1):
+            solution = loose
+    return solution
+
+
+def _retold(solution: Solution, model: Model) -> Solution:
+    """A law under the ties of `model`, refined from where it stands under others."""
+    old = solution.problem.layout
+    fitted = {e.name: e for e in old.model.effects}
+    ties = {(e.name, p.name): p for e in model.effects for p in e.parameters}
+    law = Model(tuple(_tied_as(fitted[e.name], ties) for e in model.effects))
+    layout = replace(old, model=law)
+    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
+    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
+    problem = solution.problem.over(layout, solution.problem.pieces)
+    return settle_scatter(problem, np.array(p), solution.starts, solution.tau or 0.03)
+
+
+def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
+    """An effect as it was fitted, its ties as they are asked for."""
+    changes = {p.name: ties[effect.name, p.name] for p in effect.parameters if p.tie != ties[effect.name, p.name].tie}
+    return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
+
+
+def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """One effect after the other, then all together to the end."""
+    plain, scanned = in_turn(model)
+    if not plain:
+        raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
+    layout = Layout(Model(tuple(plain)), names, spans)
+    return _grown(model, Problem(layout.model, layout, pieces), first_guess, scanned)
+
+
+def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
+    some = pieces[:: -(-len(pieces) // MOST_TURNING)]
+    if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
+        return _turned(model, pieces, names, spans)
+    return _on_all(_turned(model, some, names, spans), pieces)
+
+
+def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
+    """A law that was settled on some pieces, one step on with all of them."""
+    fine = max(e.fine for e in found.problem.model.effects)
+    ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
+    problem = found.problem.over(found.problem.layout, ready)
+    return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
+
+
+def _turned(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+    """The same on all of some pieces."""
+    together, later = bent(model)
+    layout = Layout(Model(tuple(together)), names, spans)
+    problem = Problem(layout.model, layout, pieces)
+    guess = lengthened if any(p.slack for p in pieces) else first_law
+    if later:
+        return _grown(model, problem, guess, later)
+    return settle_scatter(problem, guess(problem), problem.first_starts())
+
+
+def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:
+    """The problem's law from a guess of its unknowns (P,), then the later effects one by one, then all to the end."""
+    solution = settle_scatter(problem, guess(problem), problem.first_starts())
+    for effect in later:
+        solution = grow(solution, effect)
+    return settled(reordered(solution, model))
+
+
+def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
+    """The same fit without the frames in which its own motion has stopped, or is within two frames of it.
+
+    The smoothed sign of the velocity comes too late at a stop; the re-simulated one does not. `free` (P,) as in
+    `refine`.
+    """
+    for _ in range(2):
+        kept = [_sliding(r) for r in solution.responses]
+        pieces = solution.problem.pieces
+        if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
+            break
+        shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
+        problem = Problem(solution.problem.model, solution.problem.layout, shorter)
+        if free is None:
+            solution = settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+        else:
+            solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
+    return solution
+
+
+def _sliding(response: Response) -> int:
+    """Frames of a piece before the model's own stop."""
+    piece, motion = response.piece, response.motion
+    if piece.turns:
+        return len(piece.t)
+    speed = (piece.path.s[0] * motion.v_edge)[piece.at]
+    slowing = -np.gradient(speed, piece.t)  # a mass that sets out is slow, too, but gathers speed
+    late = np.flatnonzero((slowing > 0) & (speed < STOPPING * slowing * np.gradient(piece.t)))
+    after = late[late >= MIN_FRAMES]
+    return int(after[0]) if len(after) else len(piece.t)

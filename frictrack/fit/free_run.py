@@ -1,0 +1,204 @@
+"""The free run: the law followed over a whole record from its first state, with the measured drive.
+
+A segment forgets what the law missed before it began; a free run does not. It is what benchmarks of system
+identification score (Schoukens & Noel 2017, Three benchmarks addressing open challenges in nonlinear system
+identification, IFAC-PapersOnLine 50, 446): the root mean square of measured less simulated output.
+
+The first state (place, velocity, and what the law remembers) is fitted to the first frames of the record; where no
+drive is measured, a free run is the simulation from the release, from the state that was fitted there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.parameters import friction_law
+from frictrack.fit.segments import Piece, Reference, whole_piece
+from frictrack.models import Model, Values
+from frictrack.records import Array, Run
+from frictrack.simulate.slide import Conditions, Start, followed
+
+FIRST_FRAMES = (20, 200)  # of a driven record that tell its first state, at least and at most
+FIRST_SHARE = 0.025  # of the record, in between
+STEPS = 4  # of Gauss-Newton for the first state; the law is smooth in it, and forgets it
+ACCURATE = 5e-4  # of the rms of the displacement, to which a free run is computed
+ONE = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
+APART = 1e-6  # relative singular value of a direction of the first state that the first frames do not tell
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """A law followed over one record: t s since release, measured y and model x in m, (n,)."""
+
+    t: Array
+    y: Array
+    x: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of measured less simulated displacement, m."""
+        return float(np.sqrt(np.mean((self.y - self.x) ** 2)))
+
+
+def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0) -> FreeRun | None:
+    """One free run of a fitted law over a whole record of displacement.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted law, or that of a validation run.
+    run : Run
+        The record; its drive is interpolated between its samples.
+    reference : Reference
+        Mass and load at which the law's newtons are quoted.
+    index : int
+        Number of the run among the runs of the solution, for numbers that belong to each run.
+
+    Returns
+    -------
+    FreeRun or None
+        None where the motion under the law cannot be followed to the end of the record.
+
+    """
+    mine = [r for r in solution.responses if r.piece.run == index]
+    if run.drive is None and len(mine) == 1:  # it was fitted as it slid from the release
+        return FreeRun(mine[0].piece.t, mine[0].piece.y, mine[0].model_y)
+    piece = whole_piece(run, index, reference)
+    values, level = solution.problem.layout.values(solution.p, index)
+    law = _Bound(friction_law(solution.problem.model), values, piece, _conditions(piece, run, level))
+    try:
+        start = law.first_state(level) if run.drive is not None else _released(solution, index, law, level)
+        return FreeRun(piece.t, piece.y, law.follow(start, len(piece.t)))
+    except FrictrackError:
+        return None
+
+
+def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dict[str, Any]:
+    """Errors of free runs as the contract names them: JSON; None where one of them could not be followed."""
+    known = [f for f in found if f is not None]
+    if not found or len(known) < len(found):
+        rms = relative = None
+    else:
+        left = np.concatenate([f.y - f.x for f in known])
+        moved = np.concatenate([f.y - np.mean(f.y) for f in known])
+        rms = 1e6 * float(np.sqrt(np.mean(left**2)))
+        relative = float(np.linalg.norm(left) / max(float(np.linalg.norm(moved)), 1e-30))
+    out: dict[str, Any] = {"free_run_rms_um": rms, "free_run_relative": relative}
+    return out if role is None else out | {"free_run": role if found else None}
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """A law with its numbers, over one record."""
+
+    model: Model
+    values: Values
+    piece: Piece
+    conditions: Conditions
+
+    def follow(self, start: Start, frames: int) -> Array:
+        """Displacement (n,) at the first frames."""
+        within = ACCURATE * float(np.std(self.piece.y))
+        t = self.piece.t[:frames]
+        return followed(self.model, self.values, self.conditions, t, start, within)
+
+    def remembered(self, level: float) -> dict[str, Array]:
+        """What the law remembers at the first frame, as far as the motion before tells."""
+        if not self.model.memory:
+            return {}
+        first = self.piece.part(0, 2)
+        path = first.at_frames(first.y[:1], first.v_hat[:1], level)
+        one = {name: q[:1] for name in ONE if (q := getattr(path, name)) is not None}
+        return self.model.states(replace(path, **one), self.values)
+
+    def first_state(self, level: float) -> Start:
+        """The first state, fitted to the first frames; from rest only its place."""
+        piece = self.piece
+        frames = int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES))
+        frames = min(frames, len(piece.t))
+        begun = piece.first(frames)
+        rests = piece.path.s[0] == 0
+        states = {} if rests else self.remembered(level)
+        names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
+        first = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *(states[n][0, k] for n, k in names)])
+        free = np.arange(len(first)) != 1 if rests else np.ones(len(first), dtype=bool)
+
+        def start(theta: Array) -> Start:
+            own = {name: state.copy() for name, state in states.items()}
+            for (name, k), value in zip(names, theta[2:], strict=True):
+                own[name][0, k] = value
+            return Start(float(theta[0]), float(theta[1]), own)
+
+        def left(theta: Array) -> Array:
+            return begun.whitened(begun.y - self.follow(start(theta), frames))
+
+        return start(_least_squares(left, first, free, _scales(piece, states, frames)))
+
+
+def _scales(piece: Piece, states: dict[str, Array], frames: int) -> Array:
+    """Sizes of the numbers of a first state, for differences."""
+    place, speed = (float(np.ptp(q[: 3 * frames * piece.per_frame])) for q in (piece.x_hat, piece.v_hat))
+    kept = [max(abs(float(q)), 1e-3 * place) for state in states.values() for q in state[0]]
+    return np.array([place, max(speed, abs(float(piece.v_hat[0]))), *kept]) + 1e-12
+
+
+def _least_squares(left: Callable[[Array], Array], first: Array, free: Array, scales: Array) -> Array:
+    """Gauss-Newton from a first guess (k,) for the numbers that are free; a step that does not help is halved."""
+    theta, r = first, left(first)
+    moving = np.flatnonzero(free).tolist()
+    for _ in range(STEPS):
+        jac = np.stack([(left(_moved(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in moving], axis=1)
+        step = np.zeros(len(theta))
+        step[moving] = -np.linalg.lstsq(jac, r, rcond=APART)[0] * scales[moving]
+        for _ in range(STEPS):
+            trial = left(theta + step)
+            if trial @ trial <= r @ r:
+                break
+            step /= 2
+        gain = float(r @ r - trial @ trial)
+        if gain > 0:
+            theta, r = theta + step, trial
+        if gain <= 1e-3 * float(r @ r):
+            break
+    return theta
+
+
+def _moved(theta: Array, i: int, step: float) -> Array:
+    out = theta.copy()
+    out[i] += step
+    return out
+
+
+def _released(solution: Solution, index: int, law: _Bound, level: float) -> Start:
+    """The state that was fitted at the first frame of a run without a drive."""
+    pairs = zip(solution.problem.pieces, solution.starts, strict=True)
+    x, v = next(start for piece, start in pairs if piece.run == index)
+    return Start(float(x), float(v), law.remembered(level))
+
+
+def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
+    """What held in the record, as functions of the time since release."""
+    path, nodes = piece.path, piece.panels.t
+
+    def read(series: Array | None) -> Callable[[Array], Array] | None:
+        return None if series is None else make_interp_spline(nodes, series, k=1)
+
+    return Conditions(
+        mass=piece.mass,
+        load=path.load * level,
+        mass_ratio=path.mass_ratio,
+        pixel_pitch=path.pixel_pitch,
+        incline=run.incline,
+        drive=path.drive_at,
+        lift=read(path.lift),
+        angle=read(path.angle),
+        clamp_x=path.clamp_x,
+        beam_length=path.beam_length,
+    )

@@ -1,0 +1,148 @@
+"""Held-out error: what the law says of frames that it has not seen.
+
+By run: the shared parameters come from the other runs, the run's own (start, level, phases, event times) from its
+even frames, and the odd frames are scored. Where the others cannot determine a shared parameter well enough to
+predict the run, even frames of all runs fit and odd frames score. What was chosen is returned with the figure.
+
+All of it is linear algebra about the fitted law: without some frames a law moves by little, and what it says of them
+moves by its sensitivities times that (one Gauss-Newton step; Cook & Weisberg 1982, Residuals and Influence, ch. 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.fit.least_squares.gauss_newton import Solution
+from frictrack.fit.least_squares.problem import Response
+from frictrack.fit.parameters import restraint, restraint_rows
+from frictrack.fit.segments import Piece
+from frictrack.records import Array, Mask
+
+HIDDEN_SIGMA_FACTOR = 1e9  # times sigma: a frame that does not count
+PREDICTABLE = 0.25  # variance of the prediction over the noise's, beyond which the others do not know the run
+LEAST = 1e-7  # singular value, over the largest, of a direction that is left as it stands
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """One run about the fitted law: whitened residual (n,), sensitivities (n, P), starts (n, 2 s), and its pieces."""
+
+    residual: Array
+    jac: Array
+    starts: Array
+    pieces: list[Piece]
+    odd: Mask
+
+    def unseen(self, left: Array) -> Array:
+        """What a whitened residual (n,) comes to at the odd frames, m."""
+        ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
+        errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(left, ends), strict=True)]
+        return np.asarray(np.concatenate(errors)[self.odd])
+
+
+def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
+    """Root mean square of the held-out residual, m, and how it was held out: "run" or "frames".
+
+    `by` asks for one of the two; None takes "run" wherever the other runs can predict each run.
+    """
+    runs = _by_run(solution)
+    if by == "frames" or len(runs) < 2 or (by is None and not is_predictable(solution)):
+        return _rms(_evens(solution, runs)), "frames"
+    return _rms([_left_out(solution, runs, r) for r in runs]), "run"
+
+
+def _by_run(solution: Solution) -> dict[int, _Linear]:
+    """Every run about the fitted law, its pieces one under the other."""
+    pieces: dict[int, list[Response]] = {}
+    for r in solution.responses:
+        pieces.setdefault(r.piece.run, []).append(r)
+    return {run: _joined(own, len(solution.p)) for run, own in pieces.items()}
+
+
+def _joined(pieces: Sequence[Response], unknowns: int) -> _Linear:
+    count = sum(len(r.r) for r in pieces)
+    jac, starts = np.zeros((count, unknowns)), np.zeros((count, sum(r.q.shape[1] for r in pieces)))
+    at = column = 0
+    for r in pieces:
+        rows = slice(at, at + len(r.r))
+        jac[rows, r.active] = r.jac
+        starts[rows, column : column + r.q.shape[1]] = r.q
+        at, column = rows.stop, column + r.q.shape[1]
+    return _Linear(
+        residual=np.concatenate([r.r for r in pieces]),
+        jac=jac,
+        starts=starts,
+        pieces=[r.piece for r in pieces],
+        odd=np.concatenate([np.arange(len(r.r)) % 2 == 1 for r in pieces]),
+    )
+
+
+def _own(solution: Solution, run: int) -> Mask:
+    """Which unknowns are the run's own."""
+    return np.array([s.run == run for s in solution.problem.layout.slots])
+
+
+def _left_out(solution: Solution, runs: dict[int, _Linear], run: int) -> Array:
+    """Residuals, m, at the odd frames of one run, predicted by the others."""
+    own, layout, tau = _own(solution, run), solution.problem.layout, solution.tau or 0.03
+    rows = [r.jac for k, r in runs.items() if k != run] + [restraint_rows(layout, tau, solution.p)]
+    right = [r.residual for k, r in runs.items() if k != run] + [-restraint(layout, solution.p, tau)]
+    step = np.zeros(len(solution.p))
+    step[~own] = _solved(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
+    here = runs[run]
+    left = here.residual - here.jac @ step
+    mine = np.concatenate([here.jac[:, own], here.starts], axis=1)
+    left = left - mine @ _solved(mine[~here.odd], left[~here.odd], mine)
+    return here.unseen(left)
+
+
+def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
+    """Residuals, m, at the odd frames of every run, the whole law fitted to the even ones."""
+    layout, tau = solution.problem.layout, solution.tau or 0.03
+    seen = []
+    for r in runs.values():  # a start is each piece's own: what it explains of the even frames goes first
+        q, _ = np.linalg.qr(r.starts[~r.odd])
+        even = np.column_stack([r.jac, r.residual])[~r.odd]
+        seen.append(even - q @ (q.T @ even))
+    rows = np.concatenate([*(s[:, :-1] for s in seen), restraint_rows(layout, tau, solution.p)])
+    right = np.concatenate([*(s[:, -1] for s in seen), -restraint(layout, solution.p, tau)])
+    step = _solved(rows, right, solution.jac)
+    out = []
+    for r in runs.values():
+        left = r.residual - r.jac @ step
+        left = left - r.starts @ _solved(r.starts[~r.odd], left[~r.odd], r.starts)
+        out.append(r.unseen(left))
+    return out
+
+
+def _solved(rows: Array, right: Array, whole: Array) -> Array:
+    """Least squares of columns; what these rows hardly see, beside the `whole` (n, k) they are of, stays as it is."""
+    norm = np.linalg.norm(whole, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=LEAST)[0] / norm)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def is_predictable(solution: Solution) -> bool:
+    """Whether the other runs know the shared parameters well enough to predict every run."""
+    layout = solution.problem.layout
+    rows = restraint_rows(layout, solution.tau or 0.03)
+    jac = {run: r.jac for run, r in _by_run(solution).items()}
+    norm = np.linalg.norm(np.vstack([*jac.values(), rows]), axis=0)
+    norm[norm == 0] = 1.0
+    for run in jac:
+        own = _own(solution, run)
+        known = np.vstack([*(j for k, j in jac.items() if k != run), rows])[:, ~own] / norm[~own]
+        spread = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
+        basis, _ = np.linalg.qr(jac[run][:, own])
+        seen = jac[run][:, ~own] / norm[~own]
+        seen = seen - basis @ (basis.T @ seen)
+        if np.mean(np.einsum("ni,ij,nj->n", seen, spread, seen)) > PREDICTABLE:
+            return False
+    return True

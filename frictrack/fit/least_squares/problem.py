@@ -1,0 +1,280 @@
+"""Runs turned into what is fitted: the simulated motion of their pieces, residuals and sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.effects import Path
+from frictrack.errors import FrictrackError
+from frictrack.fit.parameters import Layout
+from frictrack.fit.segments import Piece
+from frictrack.models import Model, Values
+from frictrack.records import Array
+from frictrack.simulate.dynamics import Motion6, solve
+from frictrack.simulate.dynamics import Response as Sensitivity
+
+SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value per node
+
+
+@dataclass(frozen=True)
+class Response:
+    """One piece under a model: its motion, whitened residual and sensitivities, start position and speed removed.
+
+    r (n,), jac (n, A) for the `active` unknowns, start (n, 2) for x0 and v0; `q`, `t` their QR factors.
+    """
+
+    piece: Piece
+    motion: Motion6
+    linear: Sensitivity
+    active: list[int]
+    model_y: Array
+    shift_slope: Array  # d(o)/dx at the frames
+    r: Array
+    jac: Array
+    q: Array
+    upper: Array
+    on_start: Array  # the part of the sensitivities that a change of start explains, (2, A)
+    r_full: Array
+
+    def start_step(self, step: Array) -> Array:
+        """Change of (x0, v0) that goes with a step of the active unknowns."""
+        left = self.q.T @ self.r_full - self.on_start @ step
+        return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """The last motion of a piece, from which the next one sets out: unknowns p, start, and accelerations a (3 p,).
+
+    `pushed` (3 p, A + 2) is their change per unit of the `active` unknowns and of the start.
+    """
+
+    p: Array | None
+    start: Array
+    a: Array
+    pushed: Array
+    active: list[int]
+
+    def foreseen(self, p: Array, start: Array) -> Array | None:
+        """Accelerations (3 p,) at other unknowns to first order; None where that is further than they themselves."""
+        if self.p is None or len(p) != len(self.p):
+            return None
+        change = self.pushed @ np.concatenate([(p - self.p)[self.active], start - self.start])
+        return self.a + change if np.max(np.abs(change)) < np.max(np.abs(self.a)) else None
+
+
+class Problem:
+    """A model over some runs: evaluates every piece for given unknowns and starts.
+
+    It `simulates` the motion, unless the measured one is taken as it is.
+    """
+
+    simulates = True
+
+    def __init__(self, model: Model, layout: Layout, pieces: Sequence[Piece]) -> None:
+        self.model, self.layout, self.pieces = model, layout, list(pieces)
+        paths = [piece.path for piece in self.pieces]
+        if lacking := [said for effect in model.effects if (said := effect.lacks(paths))]:
+            raise FrictrackError("; ".join(lacking))
+        self._last = [_Simulated(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces]
+
+    def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
+        """The same kind of measurement under another layout, or over other pieces."""
+        return Problem(layout.model, layout, pieces)
+
+    @property
+    def n_frames(self) -> int:
+        """Frames over all pieces."""
+        return sum(len(p.t) for p in self.pieces)
+
+    def first_starts(self) -> list[Array]:
+        """Start position and speed of every piece, read off the smoothed motion."""
+        return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
+
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[Response]:
+        """Simulate every piece and linearise it about the unknowns p (P,) and the starts [(2,)]."""
+        return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
+
+    def _respond(self, i: int, p: Array, start: Array) -> Response:
+        piece = self._timed(self.pieces[i], p)
+        motion, linear = self._simulate(i, piece, p, start)
+        pushed, moved = self.answered(piece, p, motion, linear)
+        self._last[i] = _Simulated(p, np.array(start), motion.a, pushed, self.layout.active(piece.run))
+        return self._seen(piece, p, (motion, linear), (motion.x_edge[piece.at], moved))
+
+    def _timed(self, piece: Piece, p: Array) -> Piece:
+        """A piece by the clock that the law gives to its run."""
+        if all(e.clock is None for e in self.model.effects):
+            return piece
+        return piece.timed(self.model.clock(self.layout.values(p, piece.run)[0]))
+
+    def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> Response:
+        """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
+
+        `about` is the motion at which the law is linearised, and its linear response.
+        """
+        return self._seen(piece, p, about, (x, self.answered(piece, p, *about)[1]))
+
+    def _seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], shown: tuple[Array, Array]) -> Response:
+        """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
+        (motion, linear), (x, moved) = about, shown
+        active = self.layout.active(piece.run)
+        x_sens = moved[:, 0, :]
+        shift, slope, direct = self._picture(piece, p, motion, active)
+        x_sens = (1 + slope)[:, None] * x_sens
+        x_sens[:, :-2] += direct
+        model_y = x + shift + slope * (x - motion.x_edge[piece.at])
+        weighted = piece.whitened(x_sens)
+        residual = piece.whitened(piece.y - model_y)
+        q, upper = np.linalg.qr(weighted[:, -2:])
+        on_start = q.T @ weighted[:, :-2]
+        return Response(
+            piece=piece,
+            motion=motion,
+            linear=linear,
+            active=active,
+            model_y=model_y,
+            shift_slope=slope,
+            r=residual - q @ (q.T @ residual),
+            jac=weighted[:, :-2] - q @ on_start,
+            q=q,
+            upper=upper,
+            on_start=on_start,
+            r_full=residual,
+        )
+
+    def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
+        """The law along one piece: x'' at places x, velocities v and times t."""
+        memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
+        states = self._entered(piece, values)
+
+        def law(x: Array, v: Array, t: Array) -> Array:
+            if not memory:
+                return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+            force = self.model.force(replace(piece.since_start(x, v, t, level), states=states), values)
+            return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
+
+        return law
+
+    def answered(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> tuple[Array, Array]:
+        """Change of the acceleration at the nodes (3 p, A + 2), and of position and speed at the frames (n, 2, A + 2).
+
+        Each is per unit of every active unknown, and of the start.
+        """
+        active = self.layout.active(piece.run)
+        g = self._inputs(piece, p, motion, active)
+        pushed, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
+        return pushed, edges[piece.at]
+
+    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
+        """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
+        return self.answered(piece, p, motion, linear)[1]
+
+    def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
+        where = float(start[0]), float(start[1])
+        law, memory, last = self.acceleration(piece, p), self.model.memory, self._last[i]
+        foreseen = last.foreseen(p, start)
+        if foreseen is not None:
+            try:
+                return solve(law, piece.panels, where, foreseen, memory=memory)
+            except FrictrackError:  # too far to be foreseen: from where it was
+                pass
+        return solve(law, piece.panels, where, last.a, memory=memory)
+
+    def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
+        """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
+        path = piece.path
+        if (
+            not (self.simulates and self.model.memory)
+            or path.before is None
+            or path.before.shape[1] < 2
+            or path.s[0] == 0
+        ):
+            return {}
+        two = {name: getattr(path, name)[[0, 0]] for name in SERIES if getattr(path, name) is not None}
+        states = self.model.states(replace(path, **two), values)
+        return {e.name: states[e.name] for e in self.model.effects if e.turns}
+
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+        """The path of a solved motion: its nodes, with memory after the start."""
+        if not self.model.memory:
+            return piece.along(motion.x, motion.v, level)
+        x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
+        return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
+
+    def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
+        """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
+        values, level = self.layout.values(p, piece.run)
+        path = replace(self._along(piece, motion, level), states=self._entered(piece, values))
+        columns = self.model.force_columns(path, values)
+        base = self.model.force(path, values)
+        g = np.zeros((len(path.t), len(active)))
+        for j, i in enumerate(active):
+            slot = self.layout.slots[i]
+            led = i in self.layout.led
+            if slot.linear and slot.effect in columns and not led:
+                g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
+            elif led or not slot.linear:
+                step = _step(p[i], slot.bounds)
+                values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
+                path_i = replace(self._along(piece, motion, level_i), states=self._entered(piece, values_i))
+                moved = self.model.force(path_i, values_i)
+                g[:, j] = (moved - base) / step
+        return -g[-len(motion.x) :] / piece.mass
+
+    def column(self, effect: str, parameter: str) -> int:
+        """Which column of an effect a linear parameter multiplies."""
+        of = next(e for e in self.model.effects if e.name == effect)
+        return [q.name for q in of.linear].index(parameter)
+
+    def _picture(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> tuple[Array, Array, Array]:
+        """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown.
+
+        What a clock is off stands in the times of the piece: only its change shifts the picture.
+        """
+        x = motion.x_edge[piece.at]
+        v = motion.v_edge[piece.at]
+        shift, slope, direct = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), len(active)))
+        if all(e.acts_on == "force" for e in self.model.effects):
+            return shift, slope, direct
+
+        timed = self.layout.values(p, piece.run)[0]
+        held = {e.name: self.model.coefficients(e.name, timed) for e in self.model.effects if e.clock is not None}
+
+        def total(p_: Array, x_: Array) -> Array:
+            values, level = self.layout.values(p_, piece.run)
+            blocks = self.model.measurement_columns(piece.at_frames(x_, v, level), values)
+            sizes = {n: self.model.coefficients(n, values) - held.get(n, 0.0) for n in blocks}
+            return np.sum([b @ sizes[n] for n, b in blocks.items()], axis=0)
+
+        shift = total(p, x)
+        h = 1e-7 * max(float(np.ptp(x)), 1e-3)
+        slope = (total(p, x + h) - total(p, x - h)) / (2 * h)
+        pictures = {e.name for e in self.model.effects if e.acts_on == "measurement"}
+        for j, i in enumerate(active):
+            slot = self.layout.slots[i]
+            led = i in self.layout.led
+            if slot.effect in pictures or led:
+                step = 1.0 if slot.linear and not led else _step(p[i], slot.bounds)
+                direct[:, j] = (total(_moved(p, i, step), x) - shift) / step
+        return shift, slope, direct
+
+
+def _unit_starts(n: int) -> Array:
+    start = np.zeros((2, n + 2))
+    start[0, n] = start[1, n + 1] = 1.0
+    return start
+
+
+def _step(value: float, bounds: tuple[float, float]) -> float:
+    width = bounds[1] - bounds[0]
+    return 1e-6 * max(abs(value), 1e-3 * width if np.isfinite(width) else 1.0)
+
+
+def _moved(p: Array, i: int, step: float) -> Array:
+    out = p.copy()
+    out[i] += step
+    return out

@@ -1,0 +1,84 @@
+"""A law linearised about the motion that was measured, where the one that it makes itself is another.
+
+A law that lacks a strong effect moves elsewhere than the mass did: there a texture has another phase, and what is
+linear in an effect is so no more. The motion that was measured is the law's own plus its residual, smoothed: where
+nothing is missing that is the law's own motion, near stops as well. One Newton step from there is the law's motion to
+second order in what the smoothing leaves (Eilers 2003, Anal. Chem. 75: the smoother).
+
+Level times coefficient is no linear law. Its sensitivities are those at levels of one, where a departure from one is
+the departure of the force, whatever the coefficient: levels that stand far from one because an effect is missing are
+then as near to the truth as others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solveh_banded
+
+from frictrack.fit.least_squares import Problem, Response, Solution
+from frictrack.fit.segments import Piece
+from frictrack.records import Array
+from frictrack.simulate.dynamics import Motion6, slopes
+
+STRENGTHS = np.geomspace(10.0, 1e9, 17)  # of the smoothing: its bandwidth from a tenth of the frame rate downwards
+
+
+def traced(solution: Solution) -> Solution:
+    """The same law linearised about the measured motion; about its own where it remembers or friction was measured."""
+    problem = solution.problem
+    if not is_traced(problem):
+        return solution
+    return replace(solution, responses=[_traced(problem, solution.p, r) for r in solution.responses])
+
+
+def is_traced(problem: Problem) -> bool:
+    """Whether laws of a problem are linearised about the measured motion, at levels of one."""
+    return problem.simulates and not problem.model.memory
+
+
+def _traced(problem: Problem, p: Array, response: Response) -> Response:
+    piece, motion, linear = response.piece, response.motion, response.linear
+    level = np.array(p)
+    level[problem.layout.levels] = 1.0
+    t, away = smoothed(piece, piece.coloured(response.r_full))
+    if not away.any():
+        return problem.seen(piece, level, (motion, linear), motion.x_edge[piece.at])
+    bend = CubicSpline(t, away)
+    nodes, edges = piece.panels.t, piece.panels.edges
+    x, v = motion.x + bend(nodes), motion.v + bend(nodes, 1)
+    own, linear = slopes(problem.acceleration(piece, p), piece.panels, (x, v))
+    accelerated = motion.a + bend(nodes, 2)
+    about = Motion6(piece.panels, x, v, accelerated, motion.x_edge + bend(edges), motion.v_edge + bend(edges, 1))
+    back = np.array([[-float(bend(edges[0]))], [-float(bend(edges[0], 1))]])
+    _, moved = linear.respond((own - accelerated)[:, None], back)
+    return problem.seen(piece, level, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])
+
+
+def smoothed(piece: Piece, residual: Array) -> tuple[Array, Array]:
+    """A residual (n,) smoothed as cross-validation asks for, and the times of its frames, those that are gone too."""
+    rows = piece.at // piece.per_frame
+    n = int(rows[-1]) + 1
+    weight, data = np.zeros(n), np.zeros(n)
+    weight[rows], data[rows] = 1.0, residual
+    bend = np.array([np.r_[0.0, 0.0, np.ones(n - 2)], np.r_[0.0, -2.0, np.full(n - 3, -4.0), -2.0], _middle(n)])
+    wave = (2 - 2 * np.cos(np.pi * np.arange(n) / n)) ** 2
+    best, out = np.inf, np.zeros(n)
+    for strength in STRENGTHS[::-1]:
+        banded = strength * bend
+        banded[2] += weight
+        found = solveh_banded(banded, data, check_finite=False)
+        freedom = float(np.sum(1 / (1 + strength * wave))) * len(rows) / n
+        score = float(np.sum((residual - found[rows]) ** 2)) / (len(rows) - freedom) ** 2
+        if score < best:
+            best, out = score, found
+    return piece.panels.edges[:: piece.per_frame], out
+
+
+def _middle(n: int) -> Array:
+    """Diagonal of the squared second differences of n samples."""
+    out = np.full(n, 6.0)
+    out[[0, -1]], out[[1, -2]] = 1.0, 5.0
+    return out

@@ -1,0 +1,308 @@
+"""Scans of an effect that the model does not have: what each of its forms would gain on top of the fitted law.
+
+The rows of a candidate are the response of the measured motion to its force (or its shift of the picture), with the
+fitted law's own feedback. Phases enter as two quadratures with free coefficients; a modifier as what it changes at
+depth one. Gains are the fall of chi-squared after the whole linearised model has been fitted again (Golub & Pereyra
+1973), friction levels held by their scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.effects import Effect, Span
+from frictrack.effects.settings import Tie
+from frictrack.errors import FrictrackError
+from frictrack.fit.linearised.model import Beside, Strip, alone
+from frictrack.records import Array
+
+ABSORBED = 1e-10  # share of a column's square that must remain beside the model for it to count
+UNSEEN = 1e-20  # square of a whitened column per unit: a form that comes to where no run has been
+QUADRATURES = (0.0, np.pi / 2)
+SMALL = 200  # forms times coefficients up to which the spread of the levels is profiled inside each form
+CROWD = 60_000  # samples evaluated at once: what they need stays in the cache
+Short = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """All forms of one effect on a grid of its scanned parameters: G points of K coefficients.
+
+    `members` are the pieces (by place) that its rows stand on, `block[i]` which block of K each writes to: per-run
+    coefficients have K = R k, else K = k. `names` and `values` (G, d) are the scanned numbers on a grid of that
+    `shape`, `rest` the others.
+    """
+
+    effect: Effect
+    names: tuple[str, ...]
+    values: Array
+    shape: tuple[int, ...]
+    rest: dict[str, float]
+    members: tuple[int, ...]
+    block: tuple[int, ...]
+    k: int
+    low: Array  # (K,), bounds of the coefficients; of quadratures none
+    high: Array
+
+    @property
+    def size(self) -> int:
+        """Coefficients of a form, K."""
+        return self.k * (max(self.block) + 1)
+
+    @property
+    def grid(self) -> list[dict[str, float]]:
+        """The points, every non-linear number by name."""
+        return [self.point(g) for g in range(len(self.values))]
+
+    def point(self, g: int) -> dict[str, float]:
+        """One point, every non-linear number by name."""
+        return _followed(self.effect, self.rest | dict(zip(self.names, self.values[g].tolist(), strict=True)))
+
+    def chunks(self, strips: list[Strip]) -> Iterator[slice]:
+        """Points to be taken at once."""
+        longest = max(len(strips[i].way(self.effect).t) for i in self.members)
+        some = max(1, CROWD // longest)
+        for first in range(0, len(self.values), some):
+            yield slice(first, min(first + some, len(self.values)))
+
+    def raw(self, strip: Strip, points: Array) -> Array:
+        """Raw columns (P, k, m) of points (P, d) along one piece: quadrature after quadrature, column after column."""
+        values: dict[str, Any] = self.rest | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
+        values = _followed(self.effect, values)
+        parts = [_formed(strip, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What the forms of a family are beside a law, and their products with the data.
+
+    `rest` (G, K, K) is the Gram matrix of what the pieces' bases do not explain, `own` (G, K, L) the coordinates in
+    these, `right` (G, K) the products of that rest with the data, `rises` (G,) the data's gains, and `tops` (D,) the
+    largest gain of every series.
+    """
+
+    family: Family
+    rest: Array
+    own: Array
+    right: Array
+    rises: Array
+    tops: Array
+
+    def schur(self, left: Array, g: slice | int = slice(None)) -> Array:
+        """Gram matrices (G, K, K) beside the model; `left` (L, L) from `Beside.left`."""
+        own = self.own[g]
+        return np.asarray(self.rest[g] + own @ left @ np.swapaxes(own, -1, -2))
+
+    def coefficients(self, g: int, left: Array, data: Array) -> Array:
+        """Best coefficients (K,) of form g; `data` (L,) are the coordinates of the series that was scanned."""
+        right = self.right[g] + self.own[g] @ (left @ data)
+        root = whitener(self.schur(left, g)[None], self.full(g)[None])[0]
+        return np.asarray(root.T @ (root @ right))
+
+    def full(self, g: slice | int = slice(None)) -> Array:
+        """Squares of the columns, starts removed, (G, K)."""
+        return np.asarray(
+            np.einsum("...kk->...k", self.rest[g]) + np.einsum("...kl,...kl->...k", self.own[g], self.own[g])
+        )
+
+
+def whitener(schur: Array, full: Array) -> Array:
+    """W (G, K, K) with W' W the inverse of Gram matrices beside the model; what it absorbs gains nothing.
+
+    `full` (G, K) are the squares of the columns themselves.
+    """
+    size = np.sqrt(full)
+    size[full < UNSEEN] = np.inf
+    unit = schur / size[:, :, None] / size[:, None, :]
+    if unit.shape[1] == 1:
+        return np.asarray(1 / np.sqrt(np.maximum(unit, 0.0) + ABSORBED) / size[:, None, :])
+    unit[:, np.arange(unit.shape[1]), np.arange(unit.shape[1])] += ABSORBED
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)) / size[:, None, :])
+
+
+def families(law: Beside, effect: Effect) -> list[Family]:
+    """The forms of one effect over the fitted runs: one family, or one per run when its scan is the run's own.
+
+    Empty when the runs lack what the effect needs, see `Effect.lacks`.
+    """
+    if effect.lacks([s.response.piece.path for s in law.strips]):
+        return []
+    layout = law.solution.problem.layout
+    if effect.single:
+        each = [[i for i, s in enumerate(law.strips) if s.run == r] for r in law.runs]
+        return [_family(law, effect, mine, layout.spans[law.strips[mine[0]].run]) for mine in each]
+    return [_family(law, effect, list(range(len(law.strips))), layout.span)]
+
+
+def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
+    """Every combination of the scanned parameters, the rest at their place for a scan."""
+    names, axes, rest = _grid(effect, span)
+    return [_followed(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
+
+
+def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], list[Array], dict[str, float]]:
+    scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
+    scanned.sort(key=lambda p: p.unit == "Hz")  # neighbours share all but the frequency, which some effects make use of
+    rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
+    axes = [p.scan(span) for p in scanned if p.scan is not None]
+    return tuple(p.name for p in scanned), axes, rest
+
+
+def _points(axes: list[Array]) -> Array:
+    points = list(product(*axes))
+    return np.array(points, dtype=float).reshape(len(points), len(axes))
+
+
+def _followed(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
+    """A point of a grid where a parameter may be tied to another one of the same effect."""
+    for p in effect.nonlinear:
+        if p.tie:
+            tie = Tie.read(p.tie)
+            point[p.name] = tie.factor * point.get(tie.parameter, 0.0)
+    return point
+
+
+def per_run_coefficients(effect: Effect) -> bool:
+    """Whether the coefficients of the scan belong to the runs: per-run amplitudes, or per-run phases."""
+    return any(p.per_run and (p.linear or p.role == "phase") for p in effect.parameters)
+
+
+def _phases(effect: Effect) -> list[dict[str, float]]:
+    names = [p.name for p in effect.nonlinear if p.role == "phase" and p.free]
+    return [dict.fromkeys(names, q) for q in QUADRATURES] if names else [{}]
+
+
+def _family(law: Beside, effect: Effect, members: list[int], span: Span) -> Family:
+    names, axes, rest = _grid(effect, span)
+    runs = sorted({law.strips[i].run for i in members})
+    own = per_run_coefficients(effect)
+    block = tuple(runs.index(law.strips[i].run) if own else 0 for i in members)
+    phases = len(_phases(effect))
+    low, high = np.array([p.bounds for p in effect.linear]).reshape(-1, 2).T
+    if phases > 1 or not effect.linear:
+        k = phases * (law.strips[members[0]].modified(effect).shape[1] if effect.modifies else len(effect.linear))
+        low, high = np.full(k, -np.inf), np.full(k, np.inf)
+    count = max(block) + 1
+    shape = tuple(len(a) for a in axes) or (1,)
+    box = np.tile(low, count), np.tile(high, count)
+    return Family(effect, names, _points(axes), shape, rest, tuple(members), block, len(low), *box)
+
+
+def _formed(strip: Strip, effect: Effect, values: dict[str, Any], count: int) -> Array:
+    """Raw columns of a population; of a user's formula one by one where some are no numbers, as at a width of zero."""
+    try:
+        return strip.columns(effect, values, count)
+    except FrictrackError:
+        if effect.formula is None:
+            raise
+        return alone(strip, effect, values, count)
+
+
+@dataclass(eq=False)
+class Series:
+    """Whitened data (N, D) to be scanned, the first column the measured one, and what is known of each.
+
+    `own` (L, D) are its coordinates in the pieces' bases. For every spread of the levels that is considered: `lefts`
+    what the law leaves of coordinates (L, L), `groups` the columns whose own spread it is, and `profile` (T, D) the
+    restricted likelihood of the bare law.
+    """
+
+    data: Short
+    own: Array
+    lefts: list[Array]
+    groups: list[slice]
+    profile: Array
+    beside: list[Short] = field(init=False)
+
+    def __post_init__(self) -> None:
+        pairs = zip(self.lefts, self.groups, strict=True)
+        self.beside = [(left @ self.own[:, mine]).astype(np.float32) for left, mine in pairs]
+
+
+def one_series(law: Beside) -> Series:
+    """The data alone, at the fitted spread of the levels."""
+    data = law.solution.unlevelled()[:, None]
+    tau = law.solution.tau
+    return Series(data.astype(np.float32), law.coordinates(data), [law.left(tau)], [slice(0, 1)], np.zeros((1, 1)))
+
+
+def scan(law: Beside, family: Family, series: Series) -> Scan:
+    """Every form of a family beside a law, and what it gains for every series.
+
+    A small family is asked at every spread of the levels, since it may take over what looked like scatter.
+    """
+    g, size, d = len(family.values), family.size, series.data.shape[1]
+    rest, own = np.zeros((g, size, size)), np.zeros((g, size, len(law.turned)))
+    right, rises, tops = np.zeros((g, size)), np.zeros(g), np.zeros(d)
+    gain = _profiled if g * size <= SMALL and len(series.lefts) > 1 else _gains
+    for part in family.chunks(law.strips):
+        products = np.zeros((part.stop - part.start, size, d), dtype=np.float32)
+        for i, b in zip(family.members, family.block, strict=True):
+            at = slice(b * family.k, (b + 1) * family.k)
+            _add(law, family, i, part, (rest[part, at, at], own[part, at], products[:, at], series))
+        right[part] = products[:, :, 0]
+        gained = gain((rest[part], own[part], products), series, (family.low, family.high))
+        rises[part] = gained[:, 0]
+        np.maximum(tops, gained.max(axis=0), out=tops)
+    return Scan(family, rest, own, right, rises, tops)
+
+
+def _add(law: Beside, family: Family, i: int, part: slice, into: tuple[Array, Array, Array, Series]) -> None:
+    """Add what one piece tells of some forms: Gram matrices, coordinates, products with the data."""
+    strip, (rest, own, products, series) = law.strips[i], into
+    raw = family.raw(strip, family.values[part])
+    count, k = raw.shape[:2]
+    beyond, coordinates = strip.split(strip.weighed(raw.reshape(count * k, -1), family.effect.acts_on == "measurement"))
+    cube = beyond.reshape(count, k, -1)
+    rest += cube @ cube.transpose(0, 2, 1)
+    own[:, :, law.places[i]] += coordinates.reshape(count, k, -1)
+    products += (beyond.astype(np.float32) @ series.data[law.rows[i]]).reshape(products.shape)
+
+
+Products = tuple[Array, Array, Array]  # Gram matrices (G, K, K), coordinates (G, K, L), products with series (G, K, D)
+
+
+def _gains(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array | Short:
+    """Fall of chi-squared (G, D) of some forms for every series, each at its own spread."""
+    out = np.empty((len(told[0]), series.data.shape[1]), dtype=np.float32)
+    for left, columns, beside in zip(series.lefts, series.groups, series.beside, strict=True):
+        if columns.stop > columns.start:
+            out[:, columns] = _gained(told, (left, beside), columns, bounds)
+    return out
+
+
+def _profiled(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array:
+    """The same with the spread of every series estimated again."""
+    whole = slice(0, series.data.shape[1])
+    best = np.full((len(told[0]), whole.stop), np.inf)
+    for left, bare in zip(series.lefts, series.profile, strict=True):
+        at = left, (left @ series.own).astype(np.float32)
+        np.minimum(best, bare - _gained(told, at, whole, bounds), out=best)
+    return np.asarray(series.profile.min(axis=0) - best)
+
+
+def _gained(told: Products, at: tuple[Array, Short], columns: slice, bounds: tuple[Array, Array]) -> Short:
+    """Fall of chi-squared (G, D') of some forms at one spread; `at` says what the law leaves there of coordinates.
+
+    A single coefficient keeps its bounds: data that ask for the wrong sign gain nothing.
+    """
+    (rest, own, products), (left, beside) = told, at
+    g, size = products.shape[:2]
+    full = np.einsum("gkk->gk", rest) + np.einsum("gkl,gkl->gk", own, own)
+    root = whitener(rest + own @ left @ own.transpose(0, 2, 1), full).astype(np.float32)
+    aside = (own.reshape(g * size, -1).astype(np.float32) @ beside).reshape(g, size, -1)
+    aside += products[:, :, columns]
+    white = root @ aside
+    if size == 1 and bounds[0][0] >= 0:
+        np.maximum(white, 0.0, out=white)
+    if size == 1 and bounds[1][0] <= 0:
+        np.minimum(white, 0.0, out=white)
+    gained: Short = np.einsum("gkd,gkd->gd", white, white)
+    return gained

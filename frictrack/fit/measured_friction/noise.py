@@ -1,0 +1,177 @@
+"""Estimate the noise of a measured friction force without asking the law that is tested.
+
+The white part comes from the series itself (fifth differences). A slow part counts as noise only where it is known not
+to be friction: where strokes are repeated, as what differs from one stroke to the next over the same places, and where
+the instrument's specification states it. With one record and no repeat, slow misfit is misfit.
+
+Frames that are alike say the same thing, so with a slow part every frame counts as one over the integrated correlation
+time (Sokal 1997). Long white series are averaged over short blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.fit.least_squares import Solution, refine
+from frictrack.fit.measured_friction.problem import SeriesPiece
+from frictrack.fit.segments import Piece, Rows
+from frictrack.fit.smooth_functions import correlation_frames
+from frictrack.records import Array
+
+KEPT = 4  # frames kept of those that are alike
+MAX_FRAMES = 1500  # over all runs, beyond which a white series is averaged over short blocks
+MIN_STROKES = 3  # over the same places that tell what does not repeat
+MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
+TURN = 0.25  # of the range of a coordinate by which it must go back to turn
+ALIKE_SPEED = 0.1  # relative difference of the median speeds of strokes that are compared
+END = 0.005  # of a stroke at either end, where a frame more or less decides on which side of a reversal it is
+GRID = 128  # places at which strokes are compared
+SLOW = 1.3  # times the white noise beyond which what does not repeat is more: means of few strokes scatter, too
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of a measured friction force.
+
+    `rms` (N) is all of it and `alike` how many frames say the same thing; `white` (N) is the part from frame to frame.
+    `strokes` tells from how many repeats the slow part is known; 0 where it is not.
+    """
+
+    rms: float
+    alike: float
+    white: float
+    strokes: int = 0
+
+
+def weighed(solution: Solution) -> tuple[Solution, Noise]:
+    """Return the same law with every frame counted by the noise of the measurement, and that noise.
+
+    Of frames that are alike only some are kept: the others say nothing that these do not. White ones are averaged where
+    there are very many.
+    """
+    noise = noise_of(solution)
+    every = max(int(noise.alike / KEPT), 1)
+    if every > 1:
+        pieces = [_thinned(p, every) for p in solution.problem.pieces]
+        return _over(solution, pieces, noise.rms * float(np.sqrt(noise.alike / every))), noise
+    block = -(-solution.problem.n_frames // MAX_FRAMES)
+    pieces = [_averaged(p, block) for p in solution.problem.pieces]
+    return _over(solution, pieces, noise.rms * float(np.sqrt(max(noise.alike, 1.0) / block)), block), noise
+
+
+def noise_of(solution: Solution) -> Noise:
+    """Estimate the noise of all runs together: white, or what does not repeat from stroke to stroke."""
+    white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
+    apart = [d for r in solution.responses for d in _unrepeated(r.piece, r.r * r.piece.sigma)]
+    if not apart:
+        return Noise(white, 1.0, white)
+    whole = np.concatenate([d for d, _ in apart])
+    strokes = sum(n for _, n in apart)
+    rms = float(np.sqrt(np.mean(whole**2)))
+    if rms < SLOW * white:
+        return Noise(white, 1.0, white, strokes)
+    return Noise(rms, max(correlation_frames(d) for d, _ in apart), white, strokes)
+
+
+def _unrepeated(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
+    """What of a residual (n,) differs from stroke to stroke, end to end, and how many strokes tell; group by group."""
+    rows = piece.at if isinstance(piece, SeriesPiece) else np.arange(len(piece.t))
+    x, v = piece.path.x[rows], np.abs(piece.path.v[rows])
+    for coordinate in (x, v):
+        groups = list(_groups(strokes(coordinate), coordinate, v))
+        if groups:
+            for group in groups:
+                yield _differences(group, coordinate, left), len(group)
+            return
+
+
+def strokes(coordinate: Array) -> list[Rows]:
+    """Rows of the stretches over which a coordinate (n,) goes one way, but for turns below a quarter of its range.
+
+    Examples
+    --------
+    >>> [len(s) for s in strokes(np.array([0.0, 1.0, 2.0, 1.9, 2.0, 1.0, 0.0]))]
+    [2, 5]
+
+    """
+    least = TURN * float(np.ptp(coordinate))
+    turns, way, far = [0], 0, 0
+    for i in range(1, len(coordinate)):
+        step = coordinate[i] - coordinate[far]
+        if way == 0 and abs(step) >= least > 0:
+            way = 1 if step > 0 else -1
+            far = i
+        elif way * step > 0:
+            far = i
+        elif way and -way * step >= least:
+            turns.append(far)
+            way, far = -way, i
+    return [np.arange(a, b) for a, b in zip(turns, [*turns[1:], len(coordinate)], strict=True) if b - a > 1]
+
+
+def _groups(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[list[Rows]]:
+    """Strokes that can be compared: the same way, alike in length and speed, at least `MIN_STROKES` of them."""
+    length = max((float(np.ptp(coordinate[s])) for s in found), default=0.0)
+    long = [s for s in found if np.ptp(coordinate[s]) >= MIN_SHARE * length > 0]
+    for way in (1.0, -1.0):
+        mine = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == way]
+        if not mine:
+            continue
+        usual = float(np.median([np.median(speed[s]) for s in mine]))
+        alike = [s for s in mine if abs(np.median(speed[s]) - usual) <= ALIKE_SPEED * usual]
+        if len(alike) >= MIN_STROKES:
+            yield alike
+
+
+def _differences(group: Sequence[Rows], coordinate: Array, left: Array) -> Array:
+    """A residual less its mean over all strokes at the same place, unbiased, end to end in time."""
+    low = max(float(coordinate[s].min()) for s in group)
+    high = min(float(coordinate[s].max()) for s in group)
+    low, high = low + END * (high - low), high - END * (high - low)
+    at = np.linspace(low, high, GRID)
+    each = [_at_places(coordinate[s], left[s], at) for s in group]
+    mean = np.mean(each, axis=0)
+    unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
+    inside = [s[(coordinate[s] >= low) & (coordinate[s] <= high)] for s in group]
+    return np.concatenate([unbiased * (left[s] - np.interp(coordinate[s], at, mean)) for s in inside])
+
+
+def _at_places(coordinate: Array, left: Array, at: Array) -> Array:
+    """A residual over a coordinate that goes one way but for its noise, at places (k,)."""
+    order = np.argsort(coordinate)
+    return np.interp(at, coordinate[order], left[order])
+
+
+def _over(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
+    """The same law over other frames, all of one noise, N; faster lines than averaged frames show are left out."""
+    ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
+    layout = solution.problem.layout
+    spans = tuple(replace(s, fps=s.fps / block) for s in layout.spans)
+    problem = solution.problem.over(replace(layout, spans=spans), ready)
+    held = np.zeros(len(solution.p), dtype=bool)
+    return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
+
+
+def _thinned(piece: Piece, every: int) -> Piece:
+    rows = slice(None, None, every)
+    return replace(
+        piece, frames=piece.frames[rows], t=piece.t[rows], y=piece.y[rows], sigma=piece.sigma[rows], at=piece.at[rows]
+    )
+
+
+def _averaged(piece: Piece, block: int) -> Piece:
+    """Blocks of neighbouring frames in one direction as one frame each, their mean friction at the middle one."""
+    if block <= 1:
+        return piece
+    whole = len(piece.t) // block * block
+    frames, y = piece.frames[:whole].reshape(-1, block), piece.y[:whole].reshape(-1, block)
+    way = piece.path.s[piece.at[:whole]].reshape(-1, block)
+    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(way, axis=1) == 0)
+    middle = (np.arange(len(frames)) * block + block // 2)[kept]
+    thin = replace(
+        piece, frames=piece.frames[middle], t=piece.t[middle], sigma=piece.sigma[middle], at=piece.at[middle]
+    )
+    return replace(thin, y=y[kept].mean(axis=1))

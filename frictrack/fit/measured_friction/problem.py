@@ -1,0 +1,271 @@
+"""Where a load cell measured friction itself: the law is held against that series, along the measured motion.
+
+Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, since what
+remembers (presliding, lag) needs all that went before; only the moving frames are compared. At unit mass F stands in
+the place of the displacement, without a start of its own and seen as it is, so all that reads a `Problem` works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.effects import Path, Span
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Problem, Response, Solution, refine
+from frictrack.fit.parameters import Layout
+from frictrack.fit.segments import Begin, Piece, Reference, begin_of, path_of_rows
+from frictrack.fit.separable import brief
+from frictrack.friction import free_section, is_moving
+from frictrack.models import Model
+from frictrack.motion import noise_level
+from frictrack.records import Array, Run, stretches
+from frictrack.simulate.dynamics import Linear, Motion6, Panels
+
+QUIET = 1e-9  # of the largest friction: less noise than that is none
+ALONG = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # what a path has frame by frame beside x and v
+HELD = 0.5  # of the median friction: what a mass at rest must hold to be on one side
+MOVED = 3.0  # standard deviations by which a stuck mass must have crept to have moved
+
+
+class Frames(Panels):
+    """Nodes that are the frames of a run themselves: nothing is integrated between them."""
+
+    @property
+    def t(self) -> Array:
+        """Times of the frames, s, shape (n,)."""
+        return self.edges
+
+
+class Seen(Linear):
+    """The response of a force that is measured as it is: at unit mass, less the acceleration it makes."""
+
+    def __init__(self) -> None:  # nothing is integrated
+        pass
+
+    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """The forces (n, k) behind accelerations g (n, k), twice: as nodes, and as edge states (n, 2, k)."""
+        return g, self.moved(g)
+
+    def moved(self, g: Array) -> Array:
+        """The edge states alone."""
+        return np.stack([-g, np.zeros_like(g)], axis=1)
+
+
+@dataclass(frozen=True)
+class SeriesPiece(Piece):
+    """One run whose friction was measured: y is that friction, N, at the compared frames, rows `at` of the path."""
+
+    def refined(self, per_frame: int) -> Piece:
+        """The same piece: nothing lies between its frames."""
+        return self
+
+    def at_frames(self, x: Array, v: Array, level: float) -> Path:
+        """The path at the compared frames, for effects without memory."""
+        known = {name: getattr(self.path, name) for name in ALONG}
+        here: dict[str, Any] = {name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)}
+        return replace(self.path, x=x, v=v, load=self.path.load * level, **here)
+
+
+class SeriesProblem(Problem):
+    """A model over runs whose friction was measured; the pieces are `SeriesPiece`, one per run."""
+
+    simulates = False
+
+    def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
+        """The same kind of measurement under another layout, or over other pieces."""
+        return SeriesProblem(layout.model, layout, pieces)
+
+    def first_starts(self) -> list[Array]:
+        """None has a start that could be unknown."""
+        return [np.zeros(0) for _ in self.pieces]
+
+    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+        """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
+        return piece.along(motion.x, motion.v, level)
+
+    def _respond(self, i: int, p: Array, start: Array) -> Response:
+        piece, layout = self.pieces[i], self.layout
+        path = piece.path
+        motion = Motion6(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
+        active = layout.active(piece.run)
+        values, level = layout.values(p, piece.run)
+        force = self.model.force(piece.along(path.x, path.v, level), values)[piece.at]
+        residual = (piece.y - force) / piece.sigma
+        jac = -self._inputs(piece, p, motion, active)[piece.at] / piece.sigma[:, None]
+        none = np.zeros((0, 0))
+        return Response(
+            piece=piece,
+            motion=motion,
+            linear=Seen(),
+            active=active,
+            model_y=force,
+            shift_slope=np.zeros_like(force),
+            r=residual,
+            jac=jac,
+            q=np.zeros((len(force), 0)),
+            upper=none,
+            on_start=np.zeros((0, len(active))),
+            r_full=residual,
+        )
+
+
+def compact(solution: Solution) -> Solution:
+    """The same law along the compared frames alone, where friction was measured and nothing in the law remembers.
+
+    What lies between frames of which few are kept says nothing then, but takes time.
+    """
+    problem = solution.problem
+    if not is_series(problem) or problem.model.memory:
+        return solution
+    pieces = [_shortened(p) for p in problem.pieces]
+    if all(new is old for new, old in zip(pieces, problem.pieces, strict=True)):
+        return solution
+    short, held = problem.over(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
+    return refine(short, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
+
+
+def _shortened(piece: Piece) -> Piece:
+    """A piece whose path holds its compared frames alone, where they are few."""
+    path = brief(piece, piece.path.x, piece.path.v, 1.0)
+    if path is None:
+        return piece
+    return replace(
+        piece,
+        panels=Frames(path.t),
+        at=np.arange(len(path.t)),
+        x_hat=path.x,
+        v_hat=path.v,
+        a_hat=piece.a_hat[piece.at],
+        known=piece.known[piece.at],
+        path=path,
+    )
+
+
+def is_series(problem: Problem) -> bool:
+    """Whether friction itself was measured."""
+    return isinstance(problem, SeriesProblem)
+
+
+def measured(runs: Sequence[Run], domain: str | None) -> bool:
+    """Whether these runs are fitted to their measured friction; they are unless the displacement is asked for.
+
+    Raises FrictrackError where only some runs have it.
+    """
+    bare = [run.name for run in runs if run.friction_N is None]
+    if domain == "displacement" or len(bare) == len(runs):
+        return False
+    if bare:
+        raise FrictrackError(
+            f"expected friction_N of all runs or of none but {', '.join(bare)} of {len(runs)} runs "
+            f"{'has' if len(bare) == 1 else 'have'} none; give these a study of their own"
+        )
+    return True
+
+
+def check_model(model: Model) -> None:
+    """Raises FrictrackError (usage) for an effect on a picture, which a measured friction does not have."""
+    pictures = [e.name for e in model.effects if e.acts_on == "measurement"]
+    if pictures:
+        raise FrictrackError(
+            f"expected effects on the force, since friction itself was measured, but {', '.join(pictures)} acts on the "
+            "picture; take it out",
+            usage=True,
+        )
+
+
+def common_load(runs: Sequence[Run]) -> float:
+    """The normal load at which newtons are quoted, N: the first run's; NaN where it is not known of every run."""
+    known = [np.nan if run.load is None else run.load for run in runs]
+    return float(known[0]) if np.all(np.isfinite(known)) else float("nan")
+
+
+def series_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
+    """One piece per run, all in units of one noise: residuals in N count alike.
+
+    `reference` is the normal load at which newtons are quoted, N; NaN where it is not known of every run.
+    """
+    noise = float(np.sqrt(np.mean([_noise(run) ** 2 for run in runs])))
+    loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
+    return [_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
+
+
+def spans_of_series(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
+    """How far every run reaches in time since release, place and speed."""
+    return tuple(_span(piece, fps) for piece in pieces)
+
+
+def _span(piece: Piece, fps: float) -> Span:
+    x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
+    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
+
+
+def _noise(run: Run) -> float:
+    """White noise of the cell, N: as stated, else its own."""
+    if run.noise is not None:
+        return run.noise
+    series = np.asarray(run.friction_N, dtype=float)
+    known = np.isfinite(series)
+    sigma = float(np.nan_to_num(noise_level(series, known)[0]))
+    return max(sigma, QUIET * float(np.max(np.abs(series[known]), initial=0.0)), 1e-12)
+
+
+def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
+    free, _ = free_section(run)
+    series = np.asarray(run.friction_N, dtype=float)
+    rows = np.flatnonzero(free & np.isfinite(series))
+    rows = rows[rows > 0]  # the first frame says on which side friction held before
+    known = np.flatnonzero(np.isfinite(series))
+    whole = np.interp(np.arange(len(series)), known, series[known])
+    begin = begin_of(run, Reference(run.mass or 1.0, 1.0))
+    path = _measured_path(run, begin, whole, load)
+    return SeriesPiece(
+        run=index,
+        frames=rows,
+        t=path.t[rows],
+        y=series[rows],
+        sigma=np.full(len(rows), noise),
+        panels=Frames(path.t),
+        at=rows,
+        per_frame=1,
+        x_hat=path.x,
+        v_hat=path.v,
+        a_hat=-whole,
+        known=np.zeros_like(path.t),
+        path=path,
+        mass=1.0,
+        way=begin.way,
+        systematic=run.drift or 0.0,
+    )
+
+
+def _measured_path(run: Run, begin: Begin, force: Array, load: float) -> Path:
+    """The measured motion from the first frame to the last: its friction may turn on any of the way before."""
+    t, x, v = run.motion.t - begin.release, np.asarray(run.motion.x), _velocity(run)
+    slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) * (v[1:] != 0))])
+    held = float(np.sign(force[0])) if abs(force[0]) > HELD * np.median(np.abs(force)) else 0.0
+    known = path_of_rows(run, np.arange(len(t)), t, begin)
+    gone = slid - slid[int(np.searchsorted(t, 0.0))]
+    return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=gone, begins=x)
+
+
+def _velocity(run: Run) -> Array:
+    """Velocity (n,), that of a stuck mass as steady as it creeps: noise would add up to a way that was never gone."""
+    motion = run.motion
+    v = np.array(motion.v)
+    for s in stretches(~is_moving(run)):
+        first, last = s.start, s.stop - 1
+        crept = motion.x[last] - motion.x[first]
+        sure = abs(crept) > MOVED * float(np.hypot(motion.sigma_x[first], motion.sigma_x[last]))
+        v[s] = crept / (motion.t[last] - motion.t[first]) if sure and last > first else 0.0
+    return v
+
+
+def _direction(v: Array, held: float) -> Array:
+    """Direction of motion (n,); at rest the last one, at first the side on which friction is held."""
+    s = np.concatenate([[held], np.sign(v[1:])])
+    last = np.maximum.accumulate(np.where(s != 0, np.arange(len(s)), 0))
+    return np.asarray(s[last])

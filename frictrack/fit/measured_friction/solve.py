@@ -1,0 +1,209 @@
+"""The law of a measured friction: from nothing to least squares, its deviations, and what it says of hidden frames.
+
+The cell's white noise comes from its own fifth differences. What a law misses is mostly far above that and alike from
+frame to frame, so deviations come from what blocks of frames, longer than this likeness, pull the law to; and blocks
+are what is held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+from scipy.stats import t as student
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.global_search import searched, spread_of
+from frictrack.fit.least_squares import (
+    HIDDEN_SIGMA_FACTOR,
+    Solution,
+    covariance_of,
+    is_predictable,
+    refine,
+    settle_scatter,
+)
+from frictrack.fit.measured_friction.problem import SeriesProblem, spans_of_series
+from frictrack.fit.parameters import Layout, restraint_rows
+from frictrack.fit.segments import Piece
+from frictrack.fit.separable import Along, Block, Misfit, Projected, Reduced, State, brief, picked, search_of
+from frictrack.models import Model
+from frictrack.records import Array, Mask
+
+PICKS = 3  # points of a grid that are refined
+TRIALS = 200  # points of a grid over what reshapes dry friction, at most
+LONGER = 2.0  # times the likeness of the residual: length of a block
+FEWEST = 8  # blocks that a run is cut into at least
+BATCHES = 2  # blocks per unknown at least
+Z95 = 1.96
+
+
+def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
+
+    Raises FrictrackError when the runs lack what an effect needs.
+    """
+    layout = _layout(model, pieces, names, fps)
+    along = Along(layout, [_block(p) for p in pieces])
+    state = _reshaped(Projected(along, along.data), search_of(along)())
+    problem = SeriesProblem(model, layout, pieces)
+    return settle_scatter(problem, along.law(state.numbers, state.coefficients), problem.first_starts())
+
+
+def search_series(
+    model: Model,
+    pieces: Sequence[Piece],
+    known: tuple[tuple[str, ...], float],
+    how: tuple[str, str, np.random.Generator],
+) -> tuple[Solution, tuple[Array, Array]]:
+    """The law that a global search finds, as it is, and its "group of feasible solutions": unknowns (k, P), SSE in N^2.
+
+    `known` holds the names of the runs and the frame rate; `how` method, what is searched ("all" or "nonlinear"), rng.
+    Raises FrictrackError when the runs lack what an effect needs.
+    """
+    (names, fps), (method, over, rng) = known, how
+    layout = _layout(model, pieces, names, fps)
+    kind = Reduced if over == "nonlinear" else Misfit
+    misfit = kind(layout, [_block(p) for p in pieces], unit=float(pieces[0].sigma[0]) ** 2)
+    optima, costs = searched(misfit, method, rng, np.ones(len(layout.slots)))
+    problem = SeriesProblem(model, layout, pieces)
+    held = np.zeros(len(layout.slots), dtype=bool)
+    tau = spread_of(layout, optima[0])
+    return refine(problem, optima[0], problem.first_starts(), tau=tau, free=held, max_steps=0), (optima, costs)
+
+
+def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Layout:
+    lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
+    if any(lacking):
+        raise FrictrackError(next(filter(None, lacking)))
+    return Layout(model, names, spans_of_series(pieces, fps))
+
+
+def _block(piece: Piece) -> Block:
+    """The compared frames of a run as the search sees them."""
+    weight = 1.0 / piece.sigma
+    return Block(
+        run=piece.run,
+        path=piece.path,
+        data=piece.y * weight,
+        forward=lambda rows: picked(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(picked(rows, piece.at)),
+        friction=-piece.a_hat / piece.path.load,
+        brief=brief(piece, piece.path.x, piece.path.v, 1.0),
+    )
+
+
+def _reshaped(problem: Projected, state: State) -> State:
+    """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
+    for g, group in enumerate(problem.along.groups):
+        if not any(e.modifies and not e.linear for e in group.model.effects):
+            continue
+        found = [problem.at(numbers, state, {g}) for numbers in _grid(problem, state.numbers, g)]
+        best = sorted(found, key=lambda s: s.misfit)[:PICKS]
+        state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
+    return state
+
+
+def _grid(problem: Projected, numbers: Array, g: int) -> list[Array]:
+    """Numbers (P,) at the points of a coarse grid over the scanned ones of a group."""
+    layout = problem.layout
+    scanned = {}
+    for i in problem.along.groups[g].numbers:
+        slot = layout.slots[i]
+        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        if parameter.scan is not None:
+            scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
+    most = max(int(TRIALS ** (1 / max(len(scanned), 1))), 2)
+    axes = [axis[np.linspace(0, len(axis) - 1, min(most, len(axis))).round().astype(int)] for axis in scanned.values()]
+    out = []
+    for point in product(*axes):
+        out.append(numbers.copy())
+        out[-1][list(scanned)] = point
+    return out
+
+
+def likeness(r: Array) -> int:
+    """Frames over which a residual (n,) is alike: where its autocorrelation falls below 1/e; 0 for white noise."""
+    n = len(r)
+    if n < 8:
+        return 0
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[: n // 2]
+    rho = rho / max(float(rho[0]), 1e-300)
+    if rho[1] < 3.0 / np.sqrt(n):
+        return 0
+    below = np.flatnonzero(rho < np.exp(-1.0))
+    return int(below[0]) if len(below) else n // 2
+
+
+def blocks(solution: Solution) -> list[list[slice]]:
+    """Every run cut into blocks of frames: longer than the residual is alike, enough of them for the unknowns."""
+    enough = max(FEWEST, -(-BATCHES * len(solution.p) // len(solution.responses)))
+    return [_cut(len(r.r), likeness(r.r), enough) for r in solution.responses]
+
+
+def _cut(n: int, alike: int, enough: int) -> list[slice]:
+    length = min(max(int(np.ceil(LONGER * alike)), 1), max(n // enough, 1))
+    edges = np.linspace(0, n, max(n // length, 1) + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def covariance(solution: Solution) -> Array:
+    """Covariance of the unknowns (P, P): that of white noise where the residual is, else the scatter of blocks."""
+    plain, _ = covariance_of(solution)
+    if all(likeness(r.r) == 0 for r in solution.responses):
+        return plain
+    pulls = []
+    for r, cut in zip(solution.responses, blocks(solution), strict=True):
+        for rows in cut:
+            pulls.append(np.zeros(len(solution.p)))
+            pulls[-1][r.active] = r.jac[rows].T @ r.r[rows]
+    count = len(pulls)
+    widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    each = np.array(pulls)
+    return np.asarray(plain @ (widen * each.T @ each + held.T @ held) @ plain)
+
+
+def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
+    """Root mean square of the held-out residual, N, and how it was held out: "run" or "frames".
+
+    By run: the shared parameters from the other runs, the run's own from its even blocks, its odd blocks are scored.
+    Otherwise the even blocks of all runs fit and the odd ones score. `by` asks for one of the two.
+    """
+    problem = solution.problem
+    hidden = [_odd(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]
+    if by == "frames" or len(problem.pieces) < 2 or (by is None and not is_predictable(solution)):
+        half = problem.over(problem.layout, [_without(p, h) for p, h in zip(problem.pieces, hidden, strict=True)])
+        found = refine(half, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=10)
+        return _rms(found, hidden), "frames"
+    squares = [_left_out(solution, i, h) ** 2 for i, h in enumerate(hidden)]
+    return float(np.sqrt(np.average(squares, weights=[np.sum(h) for h in hidden]))), "run"
+
+
+def _left_out(solution: Solution, i: int, hidden: Mask) -> float:
+    """Root mean square residual, N, over the hidden frames of one run, predicted by the others."""
+    problem, layout = solution.problem, solution.problem.layout
+    piece = problem.pieces[i]
+    own = np.array([s.run == piece.run for s in layout.slots])
+    others = problem.over(layout, [p for p in problem.pieces if p is not piece])
+    known = refine(others, solution.p, others.first_starts(), tau=solution.tau or 0.03, free=~own, max_steps=10)
+    alone = problem.over(replace(layout, levels_free=True), [_without(piece, hidden)])
+    return _rms(refine(alone, known.p, alone.first_starts(), free=own, max_steps=10), [hidden])
+
+
+def _odd(n: int, cut: Sequence[slice]) -> Mask:
+    out = np.zeros(n, dtype=bool)
+    for rows in cut[1::2]:
+        out[rows] = True
+    return out
+
+
+def _without(piece: Piece, hidden: Mask) -> Piece:
+    return replace(piece, sigma=np.where(hidden, HIDDEN_SIGMA_FACTOR, 1.0) * piece.sigma)
+
+
+def _rms(solution: Solution, hidden: Sequence[Mask]) -> float:
+    left = [(r.piece.y - r.model_y)[h] for r, h in zip(solution.responses, hidden, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))

@@ -1,0 +1,118 @@
+"""What a law fitted to a measured friction is told by: curves, errors in newtons, one row per run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from frictrack.fit.least_squares import Response, Solution
+from frictrack.fit.measured_friction.noise import Noise
+from frictrack.fit.measured_friction.problem import SeriesPiece
+from frictrack.fit.measured_friction.solve import likeness
+from frictrack.records import Array, Curve, Run
+
+MONOTONE = 0.99  # rank correlation with time from which a series goes one way
+DRIFTING = 1.5  # times the white noise from which slow misfit is worth a remark
+UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
+
+
+def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
+    """Model beside measurement at the compared frames of every run; x, v and a are the measured motion itself."""
+    return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
+
+
+def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
+    piece, model = response.piece, solution.problem.model
+    values, level = solution.problem.layout.values(solution.p, piece.run)
+    path = piece.along(piece.path.x, piece.path.v, level)
+    parts = {
+        name: np.asarray(block @ model.coefficients(name, values))[piece.at]
+        for name, block in model.force_columns(path, values).items()
+    }
+    rows = piece.frames
+    return Curve(
+        t=run.motion.t[rows],
+        x=run.motion.x[rows],
+        sigma_x=run.motion.sigma_x[rows],
+        x_model=run.motion.x[rows],
+        v_model=run.motion.v[rows],
+        a_model=run.motion.a[rows],
+        F_model=response.model_y,
+        run=run.name,
+        role=role,
+        parts=parts,
+    )
+
+
+def errors_of(responses: Sequence[Response]) -> dict[str, Any]:
+    """Errors of a law over some runs, in N; what needs a displacement of the model is null."""
+    left = np.concatenate([r.piece.y - r.model_y for r in responses])
+    force = np.concatenate([r.piece.y for r in responses])
+    return dict.fromkeys(UNKNOWN) | {
+        "rms_N": _rms(left),
+        "noise_N": white(responses),
+        "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
+    }
+
+
+def white(responses: Sequence[Response]) -> float:
+    """White noise of the cell, N, rms."""
+    return _rms(np.concatenate([r.piece.sigma for r in responses]))
+
+
+def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
+    """One run in the JSON of `fit`: level, noise, over how long the residual is alike, errors."""
+    response = next(r for r in solution.responses if r.piece.run == index)
+    _, level = solution.problem.layout.values(solution.p, index)
+    interval = float(np.median(np.diff(run.motion.t)))
+    return {
+        "run": run.name,
+        "role": role,
+        "level": level,
+        "noise_um": None,
+        "noise_N": white([response]),
+        "correlated_s": likeness(response.r) * interval,
+        "segments": 1,
+        "segment_s": float(response.piece.t[-1] - response.piece.t[0]),
+        "errors": errors_of([response]),
+    }
+
+
+def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
+    """Say what a diagnosis on a measured friction rests on: its noise, and what a drifting sensor would explain."""
+    out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
+    if all(_goes_one_way(r) for r in solution.responses):
+        out.append(
+            "place, time and speed rise together in these records: what goes with one of them may go with another; a "
+            "record at another speed, or one that slows down again, tells them apart"
+        )
+    left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
+    if noise.strokes and noise.alike > 1:
+        interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
+        out.append(
+            f"noise {noise.rms:.2g} N rms, alike over {noise.alike * interval:.2g} s: what does not repeat between "
+            f"{noise.strokes} strokes over the same places (white noise {noise.white:.2g} N)"
+        )
+    elif not noise.strokes and left > DRIFTING * noise.white:
+        slow = float(np.sqrt(left**2 - noise.white**2))
+        out.append(
+            f"noise {noise.white:.2g} N rms from frame to frame; no stroke is repeated, so slow misfit counts as "
+            f"misfit: a drifting sensor would have to explain {slow:.2g} N rms, {100 * (slow / left) ** 2:.1f} % of "
+            'it; repeat the run, or state the instrument: noise = "0.004 N", drift = "0.01 N"'
+        )
+    return out
+
+
+def _goes_one_way(response: Response) -> bool:
+    """Whether place and speed of a record rise or fall with time throughout, but for their noise."""
+    piece = response.piece
+    rows = piece.at if isinstance(piece, SeriesPiece) else slice(None)
+    series = piece.path.x[rows], np.abs(piece.path.v[rows])
+    return all(abs(float(spearmanr(piece.t, q).statistic)) > MONOTONE for q in series if np.ptp(q) > 0)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,242 @@
+"""The motion that a fitted law itself tells: x, v, a and F of every run, with bands from the fit alone.
+
+A law that holds has only its few unknowns to be wrong in, so its acceleration is known several times better than
+any smoother can tell it. All unknowns are moved together, each start with them, along independent directions by one
+standard deviation; what moves in x, v, a and F is the band. Exact to first order: x and v by the linear response of
+the motion, F and a by differences along that motion.
+
+What the law misses stands in its residual: to first order, modelled less true displacement is the residual without
+its noise. What is told there from white noise is counted into the bands with its first two derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from scipy.fft import dct
+from scipy.interpolate import make_interp_spline
+from scipy.special import ndtri
+
+from frictrack.fit.collisions import struck
+from frictrack.fit.least_squares import Response, Solution, inverse
+from frictrack.fit.parameters import friction_law, ratio, restraint_rows
+from frictrack.motion import noise_level
+from frictrack.records import Array, Modelled, Run
+
+Teller = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+STEP = 1e-6  # of a standard deviation, for differences
+ALARMS = 1e-3  # chance that white noise of one stretch looks like something that was missed
+SURE = 4.0  # standard deviations of chi-squared per frame beyond which it is clearly above one
+
+
+def modelled(
+    solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
+) -> tuple[Modelled, ...]:
+    """Compute the fitted model's own motion with its bands, one table per run, validation runs last.
+
+    A band holds the parameters, the starts and the camera's noise; mass and scale are common to all and stand apart.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fitted model.
+    covariance : (P, P) array
+        Covariance of its unknowns.
+    runs : sequence of Run
+        The fitted runs, in the order of the solution.
+    validation : sequence of (Solution, Run)
+        Validation runs with the solutions that predict them.
+
+    Returns
+    -------
+    tuple of Modelled
+        Motion and bands of every run, validation runs last.
+
+    """
+    motions = [_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
+    for own, run in validation:
+        motions.append(replace(_motion(own, _predicted(solution, covariance, own), 0, run), role="validation"))
+    return tuple(motions)
+
+
+def covariance_at_fitted_scatter(solution: Solution) -> Array:
+    """Compute the covariance (P, P) of the unknowns at the fitted scatter of the friction levels.
+
+    Unlike `covariance_of` it is not widened for a scatter known from few runs: that would separate each run's level
+    from the coefficient that it multiplies, while their product is known as well as the run is.
+    """
+    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    return inverse(np.vstack([solution.jac, held]))[0]
+
+
+def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array:
+    """Covariance of the unknowns under which a validation run is predicted: shared ones from the fit, its own free."""
+    theirs, mine = fitted.problem.layout.slots, solution.problem.layout.slots
+    shared = {(s.effect, s.parameter): i for i, s in enumerate(theirs) if s.run is None}
+    common = [i for i, s in enumerate(mine) if s.run is None]
+    own = [i for i, s in enumerate(mine) if s.run is not None]
+    at = [shared[mine[i].effect, mine[i].parameter] for i in common]
+    known, jac = covariance[np.ix_(at, at)], solution.jac
+    free = np.zeros((len(mine), len(mine)))
+    free[np.ix_(common, common)] = known
+    if own:
+        own_covariance, _ = inverse(jac[:, own])
+        follow = -own_covariance @ jac[:, own].T @ jac[:, common]
+        free[np.ix_(own, common)] = follow @ known
+        free[np.ix_(common, own)] = free[np.ix_(own, common)].T
+        free[np.ix_(own, own)] = own_covariance + follow @ known @ follow.T
+    return free
+
+
+def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> Modelled:
+    """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
+    mine = [r for r in solution.responses if r.piece.run == index]
+    lacks = [lacking(r, run, ALARMS / len(mine)) for r in mine]
+    parts = [_stretch(solution, covariance, r, lack) for r, lack in zip(mine, lacks, strict=True)]
+    parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
+    columns = [f.name for f in fields(Modelled) if f.metadata.get("column")]
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
+    once = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
+    whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
+    return Modelled(**{name: column[once] for name, column in whole.items()}, run=run.name, notes=_notes(lacks))
+
+
+def _stretch(solution: Solution, covariance: Array, response: Response, lack: Lack) -> Modelled:
+    piece = response.piece
+    x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
+    force, a = _teller(solution, response)(solution.p, x, v)
+    sigma = np.array([np.sqrt(np.sum(m**2, axis=1)) for m in _moves(solution, covariance, response, x, v)])
+    gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
+    sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
+    return Modelled(
+        t=piece.t,
+        x=x,
+        v=v,
+        a=a,
+        F=force,
+        sigma_x=sigma_x,
+        sigma_v=sigma_v,
+        sigma_a=sigma_a,
+        sigma_F=sigma_F,
+        blow=struck(solution, covariance, piece),
+        segment=np.zeros(len(x), dtype=np.int_),
+    )
+
+
+def _teller(solution: Solution, response: Response) -> Teller:
+    """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,).
+
+    A mass that is fitted acts as one more force; every coefficient stands for `ratio` times itself.
+    """
+    piece, problem = response.piece, solution.problem
+    known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
+    friction = friction_law(problem.model)
+
+    def told(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+        values, level = problem.layout.values(p, piece.run)
+        path = piece.at_frames(x, v, level)
+        force = friction.force(path, values) / ratio(problem.layout, p)
+        return force, known - problem.model.force(path, values) / piece.mass
+
+    return told
+
+
+def _moves(solution: Solution, covariance: Array, response: Response, x: Array, v: Array) -> list[Array]:
+    """Changes of x, v, a and F at the frames, (n, k) each, along k independent moves of one standard deviation.
+
+    The start is least squares for whatever the unknowns are, so it follows them; beside that it has its own error.
+    """
+    piece, active, p = response.piece, response.active, solution.p
+    n = len(active)
+    own = np.linalg.inv(response.upper)
+    half = _root(covariance[np.ix_(active, active)])
+    moves = np.block([[half, np.zeros((n, 2))], [-own @ response.on_start @ half, own]])
+    moved = solution.problem.moved(piece, p, response.motion, response.linear)
+    dx, dv = (moved @ moves).transpose(1, 0, 2)
+    unknown = np.zeros((len(p), n + 2))
+    unknown[active] = moves[:n]
+    told = _teller(solution, response)
+    changes = []
+    for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
+        after, before = (told(p + h * u, x + h * ex, v + h * ev) for h in (STEP, -STEP))
+        changes.append((np.array(after) - np.array(before)) / (2 * STEP))
+    force, a = np.array(changes).transpose(1, 2, 0)
+    return [dx, dv, a, force]
+
+
+def _root(covariance: Array) -> Array:
+    """A square root (n, n) of a covariance whose unknowns may differ in size by many powers of ten."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / size[:, None] / size)
+    return np.asarray(size[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a residual shows beyond white noise: rms of x (m), v (m/s), a (m/s^2); `factor` on the law's own band."""
+
+    rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    factor: float = 1.0
+    hertz: float | None = None  # where it stands out most; None: nothing is missed
+
+
+def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
+    """What one stretch's residual holds beyond the noise; white noise is taken for it with the chance `alarms`.
+
+    Its cosine transform is white where only noise is left; what stands out belongs to motion that the law misses.
+    What is too much without standing out anywhere is taken for coloured noise, and widens the law's own band.
+    """
+    piece = response.piece
+    n = len(piece.t)
+    z = dct(piece.whitened(piece.y - response.model_y), norm="ortho")
+    seen = np.abs(z) > ndtri(1 - alarms / (2 * n))
+    power = float(np.mean(z**2))
+    level = noise_level(run.displacement.x, run.displacement.valid)[1]
+    clear = power > 1 + SURE * float(np.sqrt(2 / n + (2 * level) ** 2))
+    if not (clear or np.any(seen)):
+        return Lack()
+    omega = np.pi * np.arange(n) / (piece.t[-1] - piece.t[0]) * (n - 1) / n
+    size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.noise**2)
+    x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
+    most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
+    rest = float(np.mean(z[~seen] ** 2)) if clear and not np.all(seen) else 1.0
+    return Lack((x, v, a), max(1.0, float(np.sqrt(rest))), most)
+
+
+def _notes(lacks: Sequence[Lack]) -> tuple[str, ...]:
+    """In words what a run's stretches miss: that of the worst one."""
+    found = [lack for lack in lacks if lack.hertz is not None]
+    if not found:
+        return ()
+    x, _, a = max(found, key=lambda lack: lack.rms[2]).rms
+    hertz = max(found, key=lambda lack: lack.rms[2]).hertz
+    where = f" in {len(found)} of {len(lacks)} segments" if len(lacks) > 1 else ""
+    return (
+        f"the model misses something{where}: its residual shows {1e6 * x:.2g} µm beyond the noise, most near "
+        f"{hertz:.0f} Hz, which is {a:.2g} m/s² rms; the bands hold only if nothing faster is missing, and at single "
+        "places the error may be larger; `frictrack diagnose` names what is missing",
+    )
+
+
+def bands(motion: Modelled, run: Run) -> dict[str, Any]:
+    """Root mean square bands of the modelled motion, and the smoothed acceleration's at the same frames: JSON.
+
+    Frames of a blow that is too short to be resolved are left out of both.
+    """
+    rows = np.searchsorted(run.motion.t, motion.t - 1e-9)[~motion.blow]
+
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    return {
+        "sigma_x_um": 1e6 * rms(motion.sigma_x[~motion.blow]),
+        "sigma_v": rms(motion.sigma_v[~motion.blow]),
+        "sigma_a": rms(motion.sigma_a[~motion.blow]),
+        "sigma_F_N": rms(motion.sigma_F[~motion.blow]),
+        "sigma_a_smoothed": rms(run.motion.sigma_a[rows]),
+        "notes": list(motion.notes),
+    }

@@ -1,0 +1,324 @@
+"""Where every unknown stands in the parameter vector: shared, per run, or the run's own friction level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from frictrack.effects import Effect, Parameter, Span
+from frictrack.effects.settings import Tie
+from frictrack.fit.parameters.constraints import MASS, Rule, follow, quoted, rules_of
+from frictrack.models import Model
+from frictrack.records import Array, Mask
+
+LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
+MIN_RUNS = 4  # fewer cannot tell how levels scatter: theirs are free about a mean of one
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One unknown: a parameter of an effect, shared (run is None) or of one run (its index)."""
+
+    effect: str
+    parameter: str
+    run: int | None
+    linear: bool
+    bounds: tuple[float, float]
+    unit: str
+
+    def name(self, runs: Sequence[str]) -> str:
+        """Address: `vibration.frequency`, `vibration.phase[v3]`."""
+        where = "" if self.run is None else f"[{runs[self.run]}]"
+        return f"{self.effect}.{self.parameter}{where}"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter beside the runs; `slot` is its place, None where it is quoted otherwise."""
+
+    address: str
+    mean: float
+    std: float
+    slot: int | None
+    phase: bool
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The unknowns of a model over some runs.
+
+    `fixed` holds values that are known; `rules` say what follows from unknowns (ties). `led` are the places of unknowns
+    that others follow: the law answers them with more than their own columns.
+    `absent` holds pairs (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
+    """
+
+    model: Model
+    run_names: tuple[str, ...]
+    spans: tuple[Span, ...]  # how far each run reaches
+    absent: frozenset[tuple[str, int]] = frozenset()
+    levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
+    slots: tuple[Slot, ...] = field(init=False)
+    fixed: dict[tuple[str, str], float] = field(init=False)
+    rules: tuple[Rule, ...] = field(init=False)
+    led: frozenset[int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", _told(self.model, self.span))
+        slots: list[Slot] = []
+        fixed: dict[tuple[str, str], float] = {}
+        for effect in self.model.effects:
+            for p in effect.parameters:
+                held = told(p, self.span)
+                if held is not None:
+                    fixed[effect.name, p.name] = held
+                if held is not None or p.tie is not None:
+                    continue
+                for run in self._runs_of(effect, p.per_run):
+                    bounds = reach(p, self.span if run is None else self.spans[run])
+                    slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
+        if len(self.run_names) > 1 and self.scales:
+            slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
+        object.__setattr__(self, "slots", tuple(slots))
+        object.__setattr__(self, "fixed", fixed)
+        object.__setattr__(self, "rules", rules_of(self.model))
+        object.__setattr__(self, "led", frozenset(self._leaders()))
+
+    def _leaders(self) -> list[int]:
+        """Places of the unknowns that others follow."""
+        targets, whole = set(), False
+        for rule in self.rules:
+            whole = whole or rule.quoted
+            if isinstance(rule.told, Tie):
+                targets.add((rule.told.effect, rule.told.parameter))
+        scaled = any(not isinstance(r.told, Tie) for r in self.rules)
+        return [
+            i
+            for i, s in enumerate(self.slots)
+            if (whole and s.effect != LEVEL) or (s.effect, s.parameter) in targets or (scaled and s.effect == MASS)
+        ]
+
+    def _runs_of(self, effect: Effect, per_run: bool) -> list[int | None]:
+        if not per_run:
+            return [None]
+        return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
+
+    @property
+    def span(self) -> Span:
+        """How far all runs reach together."""
+        return together(self.spans)
+
+    @property
+    def scales(self) -> bool:
+        """Whether any effect follows the run's friction level, and no coefficient of its own says it for each run."""
+        own = any(p.loaded and p.per_run and not p.role for e in self.model.effects for p in e.parameters)
+        return not own and any(e.scales_with == "load" for e in self.model.effects)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a coefficient that carries the load is not free to be anything."""
+        loaded = [p for e in self.model.effects for p in e.parameters if p.loaded]
+        return any(not p.free or p.prior is not None or np.isfinite(p.bounds[1]) for p in loaded)
+
+    @property
+    def names(self) -> list[str]:
+        """Addresses of all unknowns, in order."""
+        return [s.name(self.run_names) for s in self.slots]
+
+    @property
+    def levels(self) -> list[int]:
+        """Positions of the friction levels."""
+        return [i for i, s in enumerate(self.slots) if s.effect == LEVEL]
+
+    @property
+    def coefficients(self) -> Mask:
+        """Which unknowns the motion follows nearly linearly: coefficients and levels, (P,)."""
+        return np.array([s.linear or s.effect == LEVEL for s in self.slots], dtype=bool)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds, each (P,)."""
+        low, high = np.array([s.bounds for s in self.slots]).reshape(-1, 2).T
+        return low, high
+
+    def active(self, run: int) -> list[int]:
+        """Positions of the unknowns that touch one run."""
+        return [i for i, s in enumerate(self.slots) if s.run in (None, run)]
+
+    def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
+        """Values of every parameter in one run, and the run's friction level."""
+        out: dict[str, dict[str, float]] = {e.name: {} for e in self.model.effects}
+        for (effect, name), value in self.fixed.items():
+            out[effect][name] = value
+        level = 1.0
+        for i in self.active(run):
+            slot = self.slots[i]
+            if slot.effect == LEVEL:
+                level = float(p[i])
+            else:
+                out[slot.effect][slot.parameter] = float(p[i])
+        for e in self.model.effects:  # a cause that this run does not show
+            if (e.name, run) in self.absent:
+                out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}
+        follow(self.model, self.rules, out)
+        return out, level
+
+    def quoted(self, p: Array) -> dict[str, float]:
+        """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
+        q = 1.0 + sum(float(p[i]) for i, s in enumerate(self.slots) if s.effect == MASS)
+        scaled = {e.name for e in self.model.effects if e.acts_on == "force" and e.name != MASS}
+        out = {
+            name: float(p[i]) / (q if s.linear and s.effect in scaled else 1.0)
+            for i, (s, name) in enumerate(zip(self.slots, self.names, strict=True))
+            if s.effect != LEVEL
+        }
+        out |= {f"{effect}.{name}": value for (effect, name), value in self.fixed.items()}
+        curved = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
+        each = [self.values(p, run)[0] for run in range(len(self.run_names))] if curved else []
+        for e, r in curved:
+            found = [quoted(self.model, values, e.name, r.name) for values in each]
+            if self.own(e, r):
+                there = [run for run in self._runs_of(e, True) if run is not None]
+                out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in there}
+            else:
+                out[f"{e.name}.{r.name}"] = float(np.mean(found))
+        return out
+
+    def tied(self) -> list[tuple[str, Tie, str]]:
+        """Address, tie and unit of every parameter that follows another one, run by run where that has its own."""
+        out = []
+        for e in self.model.effects:
+            for p in (p for p in e.parameters if p.tie):
+                runs = [r for r in self._runs_of(e, True) if r is not None] if self.own(e, p) else [None]
+                places = ["" if r is None else f"[{self.run_names[r]}]" for r in runs]
+                out += [(f"{e.name}.{p.name}{place}", Tie.read(str(p.tie)), p.unit) for place in places]
+        return out
+
+    @cached_property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of the unknowns, in order; one per run where the parameter has a value in every run."""
+        effects = {e.name: e for e in self.model.effects}
+        weighed = MASS not in effects
+        made = []
+        for i, slot in enumerate(self.slots):
+            prior = None if slot.effect == LEVEL else effects[slot.effect].parameter(slot.parameter).prior
+            if prior is not None:
+                effect = effects[slot.effect]
+                plain = slot.parameter not in effect.quoted and (weighed or not slot.linear)
+                made.append(Prior(self.names[i], *prior, i if plain else None, _role(effect, slot) == "phase"))
+        return tuple(made)
+
+    def own(self, effect: Effect, p: Parameter) -> bool:
+        """Whether a parameter has a value in every run; a tied one has where the one that it follows has."""
+        if p.tie is None:
+            return p.per_run and p.fixed is None
+        tie = Tie.read(p.tie)
+        leader = next(e for e in self.model.effects if e.name == tie.effect)
+        return self.own(leader, leader.parameter(tie.parameter))
+
+    def seeks(self, effect: str, *parameters: str) -> bool:
+        """Whether all these parameters of an effect are unknowns that the runs share."""
+        shared = {s.parameter for s in self.slots if s.effect == effect and s.run is None}
+        return shared.issuperset(parameters)
+
+    def index(self, effect: str, parameter: str, run: int | None = None) -> int:
+        """Position of one unknown."""
+        for i, s in enumerate(self.slots):
+            if (s.effect, s.parameter, s.run) == (effect, parameter, run):
+                return i
+        raise KeyError((effect, parameter, run))
+
+
+def _told(model: Model, span: Span) -> Model:
+    """The model with those parameters fixed that the runs tell."""
+    known = [
+        e.adjusted(**{p.name: {"fixed": told(p, span)} for p in e.parameters if p.free and told(p, span) is not None})
+        for e in model.effects
+    ]
+    return replace(model, effects=tuple(known))
+
+
+def told(p: Parameter, span: Span) -> float | None:
+    """The value of a parameter that is fixed, or that the runs tell; None where it is free."""
+    return p.fixed if p.fixed is not None or p.known is None else p.known(span)
+
+
+def reach(p: Parameter, span: Span) -> tuple[float, float]:
+    """Bounds of a parameter for these runs: its own, and where it has none, one step beyond its scan."""
+    low, high = p.bounds
+    if p.scan is None:
+        return low, high
+    grid = np.sort(p.scan(span))
+    if not np.isfinite(low):
+        low = float(grid[0] - (grid[1] - grid[0]) if p.signed else grid[0] ** 2 / grid[1])
+    if not np.isfinite(high):
+        high = float(grid[-1] + (grid[-1] - grid[-2]) if p.signed else grid[-1] ** 2 / grid[-2])
+    return low, high
+
+
+def together(spans: Sequence[Span]) -> Span:
+    """The span of several runs."""
+    return Span(
+        duration=max(s.duration for s in spans),
+        x_min=min(s.x_min for s in spans),
+        x_max=max(s.x_max for s in spans),
+        v_min=min(s.v_min for s in spans),
+        v_max=max(s.v_max for s in spans),
+        fps=spans[0].fps,
+        clamp_x=spans[0].clamp_x,
+        beam_length=spans[0].beam_length,
+    )
+
+
+def settle(layout: Layout, p: Array) -> Array:
+    """The same law in its plain form: amplitudes positive, phases between -pi and pi.
+
+    What others follow, and a phase between narrower bounds, stays as it is.
+    """
+    p = np.array(p, dtype=float)
+    for effect in layout.model.effects:
+        phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
+        sizes = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _SIZES]
+        if layout.led & {*phases, *sizes} or any(np.ptp(layout.slots[i].bounds) < 2 * np.pi - 1e-9 for i in phases):
+            continue
+        if phases and len(sizes) == 1 and p[sizes[0]] < 0:
+            p[sizes[0]] *= -1
+            p[phases] += np.pi
+        elif phases and len(sizes) == len(phases):
+            flip = p[sizes] < 0
+            p[sizes] = np.abs(p[sizes])
+            p[phases] += np.pi * flip
+        p[phases] = (p[phases] + np.pi) % (2 * np.pi) - np.pi
+    return p
+
+
+def balanced(layout: Layout, p: Array) -> Array:
+    """The same law with levels about one: their common factor is given to the coefficients that carry the load.
+
+    The factor is the one that brings the levels closest to one, or their mean where too few runs leave only that held;
+    the motion does not change. What is known of a coefficient beside the runs already says what a level of one is.
+    """
+    levels = layout.levels
+    if not levels or layout.levels_free or layout.anchored:
+        return p
+    few = len(levels) < MIN_RUNS
+    factor = float(np.mean(p[levels])) if few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
+    p = np.array(p)
+    p[levels] /= factor
+    loaded = [
+        i
+        for e in layout.model.effects
+        for i, s in enumerate(layout.slots)
+        if s.effect == e.name and e.parameter(s.parameter).loaded
+    ]
+    p[loaded] *= factor
+    return p
+
+
+_SIZES = ("amplitude", "depth")
+
+
+def _role(effect: Effect, slot: Slot) -> str:
+    return effect.parameter(slot.parameter).role

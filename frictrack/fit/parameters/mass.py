@@ -1,0 +1,105 @@
+"""A mass that nobody weighed: where the drive is measured, 1/m is one more linear coefficient.
+
+The equation of motion is held in units of a guessed mass m_ref, its coefficients are those of
+
+    m_ref x'' = q D - q F + m_ref g,     q = m_ref/m,     g the gravity along the course, which no mass changes,
+
+so q - 1 multiplies the drive, and every coefficient of a force is fitted as q times itself. Once the law stands, m_ref
+is set to the mass that was found: q is 1 there, and all that reads the law finds kilograms and newtons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack.effects import Effect, Parameter, Path
+from frictrack.effects.base import Nonlinear
+from frictrack.errors import FrictrackError
+from frictrack.fit.parameters.constraints import MASS
+from frictrack.fit.parameters.layout import Layout
+from frictrack.models import Model
+from frictrack.records import Array, Run
+
+HEAVIEST = 1e-6  # q at the heaviest mass that is looked for
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """-D, shape (n, 1): N per unit of q - 1; zero where nothing drives."""
+    return -(np.zeros_like(path.t) if path.drive is None else path.drive)[:, None]
+
+
+MASS_EFFECT = Effect(
+    name=MASS,
+    acts_on="force",
+    equation="",
+    parameters=(Parameter("m", "kg", (HEAVIEST - 1.0, np.inf), linear=True),),
+    columns=columns,
+    what="The mass that slides, where it was not weighed but the drive was measured.",
+)
+
+
+def is_sought(runs: Sequence[Run]) -> bool:
+    """Whether the mass of these runs is to be fitted.
+
+    Raises FrictrackError when that cannot be: no measured drive, or only some runs were weighed.
+    """
+    unknown = [r.name for r in runs if r.mass is None]
+    undriven = [r.name for r in runs if r.mass is None and r.drive is None]
+    if undriven:
+        raise FrictrackError(
+            f'run "{undriven[0]}": expected a mass for a fit of the displacement but got none, and without a measured '
+            "drive force and mass scale together: weigh the slider and give mass, or measure the drive"
+        )
+    if unknown and len(unknown) < len(runs):
+        raise FrictrackError(
+            f"expected one mass to be fitted for all runs but only {', '.join(unknown)} of {len(runs)} runs leave it "
+            "open; leave it open for all, or weigh these too"
+        )
+    return bool(unknown)
+
+
+def with_mass(model: Model) -> Model:
+    """The law with its mass among the unknowns.
+
+    Raises FrictrackError (usage) for bounds in newtons, which say nothing before the mass is known.
+    """
+    for effect in (e for e in model.effects if e.acts_on == "force"):
+        for p in effect.linear:
+            if any(np.isfinite(b) and b != 0 for b in p.bounds):
+                raise FrictrackError(
+                    f"expected no bounds of {effect.name}.{p.name} where the mass is fitted too: forces are known "
+                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it",
+                    usage=True,
+                )
+    return Model((*model.effects, MASS_EFFECT))
+
+
+def friction_law(model: Model) -> Model:
+    """The law without its mass."""
+    return Model(tuple(e for e in model.effects if e.name != MASS))
+
+
+def ratio(layout: Layout, p: Array) -> float:
+    """Unit of mass over the mass, q, for unknowns p (P,); 1 where the mass is known."""
+    found = [i for i, s in enumerate(layout.slots) if s.effect == MASS]
+    return 1.0 + float(p[found[0]]) if found else 1.0
+
+
+def rescaled(layout: Layout, p: Array, q: float) -> Array:
+    """Unknowns p (P,) of the same law once the mass is counted in units q times smaller."""
+    out = np.array(p, dtype=float)
+    forces = {e.name for e in layout.model.effects if e.acts_on == "force"}
+    for i, s in enumerate(layout.slots):
+        if s.effect == MASS:
+            out[i] = (1.0 + p[i]) / q - 1.0
+        elif s.linear and s.effect in forces:
+            out[i] = p[i] / q
+    return out
+
+
+def weighed(run: Run, mass: float) -> Run:
+    """The run with the fitted mass, where it had none."""
+    return run if run.mass is not None or run.drive is None else replace(run, mass=mass)

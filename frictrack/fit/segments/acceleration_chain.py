@@ -1,0 +1,80 @@
+"""Compute accelerations of one piece as the papers do: low-pass, then double difference, a linear map of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from frictrack.fit.segments.pieces import MIN_FRAMES, Piece
+from frictrack.motion.filter import weights
+from frictrack.motion.grid import frame_grid
+from frictrack.motion.stencil import NODES, stencils
+from frictrack.motion.structure import Structure
+from frictrack.motion.system import Data, Factor
+from frictrack.records import Array, Mask, Run
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Low-pass and double difference of one piece: a linear map from its n frames to m accelerations, m/s^2.
+
+    The frames within the run's guard of either end are smoothed but not compared.
+    """
+
+    rows: NDArray[np.int64]  # place of every frame on the regular grid of N frames
+    weight: Array  # of the smoother, (N,), 0 where a frame is missing
+    factor: Factor  # the smoother
+    second: csr_array  # second derivative at the compared frames, (m, N)
+    sigma_a: Array  # noise of the accelerations, (m,)
+    kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
+    cutoff: float  # Hz
+
+    def apply(self, columns: Array) -> Array:
+        """Accelerations (m, k) of displacements (n, k)."""
+        full = np.zeros((len(self.weight), columns.shape[1]))
+        full[self.rows] = columns
+        out: Array = self.second @ self.factor.smooth(full)
+        return out
+
+    def transposed(self, columns: Array) -> Array:
+        """K' times columns (m, k), shape (n, k)."""
+        out: Array = (self.weight[:, None] * self.factor.answer(self.second.T @ columns))[self.rows]
+        return out
+
+    def only(self, rows: Mask) -> Chain:
+        """The same chain, compared only at the marked frames (n,) of the piece."""
+        use = rows[self.kept]
+        return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
+
+
+def chain_of(run: Run, piece: Piece) -> Chain:
+    """The chain of one piece at the cut-off of its run."""
+    grid = frame_grid(piece.t)
+    n, m = len(piece.t), run.motion.guard
+    guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
+    inside = np.arange(guard, n - guard)
+    kept = grid.frames[inside]
+    weight = grid.spread(weights(piece.sigma, np.ones(n, dtype=bool)))
+    smoother = Structure.low_pass(run.motion.cutoff, grid.interval).factored(Data(np.zeros(grid.n), weight))
+    start, table = stencils(grid.n, grid.interval)
+    noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
+    spread = noise * np.sqrt(smoother.passed(start, table[2:]))[0]
+    columns = (start[kept, None] + np.arange(NODES)).ravel()
+    second = csr_array(
+        (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
+    )
+    return Chain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
+
+
+def noise_of(chains: Sequence[Chain]) -> float:
+    """Root mean square noise of all compared accelerations, m/s^2."""
+    return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
+
+
+def chains_of(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[Chain]:
+    """The chains of all pieces."""
+    return [chain_of(runs[piece.run], piece) for piece in pieces]

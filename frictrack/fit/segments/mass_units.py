@@ -1,0 +1,36 @@
+"""Guess an unknown mass from the smoothed motion, and hold pieces in units of another mass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack.fit.segments.pieces import Piece
+from frictrack.records import Array
+
+
+def guessed(pieces: Sequence[Piece]) -> float:
+    """A first mass, kg: least squares of the smoothed acceleration on drive, direction and speed.
+
+    `pieces` are held in units of any mass. Where drive and acceleration do not go together, their ratio by size.
+    """
+    drive = np.concatenate([_drive(p) for p in pieces])
+    free = np.concatenate([p.a_hat - p.known + _drive(p) / p.mass for p in pieces])
+    beside = np.concatenate([np.column_stack([p.path.s, p.v_hat]) for p in pieces])
+    inverse = float(np.linalg.lstsq(np.column_stack([drive, beside]), free, rcond=1e-10)[0][0])
+    if inverse > 0 and np.isfinite(inverse):
+        return 1.0 / inverse
+    return float(np.sqrt(np.mean(drive**2) / np.mean(free**2))) or 1.0
+
+
+def _drive(piece: Piece) -> Array:
+    return np.zeros_like(piece.known) if piece.path.drive is None else piece.path.drive
+
+
+def in_units(piece: Piece, mass: float) -> Piece:
+    """The same piece with its equation of motion in units of another mass."""
+    drive = _drive(piece)
+    known = piece.known - drive / piece.mass + drive / mass
+    return replace(piece, mass=mass, known=known)

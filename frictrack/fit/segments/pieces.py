@@ -1,0 +1,394 @@
+"""Runs cut into pieces of one direction: what is measured there, and what a law must know of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, make_interp_spline
+
+from frictrack.effects import Path, Span
+from frictrack.effects.memory import headings
+from frictrack.errors import FrictrackError
+from frictrack.fit.segments.release import Begin, Reference, begin_of
+from frictrack.fit.segments.swings import joined
+from frictrack.fit.segments.whitening import Whitening
+from frictrack.friction import free_section, is_moving, moving_sections
+from frictrack.motion import noise_level
+from frictrack.records import GRAVITY, Array, Mask, Run
+from frictrack.simulate.dynamics import Panels
+
+Rows = NDArray[np.int_]
+
+MIN_FRAMES = 8  # fewer leave nothing to fit after a start position and speed
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One stretch of a run: measured displacement and what drives it.
+
+    It has no stop or reversal, unless it `turns` under a law that passes these without a jump. t counts from release.
+    Shapes: (n,) at the frames, (3 p,) at the nodes of `panels`.
+    """
+
+    run: int
+    frames: Rows  # row of each frame in the run's tables
+    t: Array
+    y: Array
+    sigma: Array
+    panels: Panels
+    at: Rows  # which edge of the panels each frame is
+    per_frame: int  # panels per frame interval
+    x_hat: Array  # smoothed motion at the nodes: the first guess
+    v_hat: Array
+    a_hat: Array
+    known: Array  # acceleration by drive and incline at the nodes, m/s^2
+    path: Path  # what is known of the run; its arrays are replaced by the motion at hand
+    mass: float
+    way: Array = field(default_factory=lambda: np.empty((3, 0)))  # t, x, v of the run's smoothed motion since release
+    angle: Array | None = None  # rad, at the frames
+    cut: bool = False  # a segment of a longer stretch
+    turns: bool = False  # followed through stops and reversals, the direction taken from the motion at hand
+    slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
+    systematic: float = 0.0  # m rms by which the measurement is off slowly, beside its noise
+    correlated: tuple[float, ...] = ()  # noise beside the white `sigma`: rms in m, correlation time in s
+    step: float = 0.0  # m, to which the places are rounded
+    shake: tuple[float, ...] = ()  # what may be left in it of a camera shake: frequency in Hz, rms in m
+    locked: float = 0.0  # share of the noise's variance that a tracker does not know of: it may go with the pixels
+    clock: float = 1.0  # its times are recorded ones times this
+
+    @cached_property
+    def _whitening(self) -> Whitening | None:
+        return Whitening.of(self.t, self.sigma, (self.correlated[0], self.correlated[1])) if self.correlated else None
+
+    def whitened(self, errors: Array) -> Array:
+        """Errors (n, ...) at the frames, m, as independent numbers of size one."""
+        way = self._whitening
+        return np.asarray((errors.T / self.sigma).T) if way is None else way.whitened(errors)
+
+    def coloured(self, white: Array) -> Array:
+        """The errors (n, ...), m, that `whitened` makes these numbers of."""
+        way = self._whitening
+        return np.asarray((white.T * self.sigma).T) if way is None else way.coloured(white)
+
+    def whitened_transposed(self, white: Array) -> Array:
+        """The transposed map of `whitened`."""
+        way = self._whitening
+        return np.asarray((white.T / self.sigma).T) if way is None else way.transposed(white)
+
+    def coloured_transposed(self, rows: Array) -> Array:
+        """The transposed map of `coloured`."""
+        way = self._whitening
+        return np.asarray((rows.T * self.sigma).T) if way is None else way.coloured_transposed(rows)
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of all noise at the frames (n,), m."""
+        return np.hypot(self.sigma, self.correlated[0]) if self.correlated else self.sigma
+
+    def along(self, x: Array, v: Array, level: float) -> Path:
+        """The path at the nodes for a given motion and friction level."""
+        s = self._direction(v) if self.turns else self.path.s
+        return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
+
+    def since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
+        """The path from the start of the piece through its first nodes, (1 + k,), for a law with memory."""
+        k = len(t) - 1
+        s = self._direction(v) if self.turns else np.append(self.path.s[0], self.path.s[:k])
+        series = self._series(lambda q: np.append(q[0], q[:k]))
+        return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+    def _direction(self, v: Array) -> Array:
+        """Sign of the velocity (n,), held at rest; 0 at first where the piece begins at rest."""
+        if self.slack:
+            return np.clip(v / self.slack, -1.0, 1.0)
+        s = headings(v)
+        if self.path.s[0] == 0:
+            s[0] = 0.0
+        return s
+
+    def refined(self, per_frame: int) -> Piece:
+        """The same piece with more panels per frame."""
+        edges, at = _cut_time(self.t, per_frame)
+        panels = Panels(edges)
+        old, new = self.panels.t, panels.t
+        moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
+        still = np.zeros_like(new)
+        series = self._series(lambda q: np.interp(new, old, q))
+        path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
+        return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
+
+    def timed(self, clock: float) -> Piece:
+        """The same piece by a clock whose times since release are recorded ones times `clock`; motion and all."""
+        by = clock / self.clock
+        if by == 1.0:
+            return self
+        path = replace(
+            self.path,
+            t=by * self.path.t,
+            v=self.path.v / by,
+            drive_at=_at_times(self.path.drive_at, by),
+            lift=None if self.path.lift is None else self.path.lift / by**2,
+            before=None if self.path.before is None else _retimed(self.path.before, by),
+        )
+        return replace(
+            self,
+            t=by * self.t,
+            panels=Panels(by * self.panels.edges),
+            v_hat=self.v_hat / by,
+            a_hat=self.a_hat / by**2,
+            path=path,
+            way=_retimed(self.way, by),
+            slack=self.slack / by,
+            clock=clock,
+        )
+
+    def first(self, n: int) -> Piece:
+        """The first n frames of the piece."""
+        return self.part(0, n)
+
+    def part(self, start: int, stop: int) -> Piece:
+        """The frames from start up to stop."""
+        low, high = int(self.at[start]), int(self.at[stop - 1])
+        nodes = slice(3 * low, 3 * high)
+        at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
+        at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
+        path = replace(
+            self.path,
+            before=_until(self.way, self.t[start]),
+            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
+            s=self._onward(low, high),
+            **self._series(lambda q: q[nodes]),
+        )
+        angle = None if self.angle is None else self.angle[start:stop]
+        panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
+        return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
+
+    def _onward(self, low: int, high: int) -> Array:
+        """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
+        s = self.path.s[3 * low : 3 * high]
+        return np.full_like(s, headings(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
+
+    def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
+        """What was measured beside the motion, moved from the nodes to where `of` reads it off."""
+        known = {name: getattr(self.path, name) for name in ("drive", "lift", "angle")}
+        return {name: of(q) for name, q in known.items() if q is not None}
+
+    @property
+    def known_at_frames(self) -> Array:
+        """Acceleration by drive and incline at the frames; the first one lies before the first node."""
+        out: Array = make_interp_spline(self.panels.t, self.known, k=1)(self.t)
+        return out
+
+    def at_frames(self, x: Array, v: Array, level: float) -> Path:
+        """The path at the frames."""
+        s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
+        series = self._series(lambda q: make_interp_spline(self.panels.t, q, k=1)(self.t)) | {"angle": self.angle}
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+
+def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning: bool = False) -> list[Piece]:
+    """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
+
+    Under a law that passes stops and reversals (`turning`), a run that has some, and a measured drive, is one piece. A
+    mass that is to be fitted is counted in units of the reference.
+    Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
+    """
+    if run.mass is None and run.drive is None:
+        raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')
+    disp = run.displacement
+    use = free & disp.valid
+    noise = relative_noise(disp.sigma_x, use)
+    digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
+    white = float(noise_level(disp.x, use, noise)[0])
+    noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
+    begin = begin_of(run, reference)
+    sections = moving_sections(run)
+    if turning and run.drive is not None and _stops(sections):
+        return [_turning(run, index, noise, begin)]
+    made = []
+    for section, slack in joined(run, sections):
+        rows = np.arange(len(disp))[section]
+        rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
+        if len(rows) >= MIN_FRAMES:
+            piece = _piece(run, index, rows, noise, begin)
+            made.append(replace(piece, turns=True, slack=slack) if slack else piece)
+    if not made:
+        raise FrictrackError(
+            f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
+            "look at its velocity, or give free = [t0, t1]"
+        )
+    return made
+
+
+def _stops(sections: Sequence[slice]) -> bool:
+    """Whether a run that moves in these stretches stops or reverses, and moves on for more than a flicker."""
+    return sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1
+
+
+def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
+    """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
+    disp = run.displacement
+    use = disp.valid & np.isfinite(disp.x)
+    if run.free is not None:
+        use &= (disp.t >= run.free[0]) & (disp.t <= run.free[1])
+    rows = np.flatnonzero(use)
+    piece = _piece(run, index, rows, noise, begin)
+    first = np.sign(run.motion.v[rows[0]]) if is_moving(run)[rows[0]] else 0.0
+    return replace(piece, turns=True, path=replace(piece.path, s=np.full_like(piece.path.t, first)))
+
+
+def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
+    """The whole record of a driven run, or of one that was pushed its free section, in one piece.
+
+    Its direction is 0 where the record begins at rest.
+    """
+    if run.drive is not None:
+        noise = relative_noise(run.displacement.sigma_x, run.displacement.valid)
+        return _turning(run, index, noise, begin_of(run, reference))
+    free, _ = free_section(run)
+    rows = np.flatnonzero(free & np.isfinite(run.displacement.x))
+    noise = relative_noise(run.displacement.sigma_x, free)
+    return _piece(run, index, rows, noise, begin_of(run, reference))
+
+
+def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:
+    """Edges of panels through the frame times t (n,), none longer than a frame, and which edge each frame is."""
+    interval = np.diff(t)
+    count = per_frame * np.maximum(1, np.rint(interval / np.median(interval)).astype(int))
+    at = np.concatenate([[0], np.cumsum(count)])
+    return np.interp(np.arange(at[-1] + 1), at, t), at
+
+
+def relative_noise(sigma: Array, use: Mask) -> Array:
+    """Tracker's standard deviations as relative weights: 1 in the typical frame, 1 where not stated."""
+    known = np.isfinite(sigma) & (sigma > 0) & use
+    if not known.any():
+        return np.ones(len(sigma))
+    relative = np.ones(len(sigma))
+    relative[known] = sigma[known] / np.median(sigma[known])
+    return relative
+
+
+def _retimed(way: Array, by: float) -> Array:
+    """A motion t, x, v (3, k) whose times are so many times as long."""
+    return way * np.array([[by], [1.0], [1.0 / by]])
+
+
+def _at_times(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
+    """A series of time whose times are so many times as long."""
+    return None if series is None else lambda t: series(t / by)
+
+
+def _until(way: Array, t: float) -> Array:
+    """The part of a motion (3, k) up to a time."""
+    return way[:, : int(np.searchsorted(way[0], t, side="right"))]
+
+
+def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piece:
+    mass = float(run.mass or begin.reference.mass)
+    t = run.displacement.t[rows] - begin.release
+    edges, at = _cut_time(t, begin.per_frame)
+    panels = Panels(edges)
+    nodes = panels.t
+    motion = run.motion
+    times = motion.t - begin.release
+    path = path_of_rows(run, rows, nodes, begin)
+    known = np.full(len(nodes), -GRAVITY * np.sin(run.incline))
+    if path.drive is not None:
+        known = known + path.drive / mass
+    return Piece(
+        run=index,
+        frames=rows,
+        t=t,
+        y=run.displacement.x[rows],
+        sigma=noise[rows],
+        panels=panels,
+        at=at,
+        per_frame=begin.per_frame,
+        x_hat=CubicSpline(times, motion.x)(nodes),
+        v_hat=CubicSpline(times, motion.v)(nodes),
+        a_hat=np.interp(nodes, times, motion.a),
+        known=known,
+        path=path,
+        mass=mass,
+        way=begin.way,
+        angle=_read(times, begin.angle, t),
+        systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
+        step=run.displacement.resolution,
+        shake=run.displacement.shake,
+        locked=_locked(run, rows, noise),
+    )
+
+
+def _locked(run: Run, rows: Rows, noise: Array) -> float:
+    """Share of the measured variance of a film's places beyond what its tracker states; none for a table."""
+    if not run.displacement.systematic or not run.pixel_pitch:
+        return 0.0
+    return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
+
+
+def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
+    """What is known of a run along the nodes of one piece, whose motion is still to come."""
+    motion = run.motion
+    times = motion.t - begin.release
+    drive_at = None if run.drive is None else _held(CubicSpline(times, run.drive), times)
+    still = np.zeros_like(nodes)
+    before = _until(begin.way, run.displacement.t[rows[0]] - begin.release)
+    row = max(before.shape[1] - 1, 0)
+    return Path(
+        t=nodes,
+        x=still,
+        v=still,
+        s=still + np.sign(np.median(motion.v[rows])),
+        load=1.0 if run.mass is None else (run.load or 1.0) / begin.reference.load,
+        mass_ratio=float(run.mass or begin.reference.mass) / begin.reference.mass,
+        mass=run.mass,
+        pixel_pitch=run.pixel_pitch,
+        drive=None if drive_at is None else drive_at(nodes),
+        drive_at=drive_at,
+        lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
+        gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
+        angle=_read(times, begin.angle, nodes),
+        clamp_x=run.clamp_x,
+        beam_length=run.beam_length,
+        travelled=float(begin.slid[row]),
+        begins=float(begin.way[1, row]),
+        before=before,
+    )
+
+
+def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
+    """A series that keeps its first and last value outside the times at which it is known."""
+
+    def at(t: Array) -> Array:
+        return np.asarray(series(np.clip(t, times[0], times[-1])))
+
+    return at
+
+
+def _read(times: Array, series: Array | None, t: Array) -> Array | None:
+    return None if series is None else np.interp(t, times, series)
+
+
+def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
+    """How far every run reaches in time since release, place and speed."""
+    return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))
+
+
+def _span(pieces: Sequence[Piece], fps: float) -> Span:
+    speeds = np.concatenate([np.abs(p.v_hat) for p in pieces])
+    return Span(
+        duration=max(float(p.t[-1]) for p in pieces),
+        x_min=min(float(p.y.min()) for p in pieces),
+        x_max=max(float(p.y.max()) for p in pieces),
+        v_min=float(speeds.min()),
+        v_max=float(speeds.max()),
+        fps=fps,
+        clamp_x=pieces[0].path.clamp_x,
+        beam_length=pieces[0].path.beam_length,
+    )

@@ -1,0 +1,39 @@
+"""The stretches of all runs that a law can be followed along, their noise white or alike in neighbouring frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack.fit.segments.pieces import Piece, pieces_of
+from frictrack.fit.segments.release import Reference
+from frictrack.friction import free_section
+from frictrack.motion import CorrelatedNoise, correlated_noise
+from frictrack.records import Array, Run
+
+
+def sections_of(runs: Sequence[Run], reference: Reference, *, turning: bool) -> list[list[Piece]]:
+    """The stretches of every run that a law can be followed along: of one direction, unless it passes turns."""
+    sections = [pieces_of(run, i, free_section(run)[0], reference, turning=turning) for i, run in enumerate(runs)]
+    open_ = [not run.noise and not run.displacement.resolution for run in runs]  # neither stated nor that of a rounding
+    even = [i for i, own in enumerate(open_) if own]
+    found = correlated_noise([_longest(sections[i]) for i in even])
+    if found is not None:
+        for i, rms in zip(even, found.rms.tolist(), strict=True):
+            sections[i] = [_correlated(p, found, rms) for p in sections[i]]
+    return sections
+
+
+def _longest(section: Sequence[Piece]) -> Array:
+    """The measured places of the longest stretch of a run without a missing frame."""
+    parts = [part for p in section for part in np.split(p.y, np.flatnonzero(np.diff(p.frames) != 1) + 1)]
+    return max(parts, key=len)
+
+
+def _correlated(piece: Piece, found: CorrelatedNoise, rms: float) -> Piece:
+    """The same piece under noise of a rms, m, that is alike in neighbouring frames."""
+    time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
+    level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))
+    return replace(piece, sigma=level * piece.sigma, correlated=(rms * float(np.sqrt(found.share)), time))

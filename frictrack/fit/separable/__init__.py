@@ -1,0 +1,36 @@
+"""Along the measured motion the coefficients of a law are linear: blocks of data, rows of a model, and searches.
+
+    along = Along(layout, [force_block(run, path, friction, sigma), ...])     a force series: no mass, no derivative
+    state = search_of(along)()                    the law: state.numbers (P,), state.coefficients (K,), state.misfit
+    p = along.law(state.numbers, state.coefficients)                          all unknowns of the layout, (P,)
+    state = Projected(along, along.data).refine(Projected(along, along.data).at(p), groups)     from a known start
+
+`displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain.
+`search_of(along)(data)` searches other data (M,) along the same motion with the tables of the first.
+"""
+
+from frictrack.fit.separable.blocks import Block, brief, chain_block, displacement_block, force_block, picked
+from frictrack.fit.separable.constrained import Tied, search_of
+from frictrack.fit.separable.model import Along
+from frictrack.fit.separable.newton import Projected, State
+from frictrack.fit.separable.population import Misfit, Reduced
+from frictrack.fit.separable.scan_tables import is_scannable
+from frictrack.fit.separable.varpro import Search
+
+__all__ = [
+    "Along",
+    "Block",
+    "Misfit",
+    "Projected",
+    "Reduced",
+    "Search",
+    "State",
+    "Tied",
+    "brief",
+    "chain_block",
+    "displacement_block",
+    "force_block",
+    "is_scannable",
+    "picked",
+    "search_of",
+]

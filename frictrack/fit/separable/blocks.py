@@ -1,0 +1,164 @@
+"""Data along the measured motion, and the linear map from a force to what it changes there.
+
+A block is one stretch of one run: data (m,) that the law's forces (and shifts of the picture) have to explain after
+`forward`, in units of the noise. Forces stand as rows (..., n), so that a population is mapped at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.interpolate import CubicSpline
+
+from frictrack.effects import Path
+from frictrack.fit.segments import Chain, Piece
+from frictrack.records import Array
+
+PASSED = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
+VISIBLE = 2.0  # times the cut-off: beyond, it leaves less than a sixtieth, too little to look for
+SPARSE = 2  # samples of a path for each that is compared, from which these are worth a path of their own
+Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white with standard deviation one.
+
+    `path` at the n samples, `brief` at the compared ones alone where these are few: enough for what remembers nothing,
+    whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the reference load; `rest`
+    the part of the squared data that no force along the path changes; `highest` the frequency up to which lines are
+    looked for, Hz.
+    """
+
+    run: int
+    path: Path
+    data: Array
+    forward: Forward
+    picture: Forward
+    friction: Array
+    rest: float = 0.0
+    highest: float = np.inf
+    brief: Path | None = None
+
+
+def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> Block:
+    """A force series: measured friction (n,) along a path, N, with its standard deviation; nothing in between."""
+    weight = np.broadcast_to(1.0 / np.asarray(sigma, dtype=float), friction.shape)
+    return Block(
+        run=run,
+        path=path,
+        data=friction * weight,
+        forward=(lambda rows: rows) if np.all(weight == 1.0) else (lambda rows: rows * weight),
+        picture=np.zeros_like,
+        friction=friction / path.load,
+    )
+
+
+def displacement_block(piece: Piece) -> Block:
+    """Displacements of a piece, start position and speed removed."""
+    q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
+    twice = double_integral(piece.t)
+
+    def picture(rows: Array) -> Array:
+        white = np.moveaxis(piece.whitened(np.moveaxis(rows, -1, 0)), 0, -1)
+        clean: Array = white - (white @ q) @ q.T
+        return clean
+
+    known = np.interp(piece.t, piece.panels.t, piece.known)
+    return Block(
+        run=piece.run,
+        path=path_of(piece),
+        data=picture(piece.y - twice(known)),
+        forward=lambda rows: picture(twice(rows) * (-1.0 / piece.mass)),
+        picture=picture,
+        friction=_friction(piece),
+    )
+
+
+def chain_block(piece: Piece, chain: Chain, noise: float) -> Block:
+    """Accelerations of a piece through the papers' chain, in units of `noise`.
+
+    The force enters by its cosines as far as the chain lets them pass, so that the map is one small matrix.
+    """
+    t = piece.t
+    k = min(len(t), int(2 * (t[-1] - t[0]) * PASSED * chain.cutoff) + 8)
+    cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
+    known = np.interp(t, piece.panels.t, piece.known)
+    twice = CubicSpline(t, np.column_stack([cosines, known])).antiderivative(2)(t)
+    basis, response = np.linalg.qr(chain.apply(twice[:, :k] / piece.mass) / noise)
+    measured = chain.apply((piece.y - twice[:, k])[:, None])[:, 0] / noise
+    data = basis.T @ measured
+    through = -cosines @ response.T
+    return Block(
+        run=piece.run,
+        path=path_of(piece),
+        data=data,
+        forward=lambda rows: rows @ through,
+        picture=lambda rows: _each(rows, lambda x: chain.apply(x) / noise) @ basis,
+        friction=_friction(piece),
+        rest=max(float(measured @ measured - data @ data), 0.0),
+        highest=VISIBLE * chain.cutoff,
+    )
+
+
+def picked(rows: Array, at: NDArray[np.int_]) -> Array:
+    """Rows (..., n) at the compared samples `at` (m,); those that hold these alone stay as they are.
+
+    Examples
+    --------
+    >>> picked(np.arange(4.0), np.array([1, 3]))
+    array([1., 3.])
+    >>> picked(np.array([5.0, 7.0]), np.array([1, 3]))
+    array([5., 7.])
+
+    """
+    return rows if rows.shape[-1] == len(at) else rows[..., at]
+
+
+def brief(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
+    """The path of a motion x, v (n,) at the compared frames alone; None where they are most of its samples."""
+    if SPARSE * len(piece.at) > len(piece.path.t):
+        return None
+    return piece.at_frames(x[piece.at], v[piece.at], level)
+
+
+def path_of(piece: Piece) -> Path:
+    """The measured motion of a piece at its frames."""
+    nodes, t = piece.panels.t, piece.t
+    path = piece.at_frames(CubicSpline(nodes, piece.x_hat)(t), CubicSpline(nodes, piece.v_hat)(t), 1.0)
+    return replace(path, drive=None if piece.path.drive is None else np.interp(t, nodes, piece.path.drive))
+
+
+def double_integral(t: Array) -> Forward:
+    """Integrate rows (..., n) over t (n,) twice; start position and speed are left open.
+
+    x[i+1] - 2 x[i] + x[i-1] of a force is its mean under a hat; the force in between is a parabola (Numerov's weights
+    h^2 (1, 10, 1)/12 where frames are evenly spaced).
+    """
+    before, after = np.diff(t)[:-1], np.diff(t)[1:]
+    tilt, bend = (after**2 - before**2) / 6, (before**3 + after**3) / 12
+    left = (bend - after * tilt) / (before * (before + after))
+    right = (bend + before * tilt) / (after * (before + after))
+    middle = (before + after) / 2 - left - right
+
+    def twice(rows: Array) -> Array:
+        kinks = left * rows[..., :-2] + middle * rows[..., 1:-1] + right * rows[..., 2:]
+        out = np.zeros_like(rows)
+        np.cumsum(after * np.cumsum(kinks, axis=-1), axis=-1, out=out[..., 2:])
+        return out
+
+    return twice
+
+
+def _friction(piece: Piece) -> Array:
+    force = piece.mass * (piece.known - piece.a_hat) / piece.path.load
+    return np.interp(piece.t, piece.panels.t, force)
+
+
+def _each(rows: Array, chain: Callable[[Array], Array]) -> Array:
+    flat = chain(rows.reshape(-1, rows.shape[-1]).T).T
+    return flat.reshape(*rows.shape[:-1], -1)

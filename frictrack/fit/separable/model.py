@@ -1,0 +1,315 @@
+"""A model along the measured motion: rows that its coefficients multiply, as functions of the non-linear numbers.
+
+Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a `Group`). A
+wave of one amplitude and one phase enters as its two quadratures, which are linear; where the phase belongs to the
+runs, every run has its own pair, and the amplitude they share is left to the refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.effects import Effect, Path
+from frictrack.effects.settings import Tie
+from frictrack.fit.parameters import Layout, follow
+from frictrack.fit.separable.blocks import Block
+from frictrack.models import Model
+from frictrack.records import Array
+
+Indices = NDArray[np.int_]
+Values = dict[str, dict[str, Any]]
+QUADRATURES = (0.0, np.pi / 2)
+NONE: Indices = np.zeros(0, dtype=int)
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One linear number: a parameter of an effect, shared (run None) or of one run; of a wave one quadrature."""
+
+    effect: str
+    parameter: str
+    run: int | None
+    bounds: tuple[float, float]
+    quadrature: int | None = None
+    loaded: bool = False
+
+
+@dataclass(frozen=True)
+class Group:
+    """Effects that are evaluated together; `numbers` are positions in the layout of what their columns depend on.
+
+    Those of a wave's `phases` are apart: its quadratures do not depend on them.
+    """
+
+    model: Model
+    wave: bool
+    pictured: bool
+    numbers: tuple[int, ...]
+    phases: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Its effects."""
+        return self.model.names
+
+    def columns(self, path: Path, values: Values) -> Array:
+        """All its columns, (n, k)."""
+        if len(self.model.effects) == 1:
+            effect = self.model.effects[0]
+            return effect.columns(path, values[effect.name])
+        return np.concatenate(list(self.model.force_columns(path, values).values()), axis=1)
+
+
+@dataclass(eq=False)
+class Along:
+    """A layout over blocks, ready to be evaluated for one law or a population.
+
+    `free` are the positions in the layout of the non-linear numbers that are searched: all but levels and the phases
+    of waves. `coefficients` are the K linear ones; `place[g][run]` tells which of them the columns of group g are in
+    that run, -1 for none.
+    """
+
+    layout: Layout
+    blocks: Sequence[Block]
+    groups: list[Group] = field(init=False)
+    coefficients: list[Coefficient] = field(init=False)
+    place: list[dict[int, Indices]] = field(init=False)
+    free: list[int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.blocks = list(self.blocks)
+        self.runs = sorted({b.run for b in self.blocks})
+        self.groups = [self._group(effects) for effects in _clusters(self.layout.model)]
+        self.coefficients = []
+        self.place = [self._placed(group) for group in self.groups]
+        self.free = sorted({i for g in self.groups for i in g.numbers})
+        self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
+        edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
+        self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        self.size = int(edges[-1])
+        self.data = np.concatenate([b.data for b in self.blocks])
+        self._mine = [np.unique([i for at in place.values() for i in at if i >= 0]) for place in self.place]
+        self._tiled: dict[tuple[int, int, int], Path] = {}
+        self._plans: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
+
+    # --- where numbers stand
+
+    def _group(self, effects: list[Effect]) -> Group:
+        wave = len(effects) == 1 and self.is_wave(effects[0])
+        phases = {(e.name, q.name) for e in effects for q in e.nonlinear if wave and q.role == "phase"}
+        wanted = {(e.name, q.name) for e in effects for q in e.nonlinear} - phases
+        wanted |= set(self._leaders(wanted))
+        where = self._positions(wanted), self._positions(phases)
+        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", *where)
+
+    def _positions(self, wanted: set[tuple[str, str]]) -> tuple[int, ...]:
+        slots = enumerate(self.layout.slots)
+        return tuple(i for i, s in slots if (s.effect, s.parameter) in wanted and s.run in (None, *self.runs))
+
+    def _leaders(self, followers: set[tuple[str, str]]) -> Iterable[tuple[str, str]]:
+        """Parameters that others are tied to, directly or through further ties."""
+        for rule in self.layout.rules:
+            if (rule.effect.name, rule.parameter.name) in followers and isinstance(rule.told, Tie):
+                leader = rule.told.effect, rule.told.parameter
+                yield leader
+                yield from self._leaders({leader})
+
+    def is_wave(self, effect: Effect) -> bool:
+        """Whether an effect is one amplitude times a sine of one phase, both free, so that quadratures are linear."""
+        sizes = [p for p in effect.linear if p.role == "amplitude"]
+        phases = [p for p in effect.nonlinear if p.role == "phase"]
+        if effect.modifies or len(effect.linear) != 1 or len(sizes) != 1 or len(phases) != 1:
+            return False
+        mine = [
+            i
+            for i, s in enumerate(self.layout.slots)
+            if s.effect == effect.name and s.parameter in (sizes[0].name, phases[0].name)
+        ]
+        free = {self.layout.slots[i].parameter for i in mine} == {sizes[0].name, phases[0].name}
+        return free and not self.layout.led & set(mine)
+
+    def _placed(self, group: Group) -> dict[int, Indices]:
+        place: dict[int, list[int]] = {run: [] for run in self.runs}
+        for effect in group.model.effects:
+            for p in effect.linear:
+                own = p.per_run or (group.wave and any(q.per_run for q in effect.nonlinear if q.role == "phase"))
+                shown = [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
+                for quadrature in (0, 1) if group.wave else (None,):
+                    first = len(self.coefficients)
+                    bounds = (-np.inf, np.inf) if group.wave else self._bounds(effect.name, p.name)
+                    self.coefficients += [
+                        Coefficient(effect.name, p.name, r, bounds, quadrature, p.loaded)
+                        for r in (shown if own else [None])
+                    ]
+                    for run in self.runs:
+                        place[run].append((first + shown.index(run) if own else first) if run in shown else -1)
+        return {run: np.array(at, dtype=int) for run, at in place.items()}
+
+    def _bounds(self, effect: str, parameter: str) -> tuple[float, float]:
+        fixed = self.layout.fixed.get((effect, parameter))
+        if fixed is not None:
+            return fixed, fixed
+        slots = (s for s in self.layout.slots if (s.effect, s.parameter) == (effect, parameter))
+        return next((s.bounds for s in slots), (-np.inf, np.inf))
+
+    def position(self, effect: str, parameter: str, run: int | None = None) -> int | None:
+        """Position in the layout of a parameter in one run; None where it has none (fixed, tied or absent)."""
+        for i, s in enumerate(self.layout.slots):
+            if (s.effect, s.parameter) == (effect, parameter) and (run is None or s.run in (None, run)):
+                return i
+        return None
+
+    def coefficients_of(self, g: int) -> Indices:
+        """Which coefficients belong to a group."""
+        return self._mine[g]
+
+    # --- evaluation
+
+    def rows(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+        """Forwarded rows (P, columns, m) of group g in block b for numbers (P, P_layout)."""
+        parts = list(self.parts(g, b, numbers, level))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def parts(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Iterator[Array]:
+        """The same part by part: of a wave one quadrature after the other."""
+        group, block = self.groups[g], self.blocks[b]
+        forward = block.picture if group.pictured else block.forward
+        if not group.wave:
+            yield forward(self.phased(g, b, numbers, level))
+            return
+        p = len(numbers) if group.numbers else 1
+        effect = group.model.effects[0]
+        phase = next(q.name for q in effect.nonlinear if q.role == "phase")
+        own, path = self._values(g, b, numbers[:p])[effect.name], self._path(g, b, p, level)
+        for q in QUADRATURES:
+            yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
+
+    def phased(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+        """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
+        group = self.groups[g]
+        p = len(numbers) if group.numbers or group.phases else 1
+        return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, numbers[:p])), p)
+
+    def _way(self, g: int, b: int) -> Path:
+        """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
+        block = self.blocks[b]
+        return block.path if block.brief is None or self.groups[g].model.memory else block.brief
+
+    def _path(self, g: int, b: int, p: int, level: float) -> Path:
+        path = self._way(g, b) if p == 1 else self.end_to_end(g, b, p)
+        return path if level == 1.0 else replace(path, load=path.load * level)
+
+    def _values(self, g: int, b: int, numbers: Array) -> Values:
+        """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
+        n, run = len(self._way(g, b).t), self.blocks[b].run
+        if self.layout.rules:
+            return self._followed(g, b, numbers)
+        fixed, places = self._plan(g, run)
+        values = {name: own.copy() for name, own in fixed.items()}
+        for i, effect, parameter, deep in places:
+            values[effect][parameter] = spread(numbers[:, i], n, deep)
+        return values
+
+    def _plan(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
+        """What is fixed in a group and where the rest stands, for one run."""
+        if (g, run) not in self._plans:
+            group, layout = self.groups[g], self.layout
+            fixed: Values = {e.name: {} for e in group.model.effects}
+            for e in group.model.effects:
+                for q in e.nonlinear:
+                    fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
+            places = [
+                (i, s.effect, s.parameter, _deep(group.model, s.effect, s.parameter))
+                for i in (*group.numbers, *group.phases)
+                if (s := layout.slots[i]).run in (None, run)
+            ]
+            self._plans[g, run] = fixed, places
+        return self._plans[g, run]
+
+    def _followed(self, g: int, b: int, numbers: Array) -> Values:
+        """The same where some follow others: every number first, then what the rules say."""
+        model, block = self.layout.model, self.blocks[b]
+        whole: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
+        for (effect, name), value in self.layout.fixed.items():
+            whole[effect][name] = np.full(1, value)
+        for i, s in enumerate(self.layout.slots):
+            if s.effect in whole and s.run in (None, block.run) and not s.linear:
+                whole[s.effect][s.parameter] = numbers[:, i]
+        follow(model, tuple(r for r in self.layout.rules if not r.parameter.linear), whole)
+        mine, n = self.groups[g].model, len(self._way(g, b).t)
+        return {
+            e.name: {q.name: spread(whole[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
+            for e in mine.effects
+        }
+
+    def end_to_end(self, g: int, b: int, p: int) -> Path:
+        """One path through p individuals laid end to end, as a group is evaluated along a block."""
+        path = self._way(g, b)
+        n = len(path.t)
+        if (b, p, n) not in self._tiled:
+            if len(self._tiled) > 2 * len(self.blocks):
+                self._tiled.clear()
+            long: dict[str, Any] = {
+                name: np.tile(value, p)
+                for name, value in vars(path).items()
+                if isinstance(value, np.ndarray) and value.shape == (n,)
+            }
+            self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **long)
+        return self._tiled[b, p, n]
+
+    # --- the law in the layout's own unknowns
+
+    def law(self, numbers: Array, coefficients: Array) -> Array:
+        """All unknowns (P,) of the layout: of a wave its amplitude (shared: their mean) and phases."""
+        p = np.array(numbers, dtype=float)
+        told: dict[int, list[float]] = {}
+        pairs: dict[tuple[str, int | None], list[float]] = {}
+        for c, value in zip(self.coefficients, coefficients, strict=True):
+            if c.quadrature is not None:
+                pairs.setdefault((c.effect, c.run), []).append(float(value))
+            elif (i := self.position(c.effect, c.parameter, c.run)) is not None:
+                told.setdefault(i, []).append(float(value))
+        for (effect, run), (a, b) in pairs.items():
+            names: dict[str, str] = {
+                q.role: q.name for e in self.layout.model.effects if e.name == effect for q in e.parameters
+            }
+            for role, value in (("amplitude", np.hypot(a, b)), ("phase", np.arctan2(b, a))):
+                if (i := self.position(effect, names[role], run)) is not None:
+                    told.setdefault(i, []).append(float(value))
+        for i, each in told.items():
+            p[i] = np.mean(each)
+        return p
+
+
+def spread(each: Array, n: int, deep: bool = False) -> Any:
+    """Values (P,) of a population frame by frame, (P n,); a single one stays a number.
+
+    A depth multiplies whole columns (n, k), so that it stands as (P n, 1).
+    """
+    if len(each) == 1:
+        return float(each[0])
+    long = np.repeat(each, n)
+    return long[:, None] if deep else long
+
+
+def _by_individual(columns: Array, p: int) -> Array:
+    """Columns (P n, k) of individuals laid end to end as rows (P, k, n)."""
+    return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
+
+
+def _deep(model: Model, effect: str, parameter: str) -> bool:
+    return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
+
+
+def _clusters(model: Model) -> list[list[Effect]]:
+    """Effects that are evaluated together: modifiers with all that they modify, the others by themselves."""
+    kinds = {k for e in model.effects for k in e.modifies}
+    joined = [e for e in model.effects if e.modifies or e.kind in kinds]
+    out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]
+    return [joined, *out] if joined else out

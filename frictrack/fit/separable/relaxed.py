@@ -1,0 +1,250 @@
+"""The parts of an effect whose waves share an amplitude: one law where each has its own, and scans as they share it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from frictrack.effects import Effect
+from frictrack.effects.base import Part
+from frictrack.fit.separable.model import Along
+from frictrack.fit.separable.newton import Projected, State
+from frictrack.fit.separable.varpro import ROUGH, Search
+from frictrack.models import Model
+from frictrack.records import Array
+
+SLOW = 2.1  # periods in a run up to which a wave counts as slow
+CLOSE = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
+STEP = 0.1  # periods between the frequencies of a slow wave
+PHASES = 16  # round the circle
+TURN = np.arange(PHASES) * 2 * np.pi / PHASES - np.pi
+ALIKE = 1e-5  # of their squares: what must be left of two sums for both to count
+ROUND = np.array([np.cos(TURN), np.sin(TURN)])  # a wave of any phase from its two quadratures
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One wave of a sum: its group in the relaxed law, the amplitude that it shares, and its own numbers."""
+
+    g: int
+    size: str
+    frequency: str
+    phase: str
+
+
+class Relaxed:
+    """One run at given values of what the parts share."""
+
+    def __init__(self, whole: Along, effect: Effect, common: Mapping[str, float]) -> None:
+        self.whole, self.effect, self.common = whole, effect, common
+        self.parts = {f"{effect.name}.{part.effect.name}": part for part in effect.relaxed}
+        made = [_made(name, part, effect, common) for name, part in self.parts.items()]
+        law = Model(tuple(q for e in whole.layout.model.effects for q in (made if e.name == effect.name else [e])))
+        self.along = Along(replace(whole.layout, model=law), whole.blocks)
+        self.search = Search(self.along)
+        self.waves = list(self._waves())
+        self.slow = np.arange(STEP / 2, SLOW, STEP) / whole.layout.span.duration
+        self.groups = {w.g for w in self.waves}
+        self._rows: dict[str, Array] = {}
+        self._products: dict[tuple[str, str], tuple[Any, ...]] = {}
+
+    def _waves(self) -> Iterator[Wave]:
+        for g, group in enumerate(self.along.groups):
+            part = self.parts.get(group.names[0])
+            if part is not None and group.wave:
+                names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
+                own = [p for p in part.effect.nonlinear if names[p.name] not in self.common]
+                frequency = next(p for p in own if p.role != "phase")
+                phase = next(p for p in own if p.role == "phase")
+                yield Wave(g, names[part.effect.linear[0].name], names[frequency.name], names[phase.name])
+
+    # --- every wave with an amplitude of its own
+
+    def laws(self, data: Array) -> list[tuple[float, Array]]:
+        """Laws of data (M,), as found and with waves of two sums exchanged: misfits, and numbers (P,) of the whole."""
+        problem = Projected(self.along, data)
+        state = self.search.completed(problem)
+        found = [state]
+        for one, other in combinations(self.waves, 2):
+            at = [self.along.groups[w.g].numbers for w in (one, other)]
+            if one.size == other.size or not all(at):
+                continue
+            i, j = at[0][0], at[1][0]
+            if max(state.numbers[i], state.numbers[j]) > self.slow[-1]:
+                numbers = state.numbers.copy()
+                numbers[[i, j]] = numbers[[j, i]]
+                moved = problem.at(numbers, state, {one.g, other.g})
+                found.append(problem.refine(moved, steps=ROUGH, enough=1e-3))
+        return [(s.misfit, self._whole(s)) for s in found]
+
+    def _whole(self, state: State) -> Array:
+        """Numbers (P,) of the whole law that has the waves of a relaxed one."""
+        law = self.along.law(state.numbers, state.coefficients)
+        known = {(self.effect.name, name): value for name, value in self.common.items()}
+        for slot, value in zip(self.along.layout.slots, law, strict=True):
+            part = self.parts.get(slot.effect)
+            if part is None:
+                known[slot.effect, slot.parameter] = float(value)
+            else:
+                names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
+                known[self.effect.name, names[slot.parameter]] = float(value)
+        return np.array([known.get((s.effect, s.parameter), 1.0) for s in self.whole.layout.slots])
+
+    # --- waves that share their amplitudes
+
+    def fast(self, p: Array) -> Array:
+        """Periods in the run of the waves that are not slow, sum after sum, (f,); slow ones count as none."""
+        duration = self.whole.layout.span.duration
+        out = []
+        for size in dict.fromkeys(w.size for w in self.waves):
+            periods = sorted(self._value(p, w.frequency) * duration for w in self.waves if w.size == size)
+            out += [f if f > SLOW else 0.0 for f in periods]
+        return np.array(out)
+
+    def exchanged(self, p: Array) -> Iterator[Array]:
+        """A law (P,) with two waves of two sums exchanged that stand close to each other."""
+        for one, other in combinations(self.waves, 2):
+            f, g = (self._value(p, w.frequency) for w in (one, other))
+            near = abs(f - g) * self.whole.layout.span.duration < CLOSE
+            if one.size != other.size and near and max(f, g) > self.slow[-1]:
+                q = p.copy()
+                self._put(q, one, g, self._value(p, other.phase))
+                self._put(q, other, f, self._value(p, one.phase))
+                yield q
+
+    def places(self, p: Array, data: Array) -> list[tuple[float, Array]]:
+        """Where the slowest waves of two sums may stand, beside all others of a law (P,): misfits, and numbers (P,)."""
+        lowest = {}
+        for w in sorted(self.waves, key=lambda w: -self._value(p, w.frequency)):
+            lowest[w.size] = w
+        return [place for pair in combinations(lowest.values(), 2) for place in self._scanned(p, data, pair)]
+
+    def _scanned(self, p: Array, data: Array, pair: tuple[Wave, Wave]) -> list[tuple[float, Array]]:
+        one, other = pair
+        plain = self._plain(p, pair)
+        a, b, aa, bb, ab = self._beside(pair, plain)
+        r, q = (_short(_beyond(self._others(p, w), plain)) for w in pair)
+        y = _short(_beyond(data, plain))
+        g11, u1 = (r @ r + 2 * _turned(a @ r) + aa)[:, None], (r @ y + _turned(a @ y))[:, None]
+        g22, u2 = q @ q + 2 * _turned(b @ q) + bb, q @ y + _turned(b @ y)
+        g12 = ab + (r @ q + _turned(a @ q))[:, None]
+        g12 += _turned(b @ r)
+        det = np.maximum(g11 * g22 - g12 * g12, ALIKE * g11 * g22)
+        c1, c2 = g22 * u1 - g12 * u2, g11 * u2 - g12 * u1
+        gain = (c1 * u1 + c2 * u2) / det
+        gain[(c1 <= 0) | (c2 <= 0)] = 0.0
+        cost = (y @ y - gain).reshape(len(a), PHASES, len(b), PHASES).transpose(0, 2, 1, 3).reshape(len(a), len(b), -1)
+        turn = cost.argmin(axis=-1)
+        least = cost.min(axis=-1)
+        out = []
+        for i, j in np.argwhere(least == minimum_filter(least, 3, mode="nearest")):
+            q = p.copy()
+            self._put(q, one, self.slow[i], TURN[turn[i, j] // PHASES])
+            self._put(q, other, self.slow[j], TURN[turn[i, j] % PHASES])
+            for name, value in self.common.items():
+                k = self.whole.position(self.effect.name, name)
+                if k is not None:
+                    q[k] = value
+            out.append((float(least[i, j]), q))
+        return out
+
+    def _beside(self, pair: tuple[Wave, Wave], plain: Array) -> tuple[Any, ...]:
+        """Both waves at all slow frequencies beside the rest of the law, and their products at all phases.
+
+        They depend on the motion alone, and are kept as long as the rest stays the same.
+        """
+        key = pair[0].frequency, pair[1].frequency
+        if key not in self._products or not np.array_equal(self._products[key][0], plain):
+            a, b = (_short(_beyond(self._form(w), plain)) for w in pair)
+            aa, bb = (np.einsum("ap,fab,bp->fp", ROUND, x @ x.transpose(0, 2, 1), ROUND).ravel() for x in (a, b))
+            n = a.shape[-1]
+            across = (a.reshape(-1, n) @ b.reshape(-1, n).T).reshape(len(a), 2, len(b), 2)
+            ab = np.einsum("ap,fagb,bq->fpgq", _short(ROUND), across, _short(ROUND), optimize=True)
+            self._products[key] = plain, a, b, aa, bb, np.ascontiguousarray(ab.reshape(len(a) * PHASES, -1))
+        return self._products[key][1:]
+
+    def _put(self, q: Array, w: Wave, frequency: float, phase: float) -> None:
+        for name, value in ((w.frequency, frequency), (w.phase, phase)):
+            k = self.whole.position(self.effect.name, name)
+            if k is not None:
+                q[k] = value
+
+    def _value(self, p: Array, name: str) -> float:
+        k = self.whole.position(self.effect.name, name)
+        return self.whole.layout.fixed[self.effect.name, name] if k is None else float(p[k])
+
+    def _form(self, w: Wave) -> Array:
+        """Both quadratures (F, 2, M) of a wave at every slow frequency, of a fixed one at its own."""
+        fixed = self.whole.layout.fixed.get((self.effect.name, w.frequency))
+        key = w.size if fixed is None else w.frequency
+        if key not in self._rows:
+            self._rows[key] = self._quadratures(w, self.slow if fixed is None else np.array([fixed]))
+        return self._rows[key]
+
+    def _quadratures(self, w: Wave, frequencies: Array) -> Array:
+        numbers = np.ones((len(frequencies), len(self.along.layout.slots)))
+        for i in self.along.groups[w.g].numbers:
+            numbers[:, i] = frequencies
+        rows = [self.along.rows(w.g, b, numbers) for b in range(len(self.along.blocks))]
+        return np.concatenate(rows, axis=2)
+
+    def _others(self, p: Array, w: Wave) -> Array:
+        """The other waves of the sum of `w`, (M,)."""
+        out = np.zeros(self.along.size)
+        for q in self.waves:
+            if q.size == w.size and q is not w:
+                phase = self._value(p, q.phase)
+                rows = self._quadratures(q, np.array([self._value(p, q.frequency)]))[0]
+                out += np.cos(phase) * rows[0] + np.sin(phase) * rows[1]
+        return out
+
+    def _plain(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
+        """An orthonormal basis (k, M) of all that stands beside two sums, at the numbers of a law (P,)."""
+        known = {(s.effect, s.parameter): float(v) for s, v in zip(self.whole.layout.slots, p, strict=True)}
+        numbers = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.along.layout.slots]])
+        rows = []
+        for g in set(range(len(self.along.groups))) - self.groups:
+            each = [self.along.rows(g, b, numbers)[0] for b in range(len(self.along.blocks))]
+            rows.append(np.concatenate(each, axis=1))
+        for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
+            w = next(w for w in self.waves if w.size == size)
+            own = self._quadratures(w, np.array([self._value(p, w.frequency)]))[0]
+            turn = self._value(p, w.phase)
+            rows.append((self._others(p, w) + np.cos(turn) * own[0] + np.sin(turn) * own[1])[None])
+        if not rows:
+            return np.zeros((0, self.along.size))
+        q, _ = np.linalg.qr(np.concatenate(rows).T)
+        return np.asarray(q.T)
+
+
+def _beyond(rows: Array, basis: Array) -> Array:
+    """What an orthonormal basis (k, M) leaves of rows (..., M)."""
+    return np.asarray(rows - (rows @ basis.T) @ basis)
+
+
+def _short(rows: Array) -> Array:
+    """In single precision: it only says where to look."""
+    return rows.astype(np.float32)
+
+
+def _turned(products: Array) -> Array:
+    """Products of waves at all phases, (F PHASES,), from those of their quadratures (F, 2)."""
+    return np.asarray((products @ _short(ROUND)).ravel())
+
+
+def _made(name: str, part: Part, effect: Effect, common: Mapping[str, float]) -> Effect:
+    """A part as it is searched: bounds and fixed values of the whole, what is shared held."""
+    own = []
+    for q, called in zip(part.effect.parameters, part.names, strict=True):
+        asked = effect.parameter(called)
+        held = common.get(called, asked.fixed)
+        if q.role == "amplitude":
+            own.append(q)
+        else:
+            own.append(replace(q, bounds=asked.bounds, scan=asked.scan, fixed=held))
+    return replace(part.effect, name=name, parameters=tuple(own))

@@ -1,0 +1,164 @@
+"""An effect added to a fitted law where its scan gains most, or taken away from it; the rest refined along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Problem, Solution, refine, resettled, settle_scatter
+from frictrack.fit.linearised import Beside, beside, families, one_series, scan
+from frictrack.fit.parameters import Layout
+from frictrack.fit.segments import Piece
+from frictrack.fit.stepwise.order import follows, in_turn, known, untied
+from frictrack.fit.stepwise.trial import PULSE_PRICE, Trial, deepened, tried
+from frictrack.models import Model
+from frictrack.records import Array
+
+TRIAL_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
+TRIAL_SHARE = 1e-3  # likewise of the chi-squared beyond the noise, where a law leaves much
+TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
+
+
+def first_guess(problem: Problem) -> Array:
+    """Coefficients of a linear model by least squares on the smoothed acceleration."""
+    layout = problem.layout
+    rows, right = [], []
+    p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
+    linear = [i for i, s in enumerate(layout.slots) if s.linear]
+    for piece in problem.pieces:
+        none = _acceleration(problem, piece, p)
+        units = [_acceleration(problem, piece, p + np.eye(len(p))[i]) - none for i in linear]
+        rows.append(np.stack(units, axis=1) if units else np.empty((len(none), 0)))
+        right.append(piece.a_hat - piece.known - none)
+    p[linear] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-8)[0]
+    return p
+
+
+def _acceleration(problem: Problem, piece: Piece, p: Array) -> Array:
+    """What the law p (P,) adds to the acceleration along the smoothed motion, (3 p,)."""
+    values, level = problem.layout.values(p, piece.run)
+    return np.asarray(-problem.model.force(piece.along(piece.x_hat, piece.v_hat, level), values) / piece.mass)
+
+
+def grow(solution: Solution, effect: Effect) -> Solution:
+    """Add an effect to a fitted law; where that law is too wild to move on from, add it before the scanned ones.
+
+    Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
+    Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
+    """
+    plain, scanned = in_turn(solution.problem.model)
+    try:
+        return _grown(solution, effect)
+    except FrictrackError:
+        if not scanned:
+            raise
+    if not plain:
+        raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
+    layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
+    problem = solution.problem.over(layout, solution.problem.pieces)
+    grown = settle_scatter(problem, first_guess(problem), problem.first_starts())
+    for e in [effect, *scanned] if follows(effect, plain) else [*scanned, effect]:
+        grown = _grown(grown, e)
+    return reordered(grown, Model((*solution.problem.model.effects, effect)))
+
+
+def _grown(solution: Solution, effect: Effect) -> Solution:
+    """Add an effect where it explains most along the measured motion, and refine everything as far as a trial needs.
+
+    See `settled`. Raises FrictrackError when the runs lack what the effect needs.
+    """
+    law = beside(solution)
+    made = families(law, known(solution, effect))
+    if not made:
+        raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
+    series = one_series(law)
+    trial = tried(law, effect, [scan(law, f, series) for f in made], series.own[:, 0])
+    return simulated(law, deepened(law, [trial])[0])
+
+
+def simulated(law: Beside, trial: Trial) -> Solution:
+    """A law with an effect on trial, refined in simulation from where it stands along the measured motion."""
+    return _singled_out(_simulated(law, trial), trial.effect)
+
+
+def _singled_out(solution: Solution, effect: Effect) -> Solution:
+    """A law whose clock is wrong in as few runs as explain the data: the others share one, which is right by name.
+
+    All clocks together are absorbed by the law, so that the run next to the middle of them goes first.
+    """
+    price = PULSE_PRICE * np.log(solution.problem.n_frames)
+    while effect.clock is not None:
+        layout = solution.problem.layout
+        rates = {s.run: float(p) for s, p in zip(layout.slots, solution.p, strict=True) if s.effect == effect.name}
+        if len(rates) < 2:
+            break
+        middle = float(np.median([rates.get(r, 0.0) for r in range(len(layout.run_names))]))
+        run = min(rates, key=lambda r: abs(rates[r] - middle))
+        fewer = replace(layout, absent=layout.absent | {(effect.name, int(run or 0))})
+        there = dict(zip(layout.names, solution.p, strict=True))
+        problem = solution.problem.over(fewer, solution.problem.pieces)
+        p = np.array([there[n] - rates[run] * n.startswith(f"{effect.name}.") for n in fewer.names])
+        found = settle_scatter(problem, p, solution.starts, solution.tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
+        if found.objective - solution.objective > price:
+            break
+        solution = found
+    return solution
+
+
+def _simulated(law: Beside, trial: Trial) -> Solution:
+    layout, seen = trial.layout, law.solution
+    problem = rebuilt(seen.problem, layout)
+    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in seen.responses]
+    if not problem.simulates:
+        starts = problem.first_starts()
+    tau, enough = seen.tau or 0.03, _enough(trial.misfit, problem.n_frames)
+    try:
+        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS, enough=enough)
+    except FrictrackError:  # the law is no motion yet: without the effect it was one
+        there = dict(zip(seen.problem.layout.names, seen.p, strict=True))
+        mine = [s.linear and s.effect == trial.effect.name for s in layout.slots]
+        kept = zip(layout.names, trial.p, mine, strict=True)
+        p = np.array([there.get(n, 0.0 if gone else value) for n, value, gone in kept])
+        first = refine(problem, p, seen.starts, tau=tau, free=layout.coefficients, max_steps=4)
+        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS, enough=enough)
+
+
+def _enough(misfit: float, frames: int) -> float:
+    """Fall of chi-squared, in units of what a frame leaves, that a step of a trial must promise."""
+    return max(TRIAL_FALL, TRIAL_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
+
+
+def settled(solution: Solution) -> Solution:
+    """A law that `grow` has tried, refined to its end."""
+    return resettled(solution, solution.tau or 0.03)
+
+
+def rebuilt(problem: Problem, layout: Layout) -> Problem:
+    """The same pieces under another layout, with as many panels per frame as its effects need."""
+    fine = max(e.fine for e in layout.model.effects)
+    pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
+    return problem.over(layout, pieces)
+
+
+def reordered(solution: Solution, model: Model) -> Solution:
+    """The same solution with the effects in the order of `model`."""
+    old = solution.problem.layout
+    made = {e.name: e for e in old.model.effects}
+    layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
+    known = dict(zip(old.names, solution.p, strict=True))
+    p = np.array([known[n] for n in layout.names])
+    problem = solution.problem.over(layout, solution.problem.pieces)
+    return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
+
+
+def without(solution: Solution, name: str) -> Solution:
+    """The model without one effect, refined from where it stands."""
+    old = solution.problem.layout
+    absent = frozenset(pair for pair in old.absent if pair[0] != name)
+    layout = replace(old, model=untied(solution, name), absent=absent)
+    known = dict(zip(old.names, solution.p, strict=True))
+    problem = solution.problem.over(layout, solution.problem.pieces)
+    return settle_scatter(problem, np.array([known[n] for n in layout.names]), solution.starts, solution.tau or 0.03)

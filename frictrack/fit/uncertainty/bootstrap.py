@@ -1,0 +1,231 @@
+"""Parametric bootstrap: how far the parameters scatter when the fitted law is filmed again and again.
+
+Every draw is the law's own motion with new noise, and, where the friction level scatters from run to run, with new
+levels about one; it is refined from the fit, the scatter estimated again. Where a residual is correlated (the law
+misses something, or a run is cut into segments) blocks of it keep their shape and change their sign at random (wild
+bootstrap by block: Cameron, Gelbach & Miller 2008, Review of Economics and Statistics 90). Intervals are studentised:
+quantiles of (drawn - fitted)/(deviation in the draw), (Efron & Tibshirani 1993, ch. 12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.displacement import solve_model
+from frictrack.fit.force_domain import ForceProblem
+from frictrack.fit.least_squares import Problem, Response, Solution, batches_of, plain_covariance, settle_scatter
+from frictrack.fit.parameters import MIN_RUNS
+from frictrack.fit.uncertainty.fitted import FittedModel
+from frictrack.fit.uncertainty.quoted import quoted, shown
+from frictrack.records import Array
+from frictrack.threads import one_thread
+
+FEWEST = 20  # draws for a standard deviation
+WHITE = 4.0  # of 1/sqrt(frames): autocorrelation below which a residual is white
+REACH = 40  # frames over which correlation is looked for
+BLOCKS = 8  # of a correlated residual at least
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Drawn parameters: `values` and their deviations `stds` (D, A) by `names`, and those of the fit, `fitted`, `std`.
+
+    `failed` counts draws that gave no law, `reasons` says why. `correlated` names the runs whose residual was drawn in
+    blocks. `scatter` (D,) is the spread of the friction level found in every draw.
+    """
+
+    names: list[str]
+    fitted: Array
+    std_fitted: Array
+    values: Array
+    stds: Array
+    scatter: Array
+    level: float = 0.95
+    failed: int = 0
+    reasons: list[str] = field(default_factory=list)
+    correlated: list[str] = field(default_factory=list)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of the draws."""
+        return self._each(np.std(self.values, axis=0, ddof=1))
+
+    @property
+    def bias(self) -> dict[str, float]:
+        """Mean of the draws less the fitted value."""
+        return self._each(np.mean(self.values, axis=0) - self.fitted)
+
+    @property
+    def percentiles(self) -> dict[str, tuple[float, float]]:
+        """Central part of the draws."""
+        return self._pairs(np.quantile(self.values, self._tails, axis=0, method="weibull"))
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Studentised intervals."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.nan_to_num((self.values - self.fitted) / self.stds)
+        low, high = np.quantile(t, self._tails, axis=0, method="weibull")  # as many beyond as stated
+        return self._pairs(np.array([self.fitted - high * self.std_fitted, self.fitted - low * self.std_fitted]))
+
+    @property
+    def _tails(self) -> list[float]:
+        return [0.5 - self.level / 2, 0.5 + self.level / 2]
+
+    def _each(self, numbers: Array) -> dict[str, float]:
+        return dict(zip(self.names, map(float, numbers), strict=True))
+
+    def _pairs(self, ends: Array) -> dict[str, tuple[float, float]]:
+        return {n: (float(a), float(b)) for n, a, b in zip(self.names, *ends, strict=True)}
+
+    def summary(self) -> dict[str, Any]:
+        """JSON."""
+        std, bias, percentiles = self.std, self.bias, self.percentiles
+        return {
+            "draws": len(self.values),
+            "failed": self.failed,
+            "reasons": self.reasons,
+            "level": self.level,
+            "correlated": self.correlated,
+            "parameters": {
+                name: {"std": std[name], "bias": bias[name], "percentiles": percentiles[name], "interval": interval}
+                for name, interval in self.intervals.items()
+            },
+        }
+
+
+@one_thread()
+def bootstrap(  # noqa: PLR0913 - named settings, all optional
+    result: FittedModel,
+    draws: int = 200,
+    *,
+    rng: np.random.Generator | None = None,
+    seed: int = 0,
+    level: float = 0.95,
+    scratch: bool = False,
+    progress: Progress | None = None,
+) -> Bootstrap:
+    """Draw new data from a fit and fit them again, `draws` times; `seed` serves where no `rng` is given.
+
+    Every draw is refined from the fit, or sought from `scratch`. Raises FrictrackError (usage) for fewer than 20
+    draws, and when hardly a draw gives a law.
+    """
+    if draws < FEWEST:
+        raise FrictrackError(f"expected at least {FEWEST} draws for a deviation but got {draws}", usage=True)
+    if not hasattr(result, "solution"):
+        raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
+    if scratch and not result.is_default_route:
+        how = f"{result.domain} domain, {result.search}"
+        raise FrictrackError(
+            f"expected a fit of displacements by varpro to draw from scratch but got {how}; leave scratch out",
+            usage=True,
+        )
+    rng = rng or np.random.default_rng(seed)
+    solution, compared = result.solution, result.compared
+    blocks = [_block(r) for r in solution.responses]
+    found: list[tuple[Array, Array, float]] = []
+    reasons: list[str] = []
+    for k in range(draws):
+        try:
+            drawn = _drawn(solution, blocks, rng)
+            found.append(_read(_fitted(compared, drawn, scratch=scratch)))
+        except (FrictrackError, np.linalg.LinAlgError) as e:
+            reasons.append(str(e))
+        if progress is not None:
+            progress(k + 1, draws, "draws")
+    if len(found) < FEWEST:
+        raise FrictrackError(f"only {len(found)} of {draws} draws gave a law; the first failed because {reasons[0]}")
+    values, stds, scatter = (np.array(column) for column in zip(*found, strict=True))
+    fitted, std, _ = _read(compared)
+    names = solution.problem.layout.names
+    runs = [
+        solution.problem.layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b
+    ]
+    return Bootstrap(
+        names=[names[i] for i in shown(solution.problem.layout)],
+        fitted=fitted,
+        std_fitted=std,
+        values=values,
+        stds=stds,
+        scatter=scatter,
+        level=level,
+        failed=len(reasons),
+        reasons=sorted(set(reasons)),
+        correlated=list(dict.fromkeys(runs)),
+    )
+
+
+def _read(solution: Solution) -> tuple[Array, Array, float]:
+    """Quoted parameters (A,) of a law, their deviations (A,), and the spread of the levels."""
+    values, jacobian = quoted(solution.problem, solution.p)
+    covariance, _ = plain_covariance(solution)
+    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
+    return values, std, solution.tau
+
+
+def _drawn(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> Problem:
+    """The problem with data as the fitted law would give them once more."""
+    problem, layout = solution.problem, solution.problem.layout
+    p = solution.p.copy()
+    if len(layout.levels) >= MIN_RUNS:
+        p[layout.levels] = 1 + solution.tau * rng.standard_normal(len(layout.levels))
+        p = np.clip(p, *layout.bounds)
+        responses = problem.evaluate(p, solution.starts)
+    else:
+        responses = solution.responses
+    noise = _noise(solution, blocks, rng)
+    pieces = [
+        replace(old.piece, y=new.model_y + old.piece.coloured(e))
+        for old, new, e in zip(solution.responses, responses, noise, strict=True)
+    ]
+    return problem.over(layout, pieces)
+
+
+def _fitted(law: Solution, drawn: Problem, *, scratch: bool) -> Solution:
+    """The law of drawn data: refined from the fitted one, or sought as if nothing were known."""
+    layout = drawn.layout
+    if scratch:
+        return solve_model(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
+    problem = ForceProblem(drawn, law.problem.chains) if isinstance(law.problem, ForceProblem) else drawn
+    return settle_scatter(problem, law.p, law.starts, law.tau or 0.03)
+
+
+def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:
+    """Noise of every piece in units of sigma: white, or its own residual with the signs of its blocks drawn."""
+    if any(r.piece.cut for r in solution.responses):  # neighbouring segments miss alike
+        count = batches_of(solution)
+        sizes = [len(part) for part in np.array_split(np.arange(len(blocks)), count)]
+        signs = np.repeat(rng.choice([-1.0, 1.0], count), sizes)
+        grown = np.sqrt(count / (count - 1))
+        return [grown * sign * r.r_full for sign, r in zip(signs, solution.responses, strict=True)]
+    return [_redrawn(r, block, rng) for r, block in zip(solution.responses, blocks, strict=True)]
+
+
+def _redrawn(response: Response, block: int, rng: np.random.Generator) -> Array:
+    n = len(response.r_full)
+    if not block:
+        return rng.standard_normal(n)
+    first = rng.integers(block)  # blocks begin elsewhere in every draw
+    of = (np.arange(n) + first) // block
+    grown = np.sqrt(n / max(n - len(response.active) - 2, 1))
+    return np.asarray(grown * rng.choice([-1.0, 1.0], of[-1] + 1)[of] * response.r_full)
+
+
+def _block(response: Response) -> int:
+    """Frames in a block of a correlated residual: three times the reach of its correlation; 0 where it is white."""
+    r = response.r_full
+    n = len(r)
+    most = min(REACH, n // 4)
+    own = np.array([r[k:] @ r[: n - k] for k in range(most + 1)]) / max(float(r @ r), 1e-300)
+    if np.all(np.abs(own[1:4]) < WHITE / np.sqrt(n)):
+        return 0
+    below = np.flatnonzero(own < WHITE / np.sqrt(n) / 2)
+    reach = int(below[0]) if len(below) else most
+    return int(min(max(3 * reach, 3), max(n // BLOCKS, 1)))

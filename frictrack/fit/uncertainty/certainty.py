@@ -1,0 +1,73 @@
+"""What was asked of a fit's uncertainty beyond its standard deviations: profiles, a bootstrap, their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.uncertainty.bootstrap import Bootstrap, bootstrap
+from frictrack.fit.uncertainty.fitted import FittedModel
+from frictrack.fit.uncertainty.profile import Profile, profile
+from frictrack.threads import one_thread
+
+Progress = Callable[[int, int, str], None]
+Interval = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Profiles and a bootstrap of one fit, where they were asked for."""
+
+    profiles: tuple[Profile, ...] = ()
+    bootstrap: Bootstrap | None = None
+
+    @property
+    def intervals(self) -> dict[str, Interval]:
+        """Intervals by address: a profile's, else the bootstrap's."""
+        drawn: dict[str, Interval] = {} if self.bootstrap is None else dict(self.bootstrap.intervals)
+        return drawn | {p.address: (p.low, p.high) for p in self.profiles}
+
+    def summary(self) -> dict[str, Any]:
+        """JSON: `profiles` and `bootstrap`, what there is of them."""
+        out: dict[str, Any] = {}
+        if self.profiles:
+            out["profiles"] = {p.address: p.summary() for p in self.profiles}
+        if self.bootstrap is not None:
+            out["bootstrap"] = self.bootstrap.summary()
+        return out
+
+
+@one_thread()
+def certainty(
+    result: FittedModel,
+    *,
+    profiles: bool = True,
+    draws: int = 0,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Certainty:
+    """Profiles of all shared parameters of a fit, and a bootstrap of so many draws.
+
+    Raises FrictrackError (usage) for fits of groups.
+    """
+    if not hasattr(result, "solution"):
+        raise FrictrackError("expected the fit of one group for its profiles; leave out --per group", usage=True)
+    slots = result.solution.problem.layout.slots if profiles else ()
+    addresses = [f"{s.effect}.{s.parameter}" for s in slots if s.run is None]
+    made = []
+    for k, address in enumerate(addresses):
+        made.append(profile(result, address))
+        if progress is not None:
+            progress(k + 1, len(addresses), "profiles")
+    drawn = bootstrap(result, draws, seed=seed, progress=progress) if draws else None
+    return Certainty(tuple(made), drawn)
+
+
+def merged(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    """The JSON of a fit with that of its `Certainty`: every parameter gets its interval."""
+    drawn = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
+    ends = drawn | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}
+    told = {k: p | ({"interval": ends[k]} if k in ends else {}) for k, p in summary["parameters"].items()}
+    return {**summary, "parameters": told, **found}

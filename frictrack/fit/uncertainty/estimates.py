@@ -1,0 +1,178 @@
+"""Fitted unknowns as a person wants them: value, standard deviation, and why a value is not given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.least_squares import Solution, covariance_of
+from frictrack.fit.parameters import MASS
+from frictrack.fit.uncertainty.identifiability import partners, remarks, unsettled
+from frictrack.fit.uncertainty.quoted import gradient_of, quoted, shown
+from frictrack.records import Array
+
+NEGATIVE = 3.0  # standard deviations below zero from which a coefficient is clearly negative
+ALIKE = 0.95  # correlation from which two parameters are told to trade places
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter: value and standard deviation in `unit`, or None with the reason.
+
+    With the level scattering over few runs, `std` is the one whose +-1.96 covers 95 % (Student, runs - 1).
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+    at_bound: bool = False
+    reason: str | None = None
+    interval: tuple[float | None, float | None] | None = None  # 95 %, of a profile or a bootstrap; None: an open end
+    std_misfit: float | None = None  # with the force that a rejected law misses; None where it misses none
+
+    @property
+    def honest_std(self) -> float | None:
+        """The deviation to quote alone: with what the law misses, where it misses anything."""
+        return self.std if self.std_misfit is None else self.std_misfit
+
+    def is_significant(self, times: float) -> bool:
+        """Whether the value exceeds so many of its own standard deviations."""
+        std = self.honest_std
+        return self.value is not None and std is not None and abs(self.value) > times * std
+
+    def json(self) -> dict[str, Any]:
+        """JSON; `interval` and `std_misfit` where there are any."""
+        out = {k: v for k, v in vars(self).items() if k not in ("interval", "std_misfit")}
+        out |= {} if self.interval is None else {"interval": list(self.interval)}
+        return out | ({} if self.std_misfit is None else {"std_misfit": self.std_misfit})
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """All parameters by address, the covariance of the unknowns behind them (P, P), and what is to be said of them."""
+
+    parameters: dict[str, Estimate]
+    covariance: Array
+    correlations: list[tuple[str, str, float]]
+    remarks: list[str] = field(default_factory=list)
+
+    def with_intervals(self, found: dict[str, tuple[float | None, float | None]]) -> Estimates:
+        """The same with intervals, by address."""
+        parameters = {
+            name: replace(e, interval=found[name]) if name in found else e for name, e in self.parameters.items()
+        }
+        return replace(self, parameters=parameters)
+
+
+def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Estimates:
+    """Return the same estimates with deviations that hold while the law misses a force.
+
+    `covariance` (P, P) is what that force adds to the unknowns. Fixed, tied and undetermined parameters stay as they
+    are.
+    """
+    layout = solution.problem.layout
+    _, jacobian = quoted(solution.problem, solution.p)
+    more = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
+    parameters = dict(found.parameters)
+    for i, added in zip(shown(layout), more, strict=True):
+        old = parameters[layout.names[i]]
+        if old.std is not None:
+            std = float(np.sqrt(old.std**2 + max(added, 0.0)))
+            parameters[layout.names[i]] = replace(old, std_misfit=std)
+    return replace(found, parameters=parameters)
+
+
+def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
+    """Parameters with deviations; what the data do not determine is null with a reason.
+
+    `profile` also looks whether the profiles of the non-linear parameters are bounded, which takes further fits.
+    """
+    covariance, unseen = covariance_of(solution)
+    reasons = _absorbed(solution, unseen) | (unsettled(solution, covariance) if profile else {})
+    return told(solution, covariance, reasons)
+
+
+def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
+    """Parameters as they are quoted, with the deviations of a covariance (P, P); null where there is a reason."""
+    layout, names, p = solution.problem.layout, solution.problem.layout.names, solution.p
+    values, jacobian = quoted(solution.problem, p)
+    std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
+    low, high = layout.bounds
+    near = 1e-6 * np.maximum(1.0, np.abs(p))
+    at_bound = (p <= low + near) | (p >= high - near)
+    out: dict[str, Estimate] = {}
+    for i, value, deviation in zip(shown(layout), values, std, strict=True):
+        reason = reasons.get(names[i])
+        number, spread = (None, None) if reason else (float(value), float(deviation))
+        out[names[i]] = Estimate(number, spread, layout.slots[i].unit, bool(at_bound[i]), reason)
+    for (effect, parameter), value in layout.fixed.items():
+        unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
+        out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
+    out |= _tied(solution, covariance, out)
+    alike = correlations(names, shown(layout), covariance)
+    said = remarks(solution, alike, list(reasons))
+    return Estimates(out, covariance, alike, [*said, *driving(solution, out), *not_white(solution)])
+
+
+def not_white(solution: Solution) -> Iterator[str]:
+    """Say that the noise of neighbouring frames is correlated, how large it is, and for how long."""
+    pieces = [p for p in solution.problem.pieces if p.correlated]
+    if pieces:
+        rms, time = pieces[0].correlated
+        frames = time / float(np.median(np.diff(pieces[0].t)))
+        share = rms**2 / float(np.mean(pieces[0].noise ** 2))
+        yield (
+            f"the noise is not white: {100 * share:.0f} % of its variance is correlated over {frames:.2g} frames "
+            f"({1e3 * time:.2g} ms), as a filter in a sensor, mains or air leave it; deviations and tests take it into "
+            "account"
+        )
+
+
+def driving(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
+    """Say which coefficients of a passive force came out clearly negative, and what does that."""
+    for effect in solution.problem.model.effects:
+        for p in effect.parameters:
+            e = found.get(f"{effect.name}.{p.name}") if p.passive else None
+            if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE * e.std:
+                yield (
+                    f"{effect.name}.{p.name} = {e.value:.3g} {e.unit} is negative: this force would drive the mass. "
+                    "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a "
+                    "drive that was not given"
+                )
+
+
+def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Parameters that follow others, as well known as these."""
+    layout = solution.problem.layout
+    out: dict[str, Estimate] = {}
+    for address, tie, unit in layout.tied():
+        value, gradient = gradient_of(solution.problem, solution.p, address)
+        leader = known.get(f"{tie.effect}.{tie.parameter}")
+        lost = leader is not None and leader.value is None
+        std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
+        why = f"tied to {tie}" if not lost else f"tied to {tie}, which these runs do not determine"
+        out[address] = Estimate(None if lost else value, None if lost else std, unit, False, why)
+    return out
+
+
+def _absorbed(solution: Solution, unseen: Array) -> dict[str, str]:
+    """Unknowns that the linearised model does not see at all, with the reason."""
+    layout, names = solution.problem.layout, solution.problem.layout.names
+    massless = MASS in layout.model and unseen[layout.index(MASS, "m")]
+    out = {
+        names[i]: "these runs do not determine the mass, and no force without it"
+        for i in shown(layout)
+        if massless and layout.slots[i].linear
+    }
+    return out | {names[i]: partners(solution, i) for i in shown(layout) if unseen[i]}
+
+
+def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:
+    """Pairs of the unknowns `at` whose correlation is above 0.95."""
+    d = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    r = covariance / d[:, None] / d
+    pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
+    return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > ALIKE]

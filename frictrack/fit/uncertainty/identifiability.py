@@ -1,0 +1,222 @@
+"""What the runs do not determine, in words: which parameters trade places, why, and which run would settle it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from frictrack.effects import Effect
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import NULL, Z95, Solution, inverse
+from frictrack.fit.parameters import LEVEL, MASS, Slot
+from frictrack.fit.uncertainty.profile import Walk
+from frictrack.fit.uncertainty.quoted import quantity, shown
+from frictrack.models import Model
+from frictrack.records import Array
+
+CLEAR, FAR = 8.0, 20.0  # standard deviations of an effect's size from zero, of a parameter from its bounds: no question
+LOOSE = np.pi / Z95  # rad, deviation of a phase whose interval goes all the way round
+SLOPPY = 300.0  # times worse than alone: from here on a law as a whole is called nearly unidentifiable
+MOST_NAMES = 6  # told of one group
+
+
+def unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
+    """Non-linear parameters, and F_s, whose profile is not bounded, by address, with the reason.
+
+    F_s and v_s go together: they count when the profile interval of F_s - F_c excludes zero and that of v_s ends on
+    both sides. `covariance` (P, P) is the one stated.
+    """
+    out: dict[str, str] = {}
+    for effect in solution.problem.model.effects:
+        whole = effect.kind == "stribeck" and solution.problem.layout.seeks(effect.name, "F_s", "v_s")
+        why = _stribeck(solution, covariance, effect) if whole else None
+        if why:
+            free = [p.name for p in effect.parameters if p.free]
+            out |= {f"{effect.name}.{name}": why for name in free}
+        elif effect.name != MASS:
+            out |= dict(_open(solution, covariance, effect))
+    return out
+
+
+def _stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | None:
+    """Why F_s and v_s are not to be printed."""
+    layout = solution.problem.layout
+    rise = layout.index(effect.name, "F_s")
+    settled = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    speed = layout.index(effect.name, "v_s")
+    if solution.p[rise] > CLEAR * std[rise] and _from_bounds(solution, speed) > FAR * std[speed]:
+        return None
+    whole = f"{effect.name}.F_s"
+    beside = layout.seeks("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
+    walk = Walk(solution, quantity(layout, f"{whole} - coulomb.F_c" if beside else whole), covariance)
+    level = 0.0 if beside else layout.quoted(solution.p).get("coulomb.F_c", 0.0)
+    if solution.p[rise] <= 0 or not walk.excluded(level):
+        return f"F_s - F_c is not distinguishable from zero; {settled}"
+    why = _unbounded(solution, covariance, speed)
+    return f"v_s is not bounded on both sides: {why}; {settled}" if why else None
+
+
+def _open(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tuple[str, str]]:
+    """Non-linear parameters of one effect that are not bounded on both sides."""
+    layout = solution.problem.layout
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    sizes = {p.name for p in effect.parameters if p.linear or p.role == "depth"}
+    mine = [i for i, s in enumerate(layout.slots) if s.effect == effect.name]
+    for i in mine:
+        slot = layout.slots[i]
+        if slot.parameter in sizes:
+            continue
+        own = [k for k in mine if layout.slots[k].parameter in sizes and _together(layout.slots[k], slot)]
+        clear = [abs(solution.p[k]) / max(std[k], 1e-300) for k in own]
+        if effect.parameter(slot.parameter).role == "phase":
+            why = f"any phase fits (± {std[i]:.2g} rad)" if std[i] > LOOSE else None
+        elif min(clear, default=0.0) > CLEAR and _from_bounds(solution, i) > FAR * std[i]:
+            continue
+        else:
+            why = _unbounded(solution, covariance, i)
+        if why:
+            yield layout.names[i], f"{why}; {lower(effect.confirm)}" if effect.confirm else why
+
+
+def _together(size: Slot, slot: Slot) -> bool:
+    """Whether a size belongs to the same run as a non-linear parameter, or either to all."""
+    return size.run is None or slot.run is None or size.run == slot.run
+
+
+def _from_bounds(solution: Solution, i: int) -> float:
+    low, high = solution.problem.layout.slots[i].bounds
+    return float(min(solution.p[i] - low, high - solution.p[i]))
+
+
+def _unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
+    """Why the profile of one unknown is open; None where it ends on both sides."""
+    walk = Walk(solution, quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance)
+    try:
+        found = [walk.bounded(side) for side in (-1, 1)]
+    except (FrictrackError, np.linalg.LinAlgError):
+        return "its misfit cannot be followed"
+    return next((why for ends, why in found if not ends), None)
+
+
+def lower(sentence: str) -> str:
+    """A sentence as part of another one."""
+    return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def partners(solution: Solution, i: int) -> str:
+    """Why an unknown is not seen at all: what it cannot be told from, and the run that would tell."""
+    layout, jac = solution.problem.layout, solution.jac
+    norm = np.linalg.norm(jac, axis=0)
+    if norm[i] == 0:
+        return "the runs do not respond to it"
+    norm[norm == 0] = 1.0
+    _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
+    null = vt[s <= NULL * s[0]]
+    weight = np.max(np.abs(null), axis=0, initial=0.0)
+    others = [int(j) for j in np.flatnonzero(weight > 0.05) if j != i and layout.slots[j].effect != LEVEL]
+    told = f"these runs cannot tell it from {listed([layout.names[j] for j in others[:3]]) or 'the other parameters'}"
+    advice = settles(layout.model, [layout.slots[j].effect for j in (i, *others)])
+    return f"{told}; {lower(advice)}" if advice else told
+
+
+def remarks(solution: Solution, correlations: Sequence[tuple[str, str, float]], lost: Sequence[str]) -> list[str]:
+    """What a person should know of the parameters as a whole: who trades places with whom, and what would part them.
+
+    `lost` are the addresses that have no value.
+    """
+    groups = _groups(correlations)
+    said = [_trade(solution.problem.model, group, correlations) for group in groups]
+    return said + list(_nearly(inflation(solution), groups, lost))
+
+
+def _nearly(worst: float, groups: Sequence[Sequence[str]], lost: Sequence[str]) -> Iterator[str]:
+    """Whether the law as a whole is nearly unidentifiable, and by what that shows."""
+    open_ones = [name for name in lost if any(name in group for group in groups)]
+    beside = [n for g in groups if set(g) & set(open_ones) for n in g if n not in lost]
+    if open_ones:
+        with_it = f", and {_few(beside)} {'goes' if len(beside) == 1 else 'go'} with it" if beside else ""
+        why = f"{_few(open_ones)} {'is' if len(open_ones) == 1 else 'are'} not determined{with_it}"
+    elif worst > SLOPPY:
+        why = f"some of its parameters are known {worst:.0f} times worse together than each would be alone"
+    else:
+        return
+    yield (
+        f"This law is nearly unidentifiable from these runs: {why}. Other values predict the same motion: read none "
+        "of them by itself; film more kinds of runs, or take a law with fewer parameters."
+    )
+
+
+def _few(names: Sequence[str]) -> str:
+    """Addresses as a sentence has them: runs left out, of many the first few."""
+    own = list(dict.fromkeys(name.split("[")[0] for name in names))
+    return listed(own if len(own) <= MOST_NAMES else [*own[:MOST_NAMES], f"{len(own) - MOST_NAMES} more"])
+
+
+def inflation(solution: Solution) -> float:
+    """By how much the worst unknown is known less because the others are not known either; levels as they are."""
+    jac = solution.jac[:, shown(solution.problem.layout)]
+    covariance, _ = inverse(jac)
+    return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
+
+
+def _groups(correlations: Sequence[tuple[str, str, float]]) -> list[list[str]]:
+    """Parameters that are linked by correlations, directly or by way of others."""
+    groups: list[list[str]] = []
+    for a, b, _ in correlations:
+        linked = [g for g in groups if a in g or b in g]
+        merged = list(dict.fromkeys([*(n for g in linked for n in g), a, b]))
+        groups = [g for g in groups if g not in linked] + [merged]
+    return groups
+
+
+def _trade(model: Model, group: Sequence[str], correlations: Sequence[tuple[str, str, float]]) -> str:
+    """One group of parameters that trade places, in a sentence or two."""
+    strongest = max((r for a, _, r in correlations if a in group), key=abs)
+    own = list(dict.fromkeys(name.split("[")[0] for name in group))
+    kinds = list(dict.fromkeys(name.split(".")[0] for name in own))
+    named = _few(group)
+    how = f"(correlation up to {strongest:+.3f})".replace("-", "\N{MINUS SIGN}")
+    if len(own) == 1:
+        return f"{named} of different runs go together {how}."
+    if len(kinds) == 1 and len(own) == 2 and _has_phase(model, own):
+        return f"{named} go together {how}, because a phase is counted at release."
+    why, advice = known_trade(model, kinds), settles(model, kinds)
+    each = "either" if len(own) == 2 else "each"
+    told = f"{named} trade places {how}: these runs fix a combination of them better than {each}"
+    return f"{told}{f'; {why}' if why else ''}.{f' To part them: {lower(advice)}.' if advice else ''}"
+
+
+def known_trade(model: Model, names: Sequence[str]) -> str:
+    """What the library says of a pair among these effects: that one is mistaken for the other."""
+    pair = next(_mistaken(model, names), None)
+    return "" if pair is None else f"{pair[0].kind.replace('_', ' ')} is mistaken for {lower(pair[0].mistaken_for)}"
+
+
+def _has_phase(model: Model, addresses: Sequence[str]) -> bool:
+    effects = {e.name: e for e in model.effects}
+    split = [address.split(".", 1) for address in addresses]
+    return any(effects[e].parameter(p).role == "phase" for e, p in split)
+
+
+def settles(model: Model, names: Sequence[str]) -> str:
+    """The run that would part these effects: as a known pair says, else the last one of the model that says any."""
+    known = list(_mistaken(model, names))
+    named = [a.confirm for a, b in known if b.kind.replace("_", " ") in a.confirm.lower()]
+    told = [e.confirm for e in model.effects if e.name in names and e.confirm]
+    return next(iter((*named, *(a.confirm for a, _ in known), *reversed(told))), "")
+
+
+def _mistaken(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effect]]:
+    """Pairs of effects of which the first says that it is mistaken for the second; the last in the model first."""
+    mine = [e for e in model.effects if e.name in names]
+    for first in reversed(mine):
+        for second in mine:
+            if first is not second and second.kind.replace("_", " ") in first.mistaken_for.lower():
+                yield first, second
+
+
+def listed(words: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)

@@ -1,0 +1,150 @@
+"""Compute how uncertain a law's parameters are while the law misses something.
+
+The standard deviations of a fit hold when nothing but noise is left. Where a law is rejected, the force that it misses
+pulls its parameters, by far more than noise does. That force is taken for a smooth random force (a Gaussian process;
+Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63, 425): of its own in every run, or one of place or of speed that all runs
+have in common. Its size and length are those of the highest restricted likelihood (Rasmussen & Williams 2006, ch. 5),
+and what it does to the least-squares parameters is the sandwich (White 1982, Econometrica 50)
+
+    (J'J)^-1 J'T S T'J (J'J)^-1
+
+with T the trace of the force in the data and S its covariance. The true force is one draw from that process: the part
+of it that looks like the law itself cannot be seen in the residual, but it is as large as the part that can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from frictrack.fit.least_squares import Response, Solution, linearised, plain_covariance, traces
+from frictrack.fit.smooth_functions import correlation_frames, hats, matern
+from frictrack.records import Array
+
+KNOTS = {"x": 60, "v": 40}  # of a force that all runs have in common
+MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # of forces of single runs: over all pieces; of each
+LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # over which a force is alike, of its axis
+SIZES = np.geomspace(1e-4, 1e4, 81)  # of the process, over what a unit of chi-squared asks for
+LIKELY = 0.5  # of the best evidence that a force over another axis must reach to have a say
+CLEAR = 10.0  # twice the rise of the log likelihood from which a misfit is reported
+JITTER = 1e-8
+NARROW = 1e-6  # of an axis' largest value: a narrower one holds no knots
+REJECTED = (
+    "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
+    "holds for a missing force of the size that the residual shows"
+)
+NOISY = 1.2  # chi-squared per degree of freedom up to which a residual counts as noise
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """The missing force of a rejected law: what it goes with, and the covariance (P, P) that it adds to the unknowns.
+
+    `axis` is "t" (of its own in every run), "x" or "v"; `evidence` twice the rise of the log restricted likelihood.
+    """
+
+    axis: str
+    evidence: float
+    covariance: Array
+
+    def summary(self) -> dict[str, Any]:
+        """JSON `misfit` of a fit."""
+        return {"axis": self.axis, "evidence": self.evidence, "words": REJECTED}
+
+
+def misfit_of(solution: Solution) -> Misfit | None:
+    """Find the most likely missing force of a law, and what it does to the unknowns; None where noise explains all.
+
+    Examples
+    --------
+    >>> misfit_of(fit.solution) is None  # doctest: +SKIP
+    True
+
+    """
+    if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
+        return None
+    law = linearised(solution)
+    bread, _ = plain_covariance(solution)
+    found = []
+    for axis, made, alike in _forces(solution):
+        trace = np.zeros((len(law.r), made[0].shape[1]))
+        for rows, response, force in zip(law.rows, solution.responses, made, strict=True):
+            trace[rows] = traces(response, force)
+        clean = trace - law.u @ (law.u.T @ trace)
+        evidence, covariance = _most_likely(clean, law.r, alike)
+        pull = bread @ (solution.jac.T @ trace[: len(solution.residual)])
+        found.append(Misfit(axis, evidence, pull @ covariance @ pull.T))
+    best = max(found, key=lambda m: m.evidence)
+    return _widest(best, [m for m in found if m.evidence > LIKELY * best.evidence]) if best.evidence > CLEAR else None
+
+
+def _widest(best: Misfit, likely: list[Misfit]) -> Misfit:
+    """The most likely force, its covariance scaled to the largest deviation of every unknown under any likely one.
+
+    Which axis the force goes with is not known for sure, and deviations must hold whichever it is.
+    """
+    own = np.sqrt(np.maximum(np.diag(best.covariance), 1e-300))
+    largest = np.sqrt(np.max([np.diag(m.covariance) for m in likely], axis=0))
+    scale = np.maximum(largest / own, 1.0)
+    return Misfit(best.axis, best.evidence, best.covariance * scale[:, None] * scale)
+
+
+def dispersion(solution: Solution) -> float:
+    """Compute by how much chi-squared differences must be divided while a law leaves more than noise; at least one.
+
+    Quasi-likelihood (Wedderburn 1974, Biometrika 61): chi-squared per degree of freedom, times the frames over which
+    the residual is alike, since frames that are alike say the same thing.
+    """
+    free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
+    each = solution.chi2 / free
+    if each < NOISY:
+        return 1.0
+    return max(each * max(1.0, *(correlation_frames(r.r) for r in solution.responses)), 1.0)
+
+
+def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Array]:
+    """Twice the rise of the log restricted likelihood at the best length and size, and the covariance (K, K) there."""
+    gram, data = clean.T @ clean, clean.T @ r
+    best = (0.0, np.zeros_like(gram))
+    for shape in alike:
+        root = np.linalg.cholesky(shape + JITTER * np.eye(len(shape)))
+        values, vectors = np.linalg.eigh(root.T @ gram @ root)
+        values = np.maximum(values, 0.0)
+        unit = float(values.max()) or 1.0
+        square = (vectors.T @ (root.T @ data)) ** 2
+        sizes = SIZES[:, None] / unit
+        gain = np.sum(square * sizes / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
+        k = int(np.argmax(gain))
+        if gain[k] > best[0]:
+            best = (float(gain[k]), float(sizes[k, 0]) * (root @ root.T))
+    return best
+
+
+def _forces(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
+    """Forces through knots (m_i, K) along every piece, N, and how alike they are at two knots for every length."""
+    at = [_nodes(solution, r) for r in solution.responses]
+    each = int(np.clip(MAX_KNOTS // len(at), MIN_KNOTS, KNOTS_A_RUN))
+    wide = [np.zeros((len(t), each * len(at))) for t, *_ in at]
+    for i, (t, *_) in enumerate(at):
+        wide[i][:, i * each : (i + 1) * each] = hats(t, np.linspace(t[0], t[-1], each))
+    one = np.linspace(0.0, 1.0, each)
+    yield "t", wide, [np.asarray(np.kron(np.eye(len(at)), matern(one, length))) for length in LENGTHS]
+    for axis, values in (("x", [q[1] for q in at]), ("v", [np.abs(q[2]) for q in at])):
+        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        if not high - low > NARROW * max(abs(low), abs(high)):
+            continue
+        knots = np.linspace(low, high, KNOTS[axis])
+        alike = [matern((knots - low) / (high - low), length) for length in LENGTHS]
+        for factor in ([q[3] for q in at], [np.sign(q[3]) if axis == "v" else np.ones_like(q[3]) for q in at]):
+            yield axis, [hats(v, knots) * f[:, None] for v, f in zip(values, factor, strict=True)], alike
+
+
+def _nodes(solution: Solution, response: Response) -> tuple[Array, Array, Array, Array]:
+    """Time, place, velocity, and load times direction at the nodes of one piece, (m,) each."""
+    piece = response.piece
+    _, level = solution.problem.layout.values(solution.p, piece.run)
+    path = piece.along(response.motion.x, response.motion.v, level)
+    return piece.panels.t, path.x, path.v, path.load * path.s

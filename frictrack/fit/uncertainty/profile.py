@@ -1,0 +1,283 @@
+"""Profile likelihood: how the misfit rises when one quantity is held and every other unknown is fitted again.
+
+    rise(c) = min { objective(p) : g(p) = c } - min objective(p)
+
+An interval holds all c with rise below the quantile of chi-squared with one degree of freedom (Wilks 1938; Venzon &
+Moolgavkar 1988, Applied Statistics 37). Where the standard deviation counts more than white noise (a spread known from
+few runs, segments, coloured noise), the rise counts less by the square of that ratio, so that a law that is linear
+gives the interval of its standard deviation. An end that is not reached is None, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution, plain_covariance, refine
+from frictrack.fit.uncertainty.fitted import FittedModel
+from frictrack.fit.uncertainty.held import Held, pivot_of
+from frictrack.fit.uncertainty.quoted import Quantity, quantity
+from frictrack.records import Array
+from frictrack.threads import one_thread
+
+CLOSE = 5e-3  # of the quantile: how near an end is sought
+MOST, FEW = 14, 6  # refinements on either side: for an interval, to see whether there is an end
+WIDEN = 3.0  # factor by which a step outward may grow
+BEYOND = 1.25  # of the end: how far out the picture of a profile goes
+BETTER = 0.1  # fall of chi-squared that makes another law a better one
+PROBE = 4.0  # standard deviations out where a profile has passed the quantile, if it ever does
+NEAR = 1e-3  # standard deviations between two values that are one
+HUGE = 1e6  # of the quantity's own size and deviation, whichever is larger: beyond, it is called unlimited
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one quantity: `rise` (n,) of chi-squared at rising `values` (n,), and its interval.
+
+    `low` and `high` end the interval, None where the profile does not rise far enough, `why_low` and `why_high` say
+    why. `better` is how far the misfit falls below that of the fit somewhere on the way: 0 where the fit was best.
+    """
+
+    address: str
+    unit: str
+    value: float
+    level: float
+    values: Array
+    rise: Array
+    low: float | None
+    high: float | None
+    why_low: str = ""
+    why_high: str = ""
+    better: float = 0.0
+    refinements: int = 0
+
+    @property
+    def bounded(self) -> bool:
+        """Whether both ends were reached."""
+        return self.low is not None and self.high is not None
+
+    def excludes(self, value: float) -> bool:
+        """Whether the interval does not hold a value."""
+        return (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
+
+    def summary(self) -> dict[str, Any]:
+        """JSON."""
+        why = {k: v for k, v in (("why_low", self.why_low), ("why_high", self.why_high)) if v}
+        return {
+            "value": self.value,
+            "unit": self.unit,
+            "level": self.level,
+            "low": self.low,
+            "high": self.high,
+            **why,
+            "values": self.values.tolist(),
+            "rise": self.rise.tolist(),
+        }
+
+
+@one_thread()
+def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profile:
+    """The profile of one parameter of a fit, or of the difference of two (``"stribeck.F_s - coulomb.F_c"``).
+
+    Parameters are held as they are quoted, all others and the friction levels are fitted again within their bounds.
+    Raises FrictrackError (usage) for what is not a free parameter of the law or a level outside 0 to 1.
+    """
+    if not 0 < level < 1:
+        raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
+    if not hasattr(result, "solution"):
+        raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
+    solution = result.compared
+    if not result.is_default_route:  # a search may have stopped short
+        solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
+    wanted = quantity(solution.problem.layout, address)
+    return Walk(solution, wanted, result.covariance, level).profile()
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One refinement: the law (its p in full) at a held value, and its signed root z of the rise."""
+
+    c: float
+    z: float
+    p: Array
+    starts: list[Array]
+
+
+@dataclass(eq=False)
+class Walk:
+    """Outward from the best law along one quantity. `covariance` (P, P) of the unknowns is the one that is stated."""
+
+    solution: Solution
+    quantity: Quantity
+    covariance: Array
+    level: float = 0.95
+    points: list[Point] = field(default_factory=list)
+    better: float = 0.0
+
+    def __post_init__(self) -> None:
+        s = self.solution
+        naive, _ = plain_covariance(s)
+        g = self.quantity.gradient(s.problem, s.p)
+        curved, stated = float(g @ naive @ g), float(g @ self.covariance @ g)
+        self.scale = stated / curved if curved > 0 and stated > 0 else 1.0  # of the rise
+        self.pull = naive @ g / curved if curved > 0 else np.zeros(len(s.p))
+        self.best = Point(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
+        self.std = float(np.sqrt(stated)) if stated > 0 else 0.1 * max(abs(self.best.c), 1e-3)
+        self.target = float(norm.ppf(0.5 + self.level / 2))
+        self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(naive)))
+        self.phases = np.array([_is_phase(s, i) for i in range(len(s.p))])
+        self.points.append(self.best)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the quantity where it is an unknown itself; else none, the unknowns have theirs."""
+        slot = self.solution.problem.layout.slots[self.quantity.slot]
+        if self.phases[self.quantity.slot]:
+            return self.best.c - np.pi, self.best.c + np.pi
+        return slot.bounds if self.pivot is None else (-np.inf, np.inf)
+
+    def at(self, c: float) -> Point:
+        """The best law with the quantity at c, from its nearest neighbours.
+
+        Raises FrictrackError where there is none.
+        """
+        s = self.solution
+        held = Held(s.problem, self.quantity, c, self.pivot)
+        p, starts = self._predicted(c)
+        low, high = s.problem.layout.bounds
+        p = held.law(np.clip(p, low, high))
+        found = refine(held, p, starts, tau=s.tau, free=held.free)
+        rise = (found.objective - s.objective) / self.scale
+        self.better = max(self.better, -rise if rise < -BETTER else 0.0)
+        point = Point(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)
+        self.points.append(point)
+        return point
+
+    def _predicted(self, c: float) -> tuple[Array, list[Array]]:
+        """Unknowns and starts on the line through the two nearest points of this side, or along the curvature."""
+        side = [q for q in self.points if (q.c - self.best.c) * (c - self.best.c) >= 0]
+        near, *more = sorted(side, key=lambda q: abs(q.c - c))
+        more = [q for q in more if q.c != near.c]
+        if not more:
+            return near.p + self.pull * (c - near.c), near.starts
+        share = (c - near.c) / (near.c - more[0].c)
+        moved = near.p - more[0].p
+        moved[self.phases] = (moved[self.phases] + np.pi) % (2 * np.pi) - np.pi
+        return near.p + share * moved, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
+
+    def profile(self) -> Profile:
+        """Both sides, and a point beyond either end for its picture."""
+        (low, why_low), (high, why_high) = self.end(-1), self.end(1)
+        for end in (low, high):
+            if end is not None:
+                self._tried(float(np.clip(self.best.c + BEYOND * (end - self.best.c), *self.bounds)))
+        told = sorted(self.points, key=lambda q: q.c)
+        return Profile(
+            address=self.quantity.address,
+            unit=self.quantity.unit,
+            value=self.best.c,
+            level=self.level,
+            values=np.array([q.c for q in told]),
+            rise=np.array([q.z**2 for q in told]),
+            low=low,
+            high=high,
+            why_low=why_low,
+            why_high=why_high,
+            better=self.better,
+            refinements=len(self.points) - 1,
+        )
+
+    def end(self, side: int, most: int = MOST) -> tuple[float | None, str]:
+        """Where the profile passes the quantile on one side (-1 or 1); None and why where it does not."""
+        last = inner = self.best
+        outer, barred, wall = None, side * np.inf, self.bounds[side > 0]
+        for _ in range(most):
+            c = self._outward(side, last, inner) if outer is None else _between(inner, outer, self.target)
+            c = side * min(side * c, side * wall, 0.5 * side * (inner.c + barred))
+            if abs(c - inner.c) < NEAR * min(self.std, abs((outer or inner).c - self.best.c) or self.std):
+                break
+            point = self._tried(c)
+            if point is None:
+                barred = c
+            elif point.z >= self.target:
+                outer = point
+            else:
+                last, inner = inner, point
+            if self._passed(inner, outer) or self._huge(inner.c):
+                break
+        if outer is not None or inner.z > (1 - CLOSE) * self.target:
+            return self._crossing(inner, outer or inner), ""
+        return None, self._open(inner, wall, barred)
+
+    def excluded(self, value: float) -> bool:
+        """Whether the interval does not hold a value."""
+        point = self._tried(value)
+        return point is not None and point.z >= self.target
+
+    def bounded(self, side: int) -> tuple[bool, str]:
+        """Whether the profile passes the quantile on one side, without finding where: mostly in one refinement."""
+        far, wall = self.best.c + side * PROBE * self.std, self.bounds[side > 0]
+        point = self._tried(side * min(side * far, side * wall))
+        if point is not None and point.z >= self.target:
+            return True, ""
+        if point is not None and point.c == wall:
+            return False, self._open(point, wall, side * np.inf)
+        end, why = self.end(side, FEW)
+        return end is not None, why
+
+    def _tried(self, c: float) -> Point | None:
+        try:
+            return self.at(c)
+        except (FrictrackError, np.linalg.LinAlgError):
+            return None
+
+    def _passed(self, inner: Point, outer: Point | None) -> bool:
+        near = CLOSE * self.target
+        return self.target - inner.z < near or (outer is not None and outer.z - self.target < near)
+
+    def _outward(self, side: int, last: Point, here: Point) -> float:
+        """Where the quantile is expected, from the two outermost points; the first step is one deviation."""
+        if here is self.best:
+            return here.c + side * self.std
+        slope = (here.z - last.z) / abs(here.c - last.c)
+        gone = abs(here.c - self.best.c)
+        step = (1.02 * self.target - here.z) / slope if slope > 0 else np.inf
+        return here.c + side * min(step, (WIDEN - 1) * gone)
+
+    def _crossing(self, inner: Point, outer: Point) -> float:
+        share = (self.target - inner.z) / (outer.z - inner.z) if outer.z != inner.z else 1.0
+        return inner.c + share * (outer.c - inner.c)
+
+    def _huge(self, c: float) -> bool:
+        return abs(c - self.best.c) > HUGE * max(abs(self.best.c), self.std, 1e-12)
+
+    def _open(self, reached: Point, wall: float, barred: float) -> str:
+        unit = self.quantity.unit
+        bound = abs(reached.c - wall) < NEAR * self.std
+        told = f"{wall if bound else reached.c:.4g} {unit}".removesuffix(" 1")
+        rise = f"the misfit rises by {reached.z**2:.2g} only"
+        if self.phases[self.quantity.slot]:
+            return f"at the opposite phase {rise}"
+        if bound:
+            return f"up to its bound {told} {rise}"
+        stopped = " and no law beyond can be integrated" if np.isfinite(barred) else ""
+        return f"up to {told} {rise}{stopped}"
+
+
+def _between(inner: Point, outer: Point, target: float) -> float:
+    """Where z passes the target between two points, kept off their ends."""
+    share = (target - inner.z) / max(outer.z - inner.z, 1e-300)
+    return inner.c + min(max(share, 0.02), 0.95) * (outer.c - inner.c)
+
+
+def _is_phase(solution: Solution, i: int) -> bool:
+    slot = solution.problem.layout.slots[i]
+    effect = next((e for e in solution.problem.model.effects if e.name == slot.effect), None)
+    return effect is not None and effect.parameter(slot.parameter).role == "phase"

@@ -1,0 +1,96 @@
+"""Unknowns as they are quoted: F_s for F_s - F_c, x_0 as a length, newtons where the mass was fitted too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Problem, Solution
+from frictrack.fit.parameters import LEVEL, Layout, ratio
+from frictrack.records import Array
+
+BETWEEN = " - "  # of two addresses: their difference
+
+
+def shown(layout: Layout) -> list[int]:
+    """Positions of the unknowns that are quoted: all but the friction levels."""
+    return [i for i, s in enumerate(layout.slots) if s.effect != LEVEL]
+
+
+def quoted_values(problem: Problem, p: Array) -> Array:
+    """The quoted unknowns of a law p (P,), (A,), in the order of `shown`."""
+    layout = problem.layout
+    known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / ratio(layout, p)}
+    return np.array([known[layout.names[i]] for i in shown(layout)])
+
+
+def quoted(problem: Problem, p: Array) -> tuple[Array, Array]:
+    """The quoted unknowns (A,), and their derivatives in the unknowns, (A, P)."""
+    base = quoted_values(problem, p)
+    jacobian = np.zeros((len(base), len(p)))
+    for j in range(len(p)):
+        step = 1e-6 * max(abs(p[j]), 1e-3)
+        moved = p.copy()
+        moved[j] += step
+        jacobian[:, j] = (quoted_values(problem, moved) - base) / step
+    return base, jacobian
+
+
+def gradient_of(problem: Problem, p: Array, address: str) -> tuple[float, Array]:
+    """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
+    base = problem.layout.quoted(p)[address]
+    gradient = np.zeros(len(p))
+    for j in range(len(p)):
+        step = 1e-6 * max(abs(p[j]), 1e-3)
+        moved = p.copy()
+        moved[j] += step
+        gradient[j] = (problem.layout.quoted(moved)[address] - base) / step
+    return base, gradient
+
+
+def quoted_by_address(solution: Solution, p: Array) -> dict[str, float]:
+    """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
+    values = quoted_values(solution.problem, p)
+    names = [solution.problem.layout.names[i] for i in shown(solution.problem.layout)]
+    return dict(zip(names, map(float, values), strict=True))
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quoted unknown, or the difference of two; `slot` is the unknown that is quoted (first)."""
+
+    address: str
+    unit: str
+    slot: int
+    weights: Array  # (A,) on the quoted unknowns
+
+    def value(self, problem: Problem, p: Array) -> float:
+        """Its value for unknowns p (P,)."""
+        return float(self.weights @ quoted_values(problem, p))
+
+    def gradient(self, problem: Problem, p: Array) -> Array:
+        """Its derivative in every unknown, (P,)."""
+        return np.asarray(self.weights @ quoted(problem, p)[1])
+
+
+def quantity(layout: Layout, address: str) -> Quantity:
+    """What an address means: ``"coulomb.F_c"``, ``"vibration.phase[v3]"``, ``"stribeck.F_s - coulomb.F_c"``.
+
+    Raises FrictrackError (usage) for an address that is not an unknown of this law.
+    """
+    at = shown(layout)
+    names = [layout.names[i] for i in at]
+    parts: Sequence[str] = [part.strip() for part in address.split(BETWEEN)]
+    unknown = [part for part in parts if part not in names]
+    if unknown or len(parts) > 2:
+        fixed = [f"{e}.{p}" for e, p in layout.fixed]
+        why = "which is fixed" if unknown and unknown[0] in fixed else f"but got {unknown[0] if unknown else address}"
+        raise FrictrackError(f"expected a free parameter of the law ({', '.join(names)}) {why}", usage=True)
+    weights = np.zeros(len(at))
+    for part, sign in zip(parts, (1.0, -1.0), strict=False):
+        weights[names.index(part)] += sign
+    slot = layout.slots[at[names.index(parts[0])]]
+    return Quantity(address, slot.unit, at[names.index(parts[0])], weights)
