@@ -12,7 +12,7 @@ import pytest
 from browser import CHROMIUM, TOKEN, Open, Server
 from tornado.httputil import HTTPHeaders, HTTPServerRequest, RequestStartLine
 
-from frictrack.workbench.guard import Guard, address_of
+from frictrack.workbench.guard import RequestGuard, address_of
 
 PATHS = ("/", "/ws", "/autoload.js?bokeh-autoload-element=a", "/metadata", "/static/js/bokeh.min.js", "/favicon.ico")
 
@@ -134,12 +134,12 @@ def request(host: str, path: str = "/") -> HTTPServerRequest:
     ],
 )
 def test_names_of_this_machine(host: str, name: str, accepted: bool) -> None:
-    guard = Guard("sesame", host, ("lab.example.org",))
+    guard = RequestGuard("sesame", host, ("lab.example.org",))
     assert (guard.fault(request(name, "/?token=sesame")) == "") is accepted
 
 
 def test_every_port_has_its_own_cookie() -> None:
-    names = {Guard("a").cookie(request(f"127.0.0.1:{port}")) for port in (5006, 5007)}
+    names = {RequestGuard("a").cookie(request(f"127.0.0.1:{port}")) for port in (5006, 5007)}
     assert len(names) == 2
 
 

@@ -49,7 +49,7 @@ def test_work_is_done_and_stands_in_the_log(study: Study) -> None:
     assert ended(job) == jobs.DONE
     assert job.result["done"]["model"] == ["coulomb", "viscous"]
     assert [c.who for c in Session(study).ledger.changes] == ["page"]
-    assert [j.folder.name for j in jobs.listed(study)] == ["0001"]
+    assert [j.folder.name for j in jobs.list_jobs(study)] == ["0001"]
 
 
 def test_a_failure_is_told_in_its_own_words(study: Study) -> None:

@@ -33,7 +33,7 @@ from frictrack.plausibility import (
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Run, Track
-from frictrack.workbench.desk import Desk
+from frictrack.workbench.page_state import PageState
 
 NOISE = 1e-5  # m
 FPS = 1000.0
@@ -596,11 +596,11 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
 
 def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
     study_file.unlink()
-    desk = Desk(study_file)
-    assert desk.begin(["slow.csv"], {"mass": "350"})
-    assert "study.toml is written" in desk.said
-    assert "to be checked: mass = 350 has no unit" in desk.said
-    assert desk.wrong
+    state = PageState(study_file)
+    assert state.begin(["slow.csv"], {"mass": "350"})
+    assert "study.toml is written" in state.message
+    assert "to be checked: mass = 350 has no unit" in state.message
+    assert state.is_error
 
 
 def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():

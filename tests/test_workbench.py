@@ -21,11 +21,11 @@ from browser import CHROMIUM, SLOW, Open, Server
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, script
-from frictrack.workbench.compare import CompareTab
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.film import stored_upload
-from frictrack.workbench.films import Films
-from frictrack.workbench.missing import MissingTab
+from frictrack.workbench.compare_tab import CompareTab
+from frictrack.workbench.film_tab import stored_upload
+from frictrack.workbench.missing_tab import MissingTab
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.plots_with_film import OpenFilms
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 FOCUSED = """() => {
@@ -210,12 +210,12 @@ def test_work_is_cancelled_and_found_again_after_a_reload(tables: Server, tab: O
 def test_a_formula_of_the_unexplained_is_taken_into_the_law(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     toml = '[[effect]]\neffect = "unexplained"\nformula = "F * (x - c)/w"\nunits = {F = "N", c = "m", w = "m"}\n'
     toml += "bounds = {c = [0.0, 0.5], w = [0.01, 0.1]}\n"
-    desk, asked = Desk(study_file), []
-    desk.look_first()
-    monkeypatch.setattr(desk, "start", lambda do, **told: asked.append((do, told)))
+    state, asked = PageState(study_file), []
+    state.look_first()
+    monkeypatch.setattr(state, "start", lambda do, **told: asked.append((do, told)))
     for _ in range(2):
-        MissingTab(desk, Films())._take(toml)
-        desk.look_first()
+        MissingTab(state, OpenFilms())._take(toml)
+        state.look_first()
     assert asked == [("add", {"effect": "unexplained"}), ("add", {"effect": "unexplained_2"})]
     assert [effect.formula for effect in open_study(study_file).effects] == ["F * (x - c)/w"] * 2
 
@@ -224,10 +224,10 @@ def test_the_comparison_opens_on_the_current_model(study_file: Path, monkeypatch
     session, seen = Session(open_study(study_file)), []
     session.fit()
     session.add("drag")
-    desk = Desk(study_file)
-    desk.look_first()
-    compare = CompareTab(desk, Films())
-    monkeypatch.setattr(compare.bench, "draw", lambda *scene: seen.append(compare.model.value))
+    state = PageState(study_file)
+    state.look_first()
+    compare = CompareTab(state, OpenFilms())
+    monkeypatch.setattr(compare.plots_with_film, "draw", lambda *scene: seen.append(compare.model.value))
     compare.refresh()
     assert seen == ["2_coulomb+viscous+drag"]  # once; another one first would leave its axes behind
 

@@ -17,10 +17,10 @@ from browser import CHROMIUM, Open, Server, Tab
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, previewed, stored
 from frictrack.motion import differentiate, low_pass
-from frictrack.workbench.compare import CompareTab
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Films
-from frictrack.workbench.record import RecordTab
+from frictrack.workbench.compare_tab import CompareTab
+from frictrack.workbench.history_tab import HistoryTab
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.plots_with_film import OpenFilms
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
@@ -180,9 +180,9 @@ def test_models_of_the_same_name_are_told_apart(study_file: Path) -> None:
     session.fit()
     session.add("drag")
     session.remove("drag")
-    desk = Desk(study_file)
-    desk.look_first()
-    compare, record = CompareTab(desk, Films()), RecordTab(desk)
+    state = PageState(study_file)
+    state.look_first()
+    compare, record = CompareTab(state, OpenFilms()), HistoryTab(state)
     compare.refresh()
     record.refresh()
     names = [model.name for model in stored(open_study(study_file)).models]
@@ -193,9 +193,9 @@ def test_models_of_the_same_name_are_told_apart(study_file: Path) -> None:
 
 def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path) -> None:
     Session(open_study(study_file)).fit()
-    desk = Desk(study_file)
-    desk.look_first()
-    record = RecordTab(desk)
+    state = PageState(study_file)
+    state.look_first()
+    record = HistoryTab(state)
     record.refresh()
     assert all(one.disabled for one in record.reports)
     with pytest.raises(FrictrackError, match="write it first"):

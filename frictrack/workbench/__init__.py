@@ -1,4 +1,4 @@
-"""The workbench: the loop from film to law on a local page. It computes nothing; it asks `flow` and shows what came.
+"""The local web page of a study, from film to friction law. It computes nothing: `flow` does, and the page shows it.
 
     frictrack app STUDY
 

@@ -1,4 +1,4 @@
-"""Refuse requests to the page that do not come from its own user: check host, origin and token of each.
+"""Check host, origin and token of each request, and refuse those that do not come from the user's own page.
 
 A page of another server can send requests to this one from the user's browser. Through a name that it points to
 127.0.0.1 (DNS rebinding) it could also read the answers; the Host header gives it away. A request from another page
@@ -22,11 +22,11 @@ from tornado.web import Application, RequestHandler
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 WILDCARD_HOSTS = ("0.0.0.0", "::", "")  # addresses that stand for all of this machine's
-REFRESH = '<!doctype html><meta http-equiv="refresh" content="0;url={}"><title>frictrack</title>'
+REDIRECT_PAGE = '<!doctype html><meta http-equiv="refresh" content="0;url={}"><title>frictrack</title>'
 
 
 @dataclass(frozen=True)
-class Guard:
+class RequestGuard:
     """Who may reach the page.
 
     Parameters
@@ -46,7 +46,7 @@ class Guard:
     names: tuple[str, ...] = ()
 
     @property
-    def alone(self) -> bool:
+    def is_local(self) -> bool:
         """Whether the page is served on the loopback interface."""
         return self.host in LOOPBACK
 
@@ -69,7 +69,7 @@ class Guard:
         origin = request.headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
             return f'Expected a request of the page itself but got one of "{origin}".'
-        if not self.has_token(request) and not _same(self._kept(request), self.secret):
+        if not self.has_token(request) and not _same(self._cookie_value(request), self.secret):
             return "Expected the address with its token: copy it from where frictrack app was started."
         return ""
 
@@ -78,7 +78,7 @@ class Guard:
         given = request.query_arguments.get("token", [b""])[-1]
         return _same(given.decode(errors="replace"), self.token)
 
-    def _kept(self, request: HTTPServerRequest) -> str:
+    def _cookie_value(self, request: HTTPServerRequest) -> str:
         held = request.cookies.get(self.cookie(request))
         return held.value if held else ""
 
@@ -86,16 +86,16 @@ class Guard:
         """Whether a host is this machine as the user knows it."""
         if host in LOOPBACK or host in self.names:
             return True
-        if self.alone:
+        if self.is_local:
             return False
         own = {self.host, socket.gethostname(), socket.getfqdn()} - set(WILDCARD_HOSTS)
         return host in {name.lower() for name in own} or _is_address(host)
 
 
-class Unwelcome(Matcher):
+class RefusedRequest(Matcher):
     """Match every request that the guard refuses."""
 
-    def __init__(self, guard: Guard) -> None:
+    def __init__(self, guard: RequestGuard) -> None:
         self.guard = guard
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -104,10 +104,10 @@ class Unwelcome(Matcher):
         return {"target_kwargs": {"fault": fault}} if fault else None
 
 
-class Newcomer(Matcher):
+class TokenRequest(Matcher):
     """Match the page when its address carries the token."""
 
-    def __init__(self, guard: Guard) -> None:
+    def __init__(self, guard: RequestGuard) -> None:
         self.guard = guard
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -116,7 +116,7 @@ class Newcomer(Matcher):
         return {"target_kwargs": {"guard": self.guard}} if plain and self.guard.has_token(request) else None
 
 
-class Refusal(RequestHandler):
+class RefusalHandler(RequestHandler):
     """Refuse whatever was asked for."""
 
     def initialize(self, fault: str) -> None:
@@ -130,13 +130,13 @@ class Refusal(RequestHandler):
         self.finish(self.fault)
 
 
-class Admission(RequestHandler):
+class TokenHandler(RequestHandler):
     """Give the cookie to a browser that has the token, and send it on to the address without one.
 
     It is not redirected: a browser that followed a link of another page would not send the cookie then.
     """
 
-    def initialize(self, guard: Guard) -> None:
+    def initialize(self, guard: RequestGuard) -> None:
         """Keep the guard."""
         self.guard = guard
 
@@ -146,12 +146,15 @@ class Admission(RequestHandler):
         self.set_cookie(name, self.guard.secret, path="/", httponly=True, samesite="Strict")
         self.set_header("Referrer-Policy", "no-referrer")
         self.set_header("Cache-Control", "no-store")
-        self.finish(REFRESH.format("./"))
+        self.finish(REDIRECT_PAGE.format("./"))
 
 
-def protect(application: Application, guard: Guard) -> None:
+def protect(application: Application, guard: RequestGuard) -> None:
     """Put the guard before every handler of a server: pages, WebSocket, static files, downloads and uploads."""
-    application.default_router.rules[:0] = [Rule(Unwelcome(guard), Refusal), Rule(Newcomer(guard), Admission)]
+    application.default_router.rules[:0] = [
+        Rule(RefusedRequest(guard), RefusalHandler),
+        Rule(TokenRequest(guard), TokenHandler),
+    ]
 
 
 def address_of(host: str, port: int, token: str = "") -> str:

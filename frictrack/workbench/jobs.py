@@ -1,4 +1,4 @@
-"""Long work in processes of their own, which speak through files: a page that dies loses nothing of them.
+"""Start, list and cancel long jobs. Each runs in a process of its own and reports through files.
 
 jobs/0007/spec.json       what is to be done, and by whom
 jobs/0007/progress.jsonl  what was done so far, line by line
@@ -24,7 +24,7 @@ from frictrack.errors import FrictrackError
 from frictrack.files import alone, inner, replace_text
 from frictrack.study import Study
 
-STARTING = 20.0  # s that a process may take until it holds its lock
+MAX_START_SECONDS = 20.0  # s that a process may take until it holds its lock
 RUNNING, DONE, FAILED, CANCELLED, INTERRUPTED = "running", "done", "failed", "cancelled", "interrupted"
 
 
@@ -36,14 +36,14 @@ class Job:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """``do``, ``told``, ``study``, ``seen`` and when it was asked for."""
-        return _told(self.folder / "spec.json", "do", "at", "study")
+        """``do``, ``arguments``, ``study``, ``seen`` and when it was asked for."""
+        return _read_json(self.folder / "spec.json", "do", "at", "study")
 
     @property
     def result(self) -> dict[str, Any]:
         """What the work gave; empty as long as it goes on. A failure stands under ``error``."""
         try:
-            return _told(self.folder / "result.json")
+            return _read_json(self.folder / "result.json")
         except FileNotFoundError:
             return {}
 
@@ -61,13 +61,15 @@ class Job:
         """Running, done, failed, cancelled, or interrupted: its process was ended from outside."""
         if result := self.result:
             return FAILED if "error" in result else DONE
-        if self._held() or (abs(time.time() - self.spec["at"]) < STARTING and not (self.folder / "alive").exists()):
+        if self._is_locked() or (
+            abs(time.time() - self.spec["at"]) < MAX_START_SECONDS and not (self.folder / "alive").exists()
+        ):
             return RUNNING
         if result := self.result:  # it came while we looked
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
 
-    def _held(self) -> bool:
+    def _is_locked(self) -> bool:
         if not (self.folder / "alive").exists():
             return False
         lock = FileLock(self.folder / "alive", timeout=0)
@@ -83,25 +85,38 @@ class Job:
         (self.folder / "cancel").touch()
 
 
-def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", **told: Any) -> Job:
+def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", **arguments: Any) -> Job:
     """Start a piece of work: a command that changes the study, or one that brings it up to date.
 
     Raises `FrictrackError` where another one of this study is still running.
     """
     with alone(study.output):
         folder = inner(study.output, "jobs")
-        earlier = listed(study)
+        earlier = list_jobs(study)
         busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:
             raise FrictrackError(f"{busy.spec['do']} is still running; wait for it or cancel it")
         number = max((int(job.folder.name) for job in earlier), default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
-        spec = {"do": do, "told": told, "study": str(study.path.resolve()), "seen": seen, "who": who, "at": time.time()}
+        spec = {
+            "do": do,
+            "told": arguments,
+            "study": str(study.path.resolve()),
+            "seen": seen,
+            "who": who,
+            "at": time.time(),
+        }
         replace_text(made / "spec.json", json.dumps(spec))
     with (made / "output.txt").open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "frictrack.workbench.work", str(made)],  # no Python files of this folder
+            [
+                sys.executable,
+                "-P",
+                "-m",
+                "frictrack.workbench.job_process",
+                str(made),
+            ],  # -P: import nothing from this folder
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
@@ -111,13 +126,13 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
     return Job(made)
 
 
-def listed(study: Study) -> list[Job]:
+def list_jobs(study: Study) -> list[Job]:
     """All pieces of work of a study, oldest first."""
     folders = (one for one in sorted((study.output / "jobs").glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 
 
-def _told(path: Path, *keys: str) -> dict[str, Any]:
+def _read_json(path: Path, *keys: str) -> dict[str, Any]:
     """What a file of a job says, `keys` at least."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

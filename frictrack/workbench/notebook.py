@@ -1,4 +1,4 @@
-"""The linked plots and the film in a notebook: what is selected in one plot shows in all others and on the film.
+"""Show linked plots and film in a notebook.
 
 from frictrack.workbench.notebook import look
 look("study.toml")
@@ -15,13 +15,13 @@ import anywidget
 import traitlets
 
 from frictrack.errors import FrictrackError
-from frictrack.workbench import scenes
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.drawn import MODULE, Drawn
-from frictrack.workbench.films import Bench, Films
+from frictrack.workbench import plot_data
+from frictrack.workbench.linked_plots import MODULE, LinkedPlots
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 
 
-class Shown(Drawn, anywidget.AnyWidget):
+class NotebookPlots(LinkedPlots, anywidget.AnyWidget):
     """See ``linked.js`` for what goes in and what comes out."""
 
     scene = traitlets.Dict().tag(sync=True)
@@ -36,35 +36,35 @@ class Shown(Drawn, anywidget.AnyWidget):
 
     _esm = MODULE
 
-    def put(self, **values: Any) -> None:
+    def set_values(self, **values: Any) -> None:
         """Set several values at once."""
         with self.hold_sync():
             for name, value in values.items():
                 setattr(self, name, value)
 
-    def listen(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
+    def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
         """Call with the new value whenever the user has changed one."""
         self.observe(lambda change: call(change["new"]), names=name)
 
 
-def look(study: str | Path, model: str | None = None, behind: str | None = None) -> Shown:
+def look(study: str | Path, model: str | None = None, behind: str | None = None) -> NotebookPlots:
     """One model of a study on its measurement, the last one unless it is named, and another one `behind` it.
 
     Names are those of `frictrack history`, such as ``1_tustin``. Nothing is computed. Raises `FrictrackError` where
     the study cannot be read, or has no such model.
     """
-    desk = Desk(Path(study))
-    desk.look_first()
-    if desk.results is None or desk.model is None:
+    state = PageState(Path(study))
+    state.look_first()
+    if state.results is None or state.model is None:
         none = f"expected a study with a model but {study} has none; run `frictrack run` on it"
-        raise FrictrackError(desk.said or none)
-    models = {m.name: m for m in desk.results.models}
+        raise FrictrackError(state.message or none)
+    models = {m.name: m for m in state.results.models}
     unknown = [name for name in (model, behind) if name is not None and name not in models]
     if unknown:
         raise FrictrackError(f'expected one of {", ".join(models)} but got "{unknown[0]}"')
-    films = Films()
-    bench = Bench(desk, films, Shown())
-    weakref.finalize(bench.linked, films.close)  # at the end of the kernel, at the latest
-    seen = models[model] if model else desk.model
-    bench.draw(scenes.compared(desk.results, seen, models[behind] if behind else None), desk.run)
-    return bench.linked
+    films = OpenFilms()
+    plots_with_film = PlotsWithFilm(state, films, NotebookPlots())
+    weakref.finalize(plots_with_film.linked, films.close)  # at the end of the kernel, at the latest
+    seen = models[model] if model else state.model
+    plots_with_film.draw(plot_data.compared(state.results, seen, models[behind] if behind else None), state.run)
+    return plots_with_film.linked

@@ -1,4 +1,4 @@
-"""The server of the workbench: it answers only to the address with its token."""
+"""Serve the page to its own user only: the address carries a token."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from urllib.parse import quote
 import panel as pn
 
 from frictrack.errors import FrictrackError
-from frictrack.workbench.guard import LOOPBACK, Guard, address_of, clean_names, protect
+from frictrack.workbench.guard import LOOPBACK, RequestGuard, address_of, clean_names, protect
 from frictrack.workbench.page import Page
 
 
@@ -33,7 +33,7 @@ def serve(
     if not path.parent.is_dir():
         raise FrictrackError(f"expected a folder {path.parent} but there is none", usage=True)
     path = path.resolve()
-    guard = Guard(token or secrets.token_urlsafe(24), host, clean_names(names))
+    guard = RequestGuard(token or secrets.token_urlsafe(24), host, clean_names(names))
     server = _server(path, guard, port)
     address = address_of(host, server.port or port, quote(guard.token, safe=""))
     sys.stderr.write(f"frictrack workbench of {path}\n  {address}\n  Ctrl-C ends it; work that goes on is not lost\n")
@@ -46,7 +46,7 @@ def serve(
         server.stop()
 
 
-def _server(path: Path, guard: Guard, port: int) -> pn.io.server.Server:
+def _server(path: Path, guard: RequestGuard, port: int) -> pn.io.server.Server:
     """The server of a page, guarded, not yet started."""
     pn.extension(inline=True, notifications=False)
     try:

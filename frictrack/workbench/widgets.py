@@ -1,4 +1,4 @@
-"""Small things that all tabs share: tables and cards in plain HTML, figures, buttons without icons from afar."""
+"""HTML tables, figures and buttons that all tabs share."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ from bokeh.layouts import gridplot
 from bokeh.models import BoxSelectTool, ColumnDataSource, Scatter
 from bokeh.plotting import figure
 
-from frictrack.workbench.linked import Linked
-from frictrack.workbench.scenes import Scene, dots, plot
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plot_data import PlotData, dots, plot
 
 NAMES = ("t", "x", "v", "F", "phase")
 FRAMES, WIDTH, HEIGHT = 4000, 640, 360
@@ -41,16 +41,16 @@ def frame(number: int) -> tuple[int, bytes]:
 def ours(n: int) -> pn.Column:
     """Five of our plots and the film."""
     shown = [plot(f"against {name}", (name, name), "left", dots("left")) for name in NAMES]
-    scene = Scene(n, columns(n), shown, [{"name": "run", "first": 0, "count": n, "colour": "#0072b2"}])
-    linked = Linked(sizing_mode="stretch_width")
+    scene = PlotData(n, columns(n), shown, [{"name": "run", "first": 0, "count": n, "colour": "#0072b2"}])
+    linked = PanelPlots(sizing_mode="stretch_width")
     linked.draw(scene)
     linked.film = {"frames": FRAMES, "width": WIDTH, "height": HEIGHT, "fps": 4000, "label": "run", "first": 0}
-    linked.picture(frame(0))
+    linked.show_frame(frame(0))
 
     def selected(event: object) -> None:
         middle = linked.selection.get("middle")
         if middle is not None:
-            linked.picture(frame(middle * FRAMES // n))
+            linked.show_frame(frame(middle * FRAMES // n))
 
     linked.param.watch(selected, "selection")
     return pn.Column(linked, sizing_mode="stretch_width")

@@ -1,4 +1,4 @@
-"""Tab 1, the film: which recordings, where the target is, how large a pixel is, how well it was followed."""
+"""The tab "Film": choose recordings, draw target and scale, and see how well the target was tracked."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from frictrack.errors import FrictrackError
 from frictrack.files import replaced
 from frictrack.flow import sheet
 from frictrack.report.tables import table
-from frictrack.workbench import scenes
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Bench, Films
-from frictrack.workbench.linked import Linked
+from frictrack.workbench import plot_data
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 from frictrack.workbench.widgets import button, grid, heading, html, note
 
 TOOLS = {"look only": "", "target": "target", "fixed reference": "reference", "ruler": "ruler"}
-OWN = {"mass": "Mass of this run", "scale": "Scale of this run"}
-LARGEST = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
-LONGEST_UPLOAD = 200  # bytes of a file name; systems end at 255
+RUN_KEYS = {"mass": "Mass of this run", "scale": "Scale of this run"}
+MAX_UPLOAD_SIZE = "2GB"  # of a recording that is dropped; larger ones lie in the folder already
+MAX_NAME_BYTES = 200  # bytes of a file name; systems end at 255
 
 
 class FilmTab:
@@ -30,23 +30,25 @@ class FilmTab:
 
     title = "1 Film"
 
-    def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
-        self.linked = self.bench.linked
+    def __init__(self, state: PageState, films: OpenFilms) -> None:
+        self.state, self.plots_with_film = state, PlotsWithFilm(state, films, PanelPlots(sizing_mode="stretch_width"))
+        self.linked = self.plots_with_film.linked
         self.tool = pn.widgets.RadioButtonGroup(label="Draw", options=TOOLS, value="")
         self.length = pn.widgets.TextInput(label="Length of the ruler", placeholder="100 mm", width=140)
         self.shape: dict[str, Any] = {}
         self._filling = False
         self.found = pn.widgets.CheckBoxGroup(label="Recordings in this folder", options=[], width=330)
-        self.drop = pn.widgets.FileDropper(label="or drop them here", multiple=True, max_file_size=LARGEST, width=330)
+        self.drop = pn.widgets.FileDropper(
+            label="or drop them here", multiple=True, max_file_size=MAX_UPLOAD_SIZE, width=330
+        )
         self.mass = pn.widgets.TextInput(label="Mass of the slider", placeholder="0.350 +/- 0.002 kg", width=160)
         self.fps = pn.widgets.TextInput(label="Frames per second while filming", placeholder="4000", width=160)
         self.scale = pn.widgets.TextInput(label="Scale", placeholder="0.5 mm/px", width=160)
         self.go = button("Take them in", self._take_in, "primary")
         self.audit = html("")
-        self.own = {key: pn.widgets.TextInput(label=label, width=200) for key, label in OWN.items()}
-        self.picture = pn.pane.PNG(None, alt_text="", sizing_mode="scale_width", max_width=1280)
-        self.sheet = pn.Column(html(heading("Contact sheet")), self.picture, sizing_mode="stretch_width")
+        self.own = {key: pn.widgets.TextInput(label=label, width=200) for key, label in RUN_KEYS.items()}
+        self.show_frame = pn.pane.PNG(None, alt_text="", sizing_mode="scale_width", max_width=1280)
+        self.sheet = pn.Column(html(heading("Contact sheet")), self.show_frame, sizing_mode="stretch_width")
         self.keys = pn.Column(self.mass, self.fps, self.scale)
         self.others = html("")
         self.more = pn.Column(
@@ -58,7 +60,7 @@ class FilmTab:
             self.length,
             button("Use as scale", self._rule),
             button("Take back what was drawn", self._undraw),
-            button("Track every film", lambda: desk.start("measure", stage="track"), "primary"),
+            button("Track every film", lambda: state.start("measure", stage="track"), "primary"),
             align_items="flex-end",
             gap="10px",
         )
@@ -67,57 +69,59 @@ class FilmTab:
             self.tools, self.linked, self.keys_of_run, self.audit, self.sheet, self.more, sizing_mode="stretch_width"
         )
         self.tool.link(self.linked, value="tool")
-        self.linked.listen("drawn", self._drawn)
+        self.linked.on_change("drawn", self._drawn)
         self.drop.param.watch(self._dropped, "value")
         for key, box in self.own.items():
             box.param.watch(partial(self._keyed, key), "value")
 
     def refresh(self) -> None:
         """Show the study as it is now."""
-        new = self.desk.study is None
+        new = self.state.study is None
         self.keys.visible, self.tools.visible = new, not new
-        self.found.options = self.desk.recordings
+        self.found.options = self.state.recordings
         self.found.visible = bool(self.found.options)
         self.others.object = heading("Recordings in this folder" + ("" if new else " that are not in the study"))
-        run = self.desk.measured
-        self.bench.draw(scenes.tracked(run) if run else scenes.Scene(), self.desk.run)
-        self.audit.object = self._audited()
-        self._tell_keys()
-        path = sheet(self.desk.study, self.desk.run) if self.desk.study else None
+        run = self.state.measured
+        self.plots_with_film.draw(plot_data.tracked(run) if run else plot_data.PlotData(), self.state.run)
+        self.audit.object = self._audit_html()
+        self._show_run_keys()
+        path = sheet(self.state.study, self.state.run) if self.state.study else None
         self.sheet.visible = run is not None and run.film is not None and path is not None and path.exists()
         if self.sheet.visible and path is not None:
-            self.picture.alt_text = f"contact sheet: what was tracked in {self.desk.run}"
-            self.picture.object = path.read_bytes()
+            self.show_frame.alt_text = f"contact sheet: what was tracked in {self.state.run}"
+            self.show_frame.object = path.read_bytes()
 
     # --- mass and scale of one run
 
-    def _tell_keys(self) -> None:
+    def _show_run_keys(self) -> None:
         """What the study file says of this run, and in grey what holds where it says nothing."""
-        self.keys_of_run.objects = list(self.own.values()) if self.desk.runs else []
+        self.keys_of_run.objects = list(self.own.values()) if self.state.runs else []
         self._filling = True
         for (key, box), common in zip(self.own.items(), ("study", "camera"), strict=True):
-            held = self.desk.written("run", key, self.desk.run) if self.desk.run else None
-            told = self.desk.written(common, key)
-            box.placeholder = "drawn on the film" if _is_drawn(held or told) else f"{told or 'none'} for all runs"
+            held = self.state.written("run", key, self.state.run) if self.state.run else None
+            common_value = self.state.written(common, key)
+            box.placeholder = (
+                "drawn on the film" if _is_drawn(held or common_value) else f"{common_value or 'none'} for all runs"
+            )
             box.value = "" if held is None or _is_drawn(held) else str(held)
         self._filling = False
 
     def _keyed(self, key: str, event: Any) -> None:
         """Write a key of the run; an empty one is taken away, so that the study's holds again."""
-        if not self._filling and self.desk.run:
+        if not self._filling and self.state.run:
             text = event.new.strip()
             value = _number(text) if text else None
-            self.desk.do("edit", table="run", which=self.desk.run, key=key, value=value)
+            self.state.do("edit", table="run", which=self.state.run, key=key, value=value)
 
     # --- recordings
 
     def _take_in(self) -> None:
         names = list(self.found.value)
         if not names:
-            return self.desk.tell("choose recordings in this folder, or drop them here first", wrong=True)
+            return self.state.notify("choose recordings in this folder, or drop them here first", is_error=True)
         keys = {"mass": self.mass.value, "fps": _number(self.fps.value), "scale": self.scale.value}
-        new = self.desk.study is None
-        if self.desk.begin(names, keys) if new else self.desk.do("take_in", recordings=names):
+        new = self.state.study is None
+        if self.state.begin(names, keys) if new else self.state.do("take_in", recordings=names):
             self.found.value = []
         return None
 
@@ -126,48 +130,48 @@ class FilmTab:
         kept = []
         for name, content in (event.new or {}).items():
             try:
-                kept.append(stored_upload(self.desk.path.parent, name, content))
+                kept.append(stored_upload(self.state.path.parent, name, content))
             except FrictrackError as e:
-                self.desk.tell(str(e), wrong=True)
+                self.state.notify(str(e), is_error=True)
         if kept:
-            self.found.options = self.desk.recordings
+            self.found.options = self.state.recordings
             self.found.value = [name for name in kept if name in self.found.options]
-            self.desk.tell(f"{', '.join(kept)}: stored beside {self.desk.path.name}")
+            self.state.notify(f"{', '.join(kept)}: stored beside {self.state.path.name}")
 
     # --- what is drawn on the film
 
     def _drawn(self, shape: dict[str, Any]) -> None:
         self.shape = dict(shape)
         tool, place = self.shape.get("tool"), self.shape.get("shape")
-        if tool in ("target", "reference") and self.desk.runs:
-            self.desk.do("edit", table="run", which=self.desk.run, key=tool, value=place)
+        if tool in ("target", "reference") and self.state.runs:
+            self.state.do("edit", table="run", which=self.state.run, key=tool, value=place)
         elif tool == "ruler":
             self.linked.film = {**self.linked.film, "shapes": {**self.linked.film.get("shapes", {}), "ruler": place}}
-            self.desk.tell("now give the length of the ruler and use it as the scale")
+            self.state.notify("now give the length of the ruler and use it as the scale")
 
     def _rule(self) -> None:
         if self.shape.get("tool") != "ruler" or not self.length.value:
-            return self.desk.tell("draw a ruler on the film and give its length, as 100 mm", wrong=True)
+            return self.state.notify("draw a ruler on the film and give its length, as 100 mm", is_error=True)
         scale = {"points": self.shape["shape"], "length": self.length.value}
-        self.desk.do("edit", table="camera", key="scale", value=scale)
+        self.state.do("edit", table="camera", key="scale", value=scale)
         return None
 
     def _undraw(self) -> None:
         """The target and the reference are found by themselves again."""
         for key in ("target", "reference"):
-            table = self.desk.runs.get(self.desk.run)
+            table = self.state.runs.get(self.state.run)
             if table is not None and isinstance(getattr(table, key), tuple):
-                self.desk.do("edit", table="run", which=self.desk.run, key=key, value=None)
+                self.state.do("edit", table="run", which=self.state.run, key=key, value=None)
 
     # --- looking
 
-    def _audited(self) -> str:
+    def _audit_html(self) -> str:
         """Frame rate and time base in plain sight, what the tracker noticed, and its contact sheet."""
-        run = self.desk.measured
+        run = self.state.measured
         if run is None or run.film is None:
-            if not self.desk.run:
+            if not self.state.run:
                 return note("Choose recordings, or drop them; then give mass, frame rate and scale.")
-            return note(f"{self.desk.run} is not measured to its end yet: run everything, or track every film first.")
+            return note(f"{self.state.run} is not measured to its end yet: run everything, or track every film first.")
         rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
         notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
         return (
@@ -184,7 +188,7 @@ def stored_upload(folder: Path, name: str, content: bytes | str) -> str:
     """
     last = Path(name.replace("\\", "/")).name
     path = folder / last
-    fits = last.isprintable() and len(last.encode()) <= LONGEST_UPLOAD and not last.startswith(".")
+    fits = last.isprintable() and len(last.encode()) <= MAX_NAME_BYTES and not last.startswith(".")
     if not last or not fits or path.is_symlink():
         raise FrictrackError(f'expected the name of a recording but got "{name}"')
     data = content.encode() if isinstance(content, str) else content

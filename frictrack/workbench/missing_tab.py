@@ -1,4 +1,4 @@
-"""Tab 5, what is missing: candidates as cards with their evidence; try one, add it, see the error fall."""
+"""The tab "What is missing?": candidate effects as cards; try one, add it, see the error fall."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from frictrack.report import settle
 from frictrack.report.numbers import typed
 from frictrack.report.tables import Card, cards
 from frictrack.words import verdict
-from frictrack.workbench import scenes
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Bench, Films
-from frictrack.workbench.linked import Linked
+from frictrack.workbench import plot_data
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 from frictrack.workbench.widgets import button, figure, grid, heading, html, note
 
-CARDS = 6
-FORMULAS = 3
+MAX_CARDS = 6
+MAX_FORMULAS = 3
 
 
 class MissingTab:
@@ -30,19 +30,19 @@ class MissingTab:
 
     title = "5 What is missing?"
 
-    def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
+    def __init__(self, state: PageState, films: OpenFilms) -> None:
+        self.state, self.plots_with_film = state, PlotsWithFilm(state, films, PanelPlots(sizing_mode="stretch_width"))
         self.head = html("")
         self.cards = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
         self.falls = pn.Column(sizing_mode="stretch_width")
         self.left = pn.Column(sizing_mode="stretch_width")
         self.next = html("")
-        self._made: object = None  # what the cards were made from
-        self.diagnose = button("Find what is missing", lambda: desk.start("diagnose"), "primary")
+        self._drawn_from: object = None  # what the cards were made from
+        self.diagnose = button("Find what is missing", lambda: state.start("diagnose"), "primary")
         self.view = pn.Column(
             pn.FlexBox(self.diagnose, gap="10px"),
             self.head,
-            self.bench.linked,
+            self.plots_with_film.linked,
             self.left,
             self.cards,
             self.next,
@@ -52,48 +52,48 @@ class MissingTab:
 
     def refresh(self) -> None:
         """Show the verdict on the current model."""
-        results, model, told = self.desk.results, self.desk.model, self.desk.diagnosis
+        results, model, diagnosis = self.state.results, self.state.model, self.state.diagnosis
         self.diagnose.disabled = model is None
         models = results.models if results else ()
-        made = (told, [(m.name, m.current, m.summary["errors"]) for m in models])
-        new, self._made = made != self._made, made
+        made = (diagnosis, [(m.name, m.current, m.summary["errors"]) for m in models])
+        new, self._drawn_from = made != self._drawn_from, made
         if new:
             self.falls.objects = [figure(plots.history(models))] if models else []
-        if results is None or model is None or told is None:
+        if results is None or model is None or diagnosis is None:
             self.head.object = note("The current model was not diagnosed yet.")
             self.left.objects, self.cards.objects, self.next.object = [], [], ""
-            self.bench.draw(scenes.Scene())
+            self.plots_with_film.draw(plot_data.PlotData())
             return
-        self.head.object = _verdict(told)
+        self.head.object = _verdict_html(diagnosis)
         if new:  # cards stay while they hold: nobody's click meets one that is being replaced
             figures = results.figures
-            self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(told)[:CARDS]]
-            self.left.objects = self._unexplained(told.get("unexplained") or {})
-            self.next.object = _next(told)
-        self.bench.draw(scenes.residual(results, model, self.desk.ghost))
+            self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(diagnosis)[:MAX_CARDS]]
+            self.left.objects = self._formula_rows(diagnosis.get("unexplained") or {})
+            self.next.object = _next_experiment_html(diagnosis)
+        self.plots_with_film.draw(plot_data.residual(results, model, self.state.ghost))
 
-    def _unexplained(self, left: dict[str, Any]) -> list[Any]:
+    def _formula_rows(self, left: dict[str, Any]) -> list[Any]:
         """The force that no effect explains, and the formulas that may be taken into the law."""
         if not left:
             return []
         parts: list[Any] = [figure(plots.unexplained(left))]
-        for formula in left["formulas"][:FORMULAS]:
+        for formula in left["formulas"][:MAX_FORMULAS]:
             share = f"{100 * formula['share']:.1f} % of what is left, evidence {gain(formula['delta_bic'])}"
-            beside = formula.get("beside", [])
-            after = note(f"beside {', '.join(beside)}: add that first") if beside else ""
-            take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(beside))
+            also_needed = formula.get("beside", [])
+            after = note(f"beside {', '.join(also_needed)}: add that first") if also_needed else ""
+            take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(also_needed))
             parts.append(pn.Row(take, html(note(f"{formula['formula']}: {share}") + after)))
         return parts
 
     def _take(self, toml: str) -> None:
         """Write a formula into the study file and fit with it."""
         effect = tomllib.loads(toml)["effect"][0]
-        assert self.desk.study is not None
-        taken = {table.effect for table in self.desk.study.effects}
+        assert self.state.study is not None
+        taken = {table.effect for table in self.state.study.effects}
         names = (f"{effect['effect']}{mark}" for mark in ("", *(f"_{k}" for k in range(2, len(taken) + 3))))
         effect["effect"] = next(name for name in names if name not in taken)
-        if self.desk.do("define", effect=effect):
-            self.desk.start("add", effect=effect["effect"])
+        if self.state.do("define", effect=effect):
+            self.state.start("add", effect=effect["effect"])
 
     def _card(self, card: Card, curves: dict[str, Any]) -> pn.Column:
         """A candidate: how sure, what it is, where it shows, how to confirm it."""
@@ -117,24 +117,25 @@ class MissingTab:
         name, kind = card.name, "primary" if card.passes else "default"
         parts.append(
             pn.Row(
-                button(f"Try {name}", lambda: self.desk.start("attempt", effect=name)),
-                button(f"Add {name}", lambda: self.desk.start("add", effect=name), kind),
+                button(f"Try {name}", lambda: self.state.start("attempt", effect=name)),
+                button(f"Add {name}", lambda: self.state.start("add", effect=name), kind),
             )
         )
         return pn.Column(*parts, width=400)
 
 
-def _verdict(told: dict[str, Any]) -> str:
+def _verdict_html(diagnosis: dict[str, Any]) -> str:
     """The verdict in words, and where the failure repeats."""
-    said = verdict(told)
-    fit = f"reduced chi-squared {number(told['reduced_chi2'])}, p of the lack of fit {number(told['p_lack_of_fit'], 1)}"
-    more = [fit, told.get("repeats_words") or "", (told.get("unexplained") or {}).get("words", "")]
-    head = f"<p class=ft-verdict>{escape(said[:1].upper() + said[1:])}</p>"
+    message = verdict(diagnosis)
+    chi2, p = number(diagnosis["reduced_chi2"]), number(diagnosis["p_lack_of_fit"], 1)
+    fit = f"reduced chi-squared {chi2}, p of the lack of fit {p}"
+    more = [fit, diagnosis.get("repeats_words") or "", (diagnosis.get("unexplained") or {}).get("words", "")]
+    head = f"<p class=ft-verdict>{escape(message[:1].upper() + message[1:])}</p>"
     return head + "".join(note(words) for words in more if words)
 
 
-def _next(told: dict[str, Any]) -> str:
+def _next_experiment_html(diagnosis: dict[str, Any]) -> str:
     """The runs that would settle what these cannot, and what no run can."""
-    steps, words = settle.shown(told), "".join(note(typed(line)) for line in settle.hopeless(told))
+    steps, words = settle.shown(diagnosis), "".join(note(typed(line)) for line in settle.hopeless(diagnosis))
     menu = grid(settle.experiments(steps)) if steps else ""
     return heading("The next experiment") + menu + words if menu or words else ""

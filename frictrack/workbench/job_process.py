@@ -1,4 +1,4 @@
-"""The process of one job: `python -m frictrack.workbench.work JOBS/0007`."""
+"""Run one job: `python -m frictrack.workbench.job_process JOBS/0007`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from filelock import FileLock
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 
-LOOK = 0.05  # s between two looks for somebody who wants it to end
-OFTEN = 0.1  # s between two lines of progress that only count on
+CANCEL_POLL_S = 0.05  # s between two looks for somebody who wants it to end
+MIN_WRITE_INTERVAL_S = 0.1  # s between two lines of progress that only count on
 
 
-class Diary:
+class ProgressFile:
     """Progress into a file; lines that only count on are written ten times a second at most."""
 
     def __init__(self, path: Path) -> None:
@@ -29,7 +29,7 @@ class Diary:
     def __call__(self, done: int, total: int, what: str) -> None:
         """One line, unless the last one said the same a moment ago."""
         now = time.monotonic()
-        if what == self._what and done < total and now - self._last < OFTEN:
+        if what == self._what and done < total and now - self._last < MIN_WRITE_INTERVAL_S:
             return
         self._last, self._what = now, what
         with self.path.open("a", encoding="utf-8") as file:
@@ -41,7 +41,7 @@ def main(folder: Path) -> None:
     with FileLock(folder / "alive"):
         Thread(target=_end_when_asked, args=(folder / "cancel",), daemon=True).start()
         try:
-            result = _done(json.loads((folder / "spec.json").read_text(encoding="utf-8")), folder)
+            result = _run_job(json.loads((folder / "spec.json").read_text(encoding="utf-8")), folder)
         except FrictrackError as e:
             result = {"error": str(e)}
         except Exception as e:  # noqa: BLE001 - the page shows it; the traceback is in output.txt
@@ -53,42 +53,44 @@ def main(folder: Path) -> None:
 def _end_when_asked(cancel: Path) -> None:
     """Nothing that was finished is lost: files appear whole, and the next one who works goes on from them."""
     while not cancel.exists():
-        time.sleep(LOOK)
+        time.sleep(CANCEL_POLL_S)
     os._exit(130)
 
 
-def _done(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     from frictrack.flow import Session, open_study  # noqa: PLC0415 - whoever cancels need not wait for the science
     from frictrack.results import plain  # noqa: PLC0415
 
-    session = Session(open_study(spec["study"]), Diary(folder / "progress.jsonl"), who=spec["who"], seen=spec["seen"])
-    done: dict[str, Any] = plain(WORK.get(spec["do"], _applied)(session, spec["do"], folder, **spec["told"]))
+    session = Session(
+        open_study(spec["study"]), ProgressFile(folder / "progress.jsonl"), who=spec["who"], seen=spec["seen"]
+    )
+    done: dict[str, Any] = plain(ACTIONS.get(spec["do"], _apply_change)(session, spec["do"], folder, **spec["told"]))
     return {"done": done}
 
 
-def _applied(session: Any, do: str, folder: Path, **told: Any) -> Any:
-    return session.apply(do, **told)
+def _apply_change(session: Any, do: str, folder: Path, **arguments: Any) -> Any:
+    return session.apply(do, **arguments)
 
 
-def _up_to_date(session: Any, do: str, folder: Path, **told: Any) -> Any:
-    return getattr(session, do)(**told)
+def _call_session(session: Any, do: str, folder: Path, **arguments: Any) -> Any:
+    return getattr(session, do)(**arguments)
 
 
-def _tried(session: Any, do: str, folder: Path, effect: str) -> Any:
+def _attempt_effect(session: Any, do: str, folder: Path, effect: str) -> Any:
     """A model with one effect more, kept beside the job and not in the study."""
     return session.attempt(effect, folder / "attempt.h5")
 
 
-def _reported(session: Any, do: str, folder: Path) -> Any:
+def _write_report(session: Any, do: str, folder: Path) -> Any:
     return {"report": session.report()}
 
 
-WORK: dict[str, Any] = {
-    "measure": _up_to_date,
-    "run": _up_to_date,
-    "diagnose": _up_to_date,
-    "attempt": _tried,
-    "report": _reported,
+ACTIONS: dict[str, Any] = {
+    "measure": _call_session,
+    "run": _call_session,
+    "diagnose": _call_session,
+    "attempt": _attempt_effect,
+    "report": _write_report,
 }
 
 

@@ -1,4 +1,4 @@
-"""Tab 4, the comparison: model on measurement; what is selected in one plot shows in all others and on the film."""
+"""The tab "Compare": model and measurement in linked plots, next to the film."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import panel as pn
 
 from frictrack import plots
 from frictrack.report.tables import spans
-from frictrack.workbench import scenes
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Bench, Films
-from frictrack.workbench.linked import Linked
+from frictrack.workbench import plot_data
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 from frictrack.workbench.widgets import grid, html, note
 
 NONE = "none"
@@ -22,8 +22,8 @@ class CompareTab:
 
     title = "4 Compare"
 
-    def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
+    def __init__(self, state: PageState, films: OpenFilms) -> None:
+        self.state, self.plots_with_film = state, PlotsWithFilm(state, films, PanelPlots(sizing_mode="stretch_width"))
         self.model = pn.widgets.Select(label="Model", options=[], width=300)
         self.behind = pn.widgets.Select(label="Behind it", options=[NONE], width=300)
         self.spans = html("")
@@ -36,7 +36,7 @@ class CompareTab:
                     "film shows the frame in the middle of what is selected. Bars at the foot: where the model fails."
                 )
             ),
-            self.bench.linked,
+            self.plots_with_film.linked,
             self.spans,
             sizing_mode="stretch_width",
         )
@@ -45,10 +45,10 @@ class CompareTab:
 
     def refresh(self) -> None:
         """Show the current model, and behind it what was attempted last."""
-        models = self.desk.results.models if self.desk.results else ()
+        models = self.state.results.models if self.state.results else ()
         names = {plots.numbered_name(m.name): m.name for m in models}
-        current = self.desk.model
-        attempt = {"attempted": "attempted"} if self.desk.ghost else {}
+        current = self.state.model
+        attempt = {"attempted": "attempted"} if self.state.ghost else {}
         self._filling = True  # each of the two would draw by itself
         self.model.param.update(options=names, value=current.name if current else None)
         self.behind.param.update(options={NONE: "", **names, **attempt}, value="attempted" if attempt else "")
@@ -58,19 +58,19 @@ class CompareTab:
     def _draw(self, *events: Any) -> None:
         if self._filling:
             return
-        results = self.desk.results
+        results = self.state.results
         model = next((m for m in (results.models if results else ()) if m.name == self.model.value), None)
         if results is None or model is None:
-            self.bench.draw(scenes.Scene())
+            self.plots_with_film.draw(plot_data.PlotData())
             self.spans.object = note("No model was fitted yet: go to Model and fit one.")
             return
         others = {m.name: m for m in results.models if m is not model}
-        ghost = self.desk.ghost if self.behind.value == "attempted" else others.get(self.behind.value)
-        self.bench.draw(scenes.compared(results, model, ghost), self.desk.run)
-        self.spans.object = _failing(model.diagnosis or (results.comparison if model.current else None) or {})
+        ghost = self.state.ghost if self.behind.value == "attempted" else others.get(self.behind.value)
+        self.plots_with_film.draw(plot_data.compared(results, model, ghost), self.state.run)
+        self.spans.object = _failing_table(model.diagnosis or (results.comparison if model.current else None) or {})
 
 
-def _failing(told: dict[str, Any]) -> str:
+def _failing_table(diagnosis: dict[str, Any]) -> str:
     """Where the model fails, as a table."""
-    found = [s for s in told.get("fails_at", []) if s.get("t")]
+    found = [s for s in diagnosis.get("fails_at", []) if s.get("t")]
     return grid(spans(found)) if found else note("No single stretch stands out by itself.")

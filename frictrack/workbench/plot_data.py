@@ -1,4 +1,4 @@
-"""Results -> what the linked plots draw. Rows are frames: a point in one plot is the same moment in all others."""
+"""Prepare results as data of linked plots. Each row is a frame, so one selection holds in all plots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRACKS = (ORANGE, SKY, GREEN, PURPLE)
 
 
 @dataclass
-class Scene:
+class PlotData:
     """Plots over columns of the same `rows`, which may come from several runs one after the other."""
 
     rows: int = 0
@@ -77,7 +77,7 @@ def span(begin: float, end: float, colour: str, label: str = "", **more: Any) ->
     return {"kind": "span", "from": begin, "to": end, "colour": colour, "label": label, **more}
 
 
-def _around(columns: dict[str, Array], name: str, middle: Array, sigma: Array) -> dict[str, Any]:
+def _add_band(columns: dict[str, Array], name: str, middle: Array, sigma: Array) -> dict[str, Any]:
     """Columns of a band around a curve, and its layer."""
     columns[f"{name}_low"], columns[f"{name}_high"] = middle - SIGMAS * sigma, middle + SIGMAS * sigma
     return band(f"{name}_low", f"{name}_high", label=f"± {SIGMAS:g} std")
@@ -86,11 +86,11 @@ def _around(columns: dict[str, Array], name: str, middle: Array, sigma: Array) -
 # --- the tabs
 
 
-def tracked(run: RunResults) -> Scene:
+def tracked(run: RunResults) -> PlotData:
     """How well the target was followed: place, standard deviation and match score of every frame."""
     track = run.track
     if track is None:
-        return Scene()
+        return PlotData()
     columns = {"t": 1e3 * track.t, "sigma": 1e3 * track.sigma_px, "score": track.score}
     columns |= places(run)
     time = ("t", "time / ms")
@@ -100,7 +100,7 @@ def tracked(run: RunResults) -> Scene:
         plot("Standard deviation of the place", time, "sigma / 0.001 px", dots("sigma", BLUE)),
         plot("Match score", time, "score", dots("score", GREEN)),
     ]
-    return Scene(len(track), columns, shown, [_run(run, 0, len(track))])
+    return PlotData(len(track), columns, shown, [_run(run, 0, len(track))])
 
 
 def tracks(run: RunResults) -> dict[str, Track]:
@@ -127,7 +127,7 @@ def first_frame(run: RunResults) -> int:
     return int(np.searchsorted(run.track.t, run.motion.t[0] - 0.5 * np.median(np.diff(run.track.t))))
 
 
-def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scene:
+def motion(run: RunResults, other: Array | None = None, label: str = "") -> PlotData:
     """Displacement, velocity, acceleration and friction of one run with their bands; the free section has handles.
 
     `other` (3, n) is x, v and a smoothed otherwise, which lie over v and a as ghosts; the axes stay.
@@ -140,8 +140,8 @@ def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scen
         "a": m.a,
         "raw": 1e6 * (d.x - m.x),
     }
-    bands = [_around(columns, name, columns[name], sigma) for name, sigma in (("v", m.sigma_v), ("a", m.sigma_a))]
-    around = _around(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
+    bands = [_add_band(columns, name, columns[name], sigma) for name, sigma in (("v", m.sigma_v), ("a", m.sigma_a))]
+    around = _add_band(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
     columns |= places(run)
     ghosts: dict[str, list[dict[str, Any]]] = {"v": [], "a": []}
     if other is not None:
@@ -163,9 +163,9 @@ def motion(run: RunResults, other: Array | None = None, label: str = "") -> Scen
     ]
     if f is not None:
         columns["F"] = f.F
-        layer = _around(columns, "F", f.F, f.sigma_F)
+        layer = _add_band(columns, "F", f.F, f.sigma_F)
         shown.insert(3, plot("Friction force", time, "F / N", *shade, layer, line("F", MEASURED), brush="x", **near))
-    return Scene(len(m), columns, shown, [_run(run, 0, len(m), frame=first_frame(run))])
+    return PlotData(len(m), columns, shown, [_run(run, 0, len(m), frame=first_frame(run))])
 
 
 def _free(run: RunResults) -> tuple[float, float] | None:
@@ -176,7 +176,7 @@ def _free(run: RunResults) -> tuple[float, float] | None:
     return float(t[0]), float(t[-1])
 
 
-def compared(results: Results, model: ModelResults, ghost: ModelResults | None = None) -> Scene:
+def compared(results: Results, model: ModelResults, ghost: ModelResults | None = None) -> PlotData:
     """Measured minus modelled against time, place and velocity, and the forces of both; failing spans are shaded.
 
     `ghost` is another model, whose residual and force lie behind.
@@ -214,7 +214,7 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
         plot("Force against time", ("t", "time / ms"), "F / N", *forces, brush="x"),
         plot("Force against velocity", ("v", "velocity / (m/s)"), "F / N", *loops),
     ]
-    return Scene(int(firsts[-1]), columns, shown, looks)
+    return PlotData(int(firsts[-1]), columns, shown, looks)
 
 
 def _called(model: ModelResults) -> str:
@@ -222,7 +222,7 @@ def _called(model: ModelResults) -> str:
     return plots.plain_name(model.name) if model.name.startswith("0_") else plots.numbered_name(model.name)
 
 
-def residual(results: Results, model: ModelResults, ghost: ModelResults | None = None) -> Scene:
+def residual(results: Results, model: ModelResults, ghost: ModelResults | None = None) -> PlotData:
     """What the model leaves over against time, place and velocity, on what an attempt would leave."""
     scene = compared(results, model, ghost)
     scene.plots = [one for one in scene.plots if one["title"].startswith("Residual")]
@@ -230,8 +230,8 @@ def residual(results: Results, model: ModelResults, ghost: ModelResults | None =
 
 
 def _fails(results: Results, model: ModelResults) -> Sequence[Mapping[str, Any]]:
-    told = model.diagnosis or (results.comparison if model.current else None) or {}
-    return [s for s in told.get("fails_at", []) if s.get("t")]
+    summary = model.diagnosis or (results.comparison if model.current else None) or {}
+    return [s for s in summary.get("fails_at", []) if s.get("t")]
 
 
 def _rows(run: RunResults, model: ModelResults, ghost: ModelResults | None) -> dict[str, Array]:
@@ -239,13 +239,13 @@ def _rows(run: RunResults, model: ModelResults, ghost: ModelResults | None) -> d
     m, f = run.motion, run.friction
     rows: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v}
     rows["F"] = np.full(len(m), np.nan) if f is None else np.where(f.free, f.F, np.nan)
-    rows["left"], rows["F_model"], noise = _told(run, model)
-    rows["ghost"], rows["F_ghost"], _ = _told(run, ghost)
+    rows["left"], rows["F_model"], noise = _model_curves(run, model)
+    rows["ghost"], rows["F_ghost"], _ = _model_curves(run, ghost)
     rows["noise_low"], rows["noise_high"] = -SIGMAS * noise, SIGMAS * noise
     return rows
 
 
-def _told(run: RunResults, model: ModelResults | None) -> tuple[Array, Array, Array]:
+def _model_curves(run: RunResults, model: ModelResults | None) -> tuple[Array, Array, Array]:
     """What a model leaves over of a run, its force, and the noise, at every frame."""
     left, modelled, noise = np.full((3, len(run.motion)), np.nan)
     for part in residuals(model, run) if model else ():

@@ -1,4 +1,4 @@
-"""Tab 6, history and report: every model tried side by side, and all that a colleague can be given."""
+"""The tab "History and report": all models that were tried, and files to download."""
 
 from __future__ import annotations
 
@@ -18,59 +18,62 @@ from frictrack.flow import script
 from frictrack.report import printed
 from frictrack.report.tables import history
 from frictrack.results import Results
-from frictrack.workbench.desk import Desk
+from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, grid, html, note
 
-KINDS = ("svg", "png", "pdf")
+FIGURE_FORMATS = ("svg", "png", "pdf")
 
 
-class RecordTab:
+class HistoryTab:
     """The models in the order tried, and the files."""
 
     title = "6 History and report"
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self, state: PageState) -> None:
+        self.state = state
         self.models = html("")
         self.choice = pn.widgets.Select(label="Model", options={}, width=300)
-        self.kind = pn.widgets.RadioButtonGroup(label="Figures as", options=list(KINDS), value="svg")
+        self.kind = pn.widgets.RadioButtonGroup(label="Figures as", options=list(FIGURE_FORMATS), value="svg")
         self.link = html("")
         self.reports = (
-            self._file("Report (HTML)", "report.html", self._report),
-            self._file("Report (PDF)", "report.pdf", self._paper),
+            self._download_button("Report (HTML)", "report.html", self._report_html),
+            self._download_button("Report (PDF)", "report.pdf", self._report_pdf),
         )
         self.view = pn.Column(
             self.models,
-            pn.FlexBox(self.choice, button("Make it current", self._use), align_items="flex-end", gap="10px"),
+            pn.FlexBox(self.choice, button("Make it current", self._make_current), align_items="flex-end", gap="10px"),
             pn.FlexBox(
-                button("Write the report", lambda: desk.start("report"), "primary"),
+                button("Write the report", lambda: state.start("report"), "primary"),
                 *self.reports,
-                self._file("Tables (CSV)", "tables.zip", self._tables),
-                self._file("Everything (HDF5)", "hdf5.zip", self._stores),
-                self._file("Python script", "repeat.py", self._script),
+                self._download_button("Tables (CSV)", "tables.zip", self._tables),
+                self._download_button("Everything (HDF5)", "hdf5.zip", self._hdf5_files),
+                self._download_button("Python script", "repeat.py", self._script),
                 gap="10px",
             ),
             pn.FlexBox(
-                self.kind, self._file("Figures", "figures.zip", self._figures), align_items="flex-end", gap="10px"
+                self.kind,
+                self._download_button("Figures", "figures.zip", self._figures),
+                align_items="flex-end",
+                gap="10px",
             ),
             self.link,
             sizing_mode="stretch_width",
         )
 
-    def _file(self, label: str, name: str, make: Callable[[], bytes]) -> pn.widgets.FileDownload:
+    def _download_button(self, label: str, name: str, make: Callable[[], bytes]) -> pn.widgets.FileDownload:
         """A button that gives a file; it is made beside the server's loop, so that the page lives on meanwhile."""
 
         async def made() -> io.BytesIO:
             one.param.update(label=f"{label} ...", disabled=True)
-            self.desk.tell(f"{name} is being made")
+            self.state.notify(f"{name} is being made")
             try:
                 content = await asyncio.to_thread(make)
             except FrictrackError as e:
-                self.desk.tell(str(e), wrong=True)
+                self.state.notify(str(e), is_error=True)
                 raise  # nothing is downloaded
             finally:
                 one.param.update(label=label, disabled=False)
-            self.desk.tell(f"{name}: done")
+            self.state.notify(f"{name}: done")
             return io.BytesIO(content)
 
         one = pn.widgets.FileDownload(label=label, filename=name, callback=made, icon=None, color="default")
@@ -78,7 +81,7 @@ class RecordTab:
 
     def refresh(self) -> None:
         """Show the models tried."""
-        results = self.desk.results
+        results = self.state.results
         models = results.models if results else ()
         path = results.output / "report.html" if results else None
         written = path is not None and path.exists()
@@ -93,41 +96,43 @@ class RecordTab:
         self.choice.options = {plots.numbered_name(m.name): m.name for m in models}
         self.choice.value = next((m.name for m in models if m.current), models[-1].name)
 
-    def _use(self) -> None:
+    def _make_current(self) -> None:
         if self.choice.value:
-            self.desk.do("use", model=self.choice.value)
+            self.state.do("use", model=self.choice.value)
 
     # --- files
 
-    def _results(self) -> Results:
-        assert self.desk.results is not None
-        return self.desk.results
+    def _need_results(self) -> Results:
+        assert self.state.results is not None
+        return self.state.results
 
-    def _written(self) -> Path:
-        path = self._results().output / "report.html"
+    def _report_path(self) -> Path:
+        path = self._need_results().output / "report.html"
         if not path.exists():
             raise FrictrackError(f"expected the report {path} but there is none; write it first")
         return path
 
-    def _report(self) -> bytes:
-        return self._written().read_bytes()
+    def _report_html(self) -> bytes:
+        return self._report_path().read_bytes()
 
-    def _paper(self) -> bytes:
-        return printed(self._written()).read_bytes()
+    def _report_pdf(self) -> bytes:
+        return printed(self._report_path()).read_bytes()
 
     def _tables(self) -> bytes:
-        return zipped({path.name: path.read_bytes() for path in write(self._results(), "csv")})
+        return zip_files({path.name: path.read_bytes() for path in write(self._need_results(), "csv")})
 
-    def _stores(self) -> bytes:
-        return zipped({path.name: path.read_bytes() for path in sorted(self._results().output.glob("*.h5"))})
+    def _hdf5_files(self) -> bytes:
+        return zip_files({path.name: path.read_bytes() for path in sorted(self._need_results().output.glob("*.h5"))})
 
     def _script(self) -> bytes:
-        assert self.desk.study is not None
-        return script(self.desk.study).encode()
+        assert self.state.study is not None
+        return script(self.state.study).encode()
 
     def _figures(self) -> bytes:
         kind = self.kind.value
-        return zipped({f"{name}.{kind}": drawn(made, kind) for name, made in figures(self._results()).items()})
+        return zip_files(
+            {f"{name}.{kind}": figure_bytes(made, kind) for name, made in figures(self._need_results()).items()}
+        )
 
 
 def figures(results: Results) -> dict[str, Figure]:
@@ -147,7 +152,7 @@ def figures(results: Results) -> dict[str, Figure]:
     return out
 
 
-def drawn(made: Figure, kind: str) -> bytes:
+def figure_bytes(made: Figure, kind: str) -> bytes:
     """A figure as a file."""
     if kind == "svg":
         return ('<?xml version="1.0" encoding="UTF-8"?>\n' + plots.svg(made)).encode()
@@ -158,7 +163,7 @@ def drawn(made: Figure, kind: str) -> bytes:
     return sheet.getvalue()
 
 
-def zipped(files: dict[str, bytes]) -> bytes:
+def zip_files(files: dict[str, bytes]) -> bytes:
     """Files in one archive."""
     sheet = io.BytesIO()
     with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:

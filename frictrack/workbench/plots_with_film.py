@@ -1,4 +1,4 @@
-"""Linked plots and the film beside them, for any tab: which recording is open, which frame is asked for."""
+"""Show linked plots with the film next to them, and the frame that is selected in a plot."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.results import RunResults
 from frictrack.study import RunTable
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.drawn import Drawn
-from frictrack.workbench.frames import Frames
-from frictrack.workbench.scenes import TRACKS, Scene, on_film, tracks
+from frictrack.workbench.frame_images import FrameImages
+from frictrack.workbench.linked_plots import LinkedPlots
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.plot_data import TRACKS, PlotData, on_film, tracks
 
 
-class Films:
+class OpenFilms:
     """The films of a study, opened when they are first looked at."""
 
     def __init__(self) -> None:
-        self._open: dict[str, Frames] = {}
+        self._open: dict[str, FrameImages] = {}
 
-    def frames(self, path: Any, fps: float | None) -> Frames:
+    def frames(self, path: Any, fps: float | None) -> FrameImages:
         """The pictures of a recording."""
         key = f"{path} {fps}"
         if key not in self._open:
-            self._open[key] = Frames(path, fps)
+            self._open[key] = FrameImages(path, fps)
         return self._open[key]
 
     def close(self) -> None:
@@ -36,19 +36,19 @@ class Films:
         self._open.clear()
 
 
-Shown = TypeVar("Shown", bound=Drawn)
+Plots = TypeVar("Plots", bound=LinkedPlots)
 
 
-class Bench(Generic[Shown]):
+class PlotsWithFilm(Generic[Plots]):
     """Linked plots with the film beside them: it shows the frame that is chosen in a plot, or asked for below it."""
 
-    def __init__(self, desk: Desk, films: Films, linked: Shown) -> None:
-        self.desk, self.films, self.linked = desk, films, linked
-        self.scene = Scene()
-        linked.listen("selection", self._selected)
-        linked.listen("want", self._wanted)
+    def __init__(self, state: PageState, films: OpenFilms, linked: Plots) -> None:
+        self.state, self.films, self.linked = state, films, linked
+        self.scene = PlotData()
+        linked.on_change("selection", self._selected)
+        linked.on_change("want", self._wanted)
 
-    def draw(self, scene: Scene, run: str = "") -> None:
+    def draw(self, scene: PlotData, run: str = "") -> None:
         """Draw other data, and the first frame of a run; without data and run no film is shown."""
         self.scene = scene
         self.linked.draw(scene)
@@ -57,25 +57,25 @@ class Bench(Generic[Shown]):
 
     def show(self, run: str, number: int) -> None:
         """A frame of a run's film; nothing where the run has none."""
-        table = self.desk.runs.get(run)
+        table = self.state.runs.get(run)
         if table is None or table.video is None:
             self.linked.film = {}
             return
         try:
             frames = self.films.frames(table.video, table.fps)
-            picture = frames[number]
+            show_frame = frames[number]
         except FrictrackError as e:
             self.linked.film = {}
-            self.desk.tell(str(e), wrong=True)
+            self.state.notify(str(e), is_error=True)
             return
-        film = {**frames.told, "label": run, **self._over(table)}
+        film = {**frames.info, "label": run, **self._over(table)}
         if film != self.linked.film:
             self.linked.film = film
-        self.linked.picture(picture)
+        self.linked.show_frame(show_frame)
 
     def _over(self, run: RunTable) -> dict[str, Any]:
         """What lies over the picture: tracks, and what the study file says of target, reference and ruler."""
-        results = self.desk.results.runs if self.desk.results else ()
+        results = self.state.results.runs if self.state.results else ()
         measured = next((r for r in results if r.name == run.name), None)
         rows = next((r for r in self.scene.runs if r["name"] == run.name), {"first": 0, "frame": 0})
         ruler = run.scale.get("points") if isinstance(run.scale, dict) and "length" in run.scale else None
@@ -100,7 +100,7 @@ def _in_box(shape: Sequence[Any]) -> list[Any]:
     return [*low.tolist(), *(high - low).tolist()]
 
 
-def _tracks(run: RunResults, scene: Scene) -> list[dict[str, Any]]:
+def _tracks(run: RunResults, scene: PlotData) -> list[dict[str, Any]]:
     """Boxes of the target and of what was tracked beside it, where the scene has their places."""
     out = []
     for colour, (name, track) in zip(TRACKS, tracks(run).items(), strict=False):

@@ -1,4 +1,4 @@
-"""Tab 3, the model: its effects as blocks with their equation; add, remove, fix, bound; watch a search converge."""
+"""The tab "Model": add, remove and bound effects, fit, and watch a search converge."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from frictrack.effects import catalogue
 from frictrack.flow import own_effects
 from frictrack.plots.style import BLUE
 from frictrack.report.numbers import formula
-from frictrack.workbench.block import Blocks
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.linked import Linked
-from frictrack.workbench.scenes import Scene, line, plot
+from frictrack.workbench.effect_blocks import EffectBlocks
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plot_data import PlotData, line, plot
 from frictrack.workbench.widgets import button, html, note
 
 SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
@@ -27,10 +27,10 @@ class ModelTab:
 
     title = "3 Model"
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self, state: PageState) -> None:
+        self.state = state
         self.head = html("")
-        self.blocks = Blocks(desk)
+        self.blocks = EffectBlocks(state)
         self.choice = pn.widgets.Select(label="Effect", options=[], width=220)
         self.words = html("", width=520)
         self.search = pn.widgets.Select(label="Search", options=SEARCHES, width=120)
@@ -39,7 +39,7 @@ class ModelTab:
         self.text = pn.widgets.TextInput(
             label="Another model", placeholder="tustin, atm1:2, or coulomb, viscous", width=260
         )
-        self.chart = Linked(width=640, visible=False)
+        self.chart = PanelPlots(width=640, visible=False)
         self.view = pn.Column(
             self.head,
             self.blocks.view,
@@ -62,12 +62,12 @@ class ModelTab:
             self.chart,
             sizing_mode="stretch_width",
         )
-        self.choice.param.watch(lambda event: self._told(), "value")
-        desk.param.watch(self._converging, "busy")
+        self.choice.param.watch(lambda event: self._describe_choice(), "value")
+        state.param.watch(self._converging, "busy")
 
     def refresh(self) -> None:
         """Show the model that is current now."""
-        model = self.desk.model
+        model = self.state.model
         known = self._library()
         self.blocks.show(known)
         if model is None:
@@ -81,14 +81,14 @@ class ModelTab:
         options = [name for name in known if name not in names]
         chosen = self.choice.value if self.choice.value in options else options[0]
         self.choice.param.update(options=options, value=chosen)
-        self._told()
+        self._describe_choice()
 
     def _library(self) -> dict[str, dict[str, Any]]:
         """Every effect that can be chosen, the study's own among them."""
-        tables = self.desk.study.effects if self.desk.study else ()
+        tables = self.state.study.effects if self.state.study else ()
         return {e["name"]: e for e in catalogue(own_effects(tables))}
 
-    def _told(self) -> None:
+    def _describe_choice(self) -> None:
         """What the chosen effect is."""
         found = self._library().get(self.choice.value)
         if found:
@@ -96,19 +96,19 @@ class ModelTab:
 
     def _add(self) -> None:
         if self.choice.value:
-            self.desk.start("add", effect=self.choice.value)
+            self.state.start("add", effect=self.choice.value)
 
     def _fit(self) -> None:
         self.chart.visible = False
         how = {"search": self.search.value, "over": self.over.value, "seed": self.seed.value}
-        self.desk.start("fit", model=(self.text.value or "").strip() or None, **how)
+        self.state.start("fit", model=(self.text.value or "").strip() or None, **how)
 
     def _converging(self, event: Any) -> None:
         """Draw on what the work says of its generations."""
-        job = self.desk.job
+        job = self.state.job
         if job is None or event.new.get("do") != "fit":
             return
-        lines = [(told["done"], MISFIT.search(told["what"])) for told in job.progress]
+        lines = [(line["done"], MISFIT.search(line["what"])) for line in job.progress]
         found = np.array([(k, np.log10(float(m[1]))) for k, m in lines if m])
         if len(found):
             columns = {"generation": found[:, 0], "misfit": found[:, 1]}
@@ -119,5 +119,5 @@ class ModelTab:
                 line("misfit", BLUE),
                 brush="x",
             )
-            self.chart.draw(Scene(len(found), columns, [falls]))
+            self.chart.draw(PlotData(len(found), columns, [falls]))
             self.chart.visible = True

@@ -1,4 +1,4 @@
-"""Frames of a recording as pictures for the page: opened once, read at random, kept small."""
+"""Read frames of a recording as JPEG pictures for the page."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ import numpy as np
 
 from frictrack.recording import Frame, open_recording, opened
 
-WIDEST = 1280  # px; wider pictures are made smaller
-KEPT = 64  # pictures that are at hand
-QUALITY = 88  # of a JPEG
-DARK, BRIGHT = 0.1, 99.9  # percentiles of the first frame that become black and white, for deep pictures
+MAX_WIDTH_PX = 1280  # px; wider pictures are made smaller
+MAX_CACHED_FRAMES = 64  # pictures that are at hand
+JPEG_QUALITY = 88  # of a JPEG
+BLACK_PERCENTILE, WHITE_PERCENTILE = 0.1, 99.9  # of the first frame; they become black and white in deep pictures
 
 
-class Frames:
+class FrameImages:
     """The pictures of one recording. May be asked from several threads."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
         self._stack = ExitStack()
         self._recording = self._stack.enter_context(opened(open_recording(path, fps)))
         self._lock = Lock()
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._cache: OrderedDict[int, bytes] = OrderedDict()
         first = self._recording.frame(0)
         deep = first.dtype != np.uint8
-        self._limits = tuple(np.percentile(first, (DARK, BRIGHT))) if deep else (0.0, 255.0)
+        self._limits = tuple(np.percentile(first, (BLACK_PERCENTILE, WHITE_PERCENTILE))) if deep else (0.0, 255.0)
 
     @property
-    def told(self) -> dict[str, Any]:
+    def info(self) -> dict[str, Any]:
         """Frames, size and frame rate of the film."""
         height, width = self._recording.shape
         return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self._recording.fps}
@@ -41,21 +41,21 @@ class Frames:
         """A frame's number and its JPEG; the number is brought into the film."""
         number = min(max(number, 0), self._recording.n_frames - 1)
         with self._lock:
-            if number not in self._kept:
-                self._kept[number] = self._picture(self._recording.frame(number))
-            self._kept.move_to_end(number)
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-            return number, self._kept[number]
+            if number not in self._cache:
+                self._cache[number] = self._jpeg(self._recording.frame(number))
+            self._cache.move_to_end(number)
+            while len(self._cache) > MAX_CACHED_FRAMES:
+                self._cache.popitem(last=False)
+            return number, self._cache[number]
 
-    def _picture(self, frame: Frame) -> bytes:
+    def _jpeg(self, frame: Frame) -> bytes:
         low, high = self._limits
         if (low, high) != (0.0, 255.0):
             frame = np.clip((frame - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
-        if frame.shape[1] > WIDEST:
-            size = WIDEST, round(frame.shape[0] * WIDEST / frame.shape[1])
+        if frame.shape[1] > MAX_WIDTH_PX:
+            size = MAX_WIDTH_PX, round(frame.shape[0] * MAX_WIDTH_PX / frame.shape[1])
             frame = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
+        return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
 
     def close(self) -> None:
         """Let go of the recording."""

@@ -1,4 +1,4 @@
-"""The linked plots and the film as a component of the page."""
+"""The linked plots as a Panel component."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 import param
 from panel.custom import AnyWidgetComponent
 
-from frictrack.workbench.drawn import MODULE, Drawn
+from frictrack.workbench.linked_plots import MODULE, LinkedPlots
 
 
-class Linked(Drawn, AnyWidgetComponent):
+class PanelPlots(LinkedPlots, AnyWidgetComponent):
     """See ``linked.js`` for what goes in and what comes out."""
 
     scene = param.Dict(default={})
@@ -27,10 +27,10 @@ class Linked(Drawn, AnyWidgetComponent):
     _esm = MODULE
     _debounce = 0  # ms; Panel waits 50 otherwise
 
-    def put(self, **values: Any) -> None:
+    def set_values(self, **values: Any) -> None:
         """Set several values at once."""
         self.param.update(**values)
 
-    def listen(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
+    def on_change(self, name: str, call: Callable[[dict[str, Any]], None]) -> None:
         """Call with the new value whenever the user has changed one."""
         self.param.watch(lambda event: call(event.new), name)

@@ -1,4 +1,4 @@
-"""Tab 2, the motion: x, v, a and F with their bands, the cut-off with its price, the free section by hand."""
+"""The tab "Motion": x, v, a and F with their bands, the cut-off frequency and the free section."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.flow import previewed
 from frictrack.results import RunResults
-from frictrack.workbench import scenes
-from frictrack.workbench.desk import Desk
-from frictrack.workbench.films import Bench, Films
-from frictrack.workbench.linked import Linked
+from frictrack.workbench import plot_data
+from frictrack.workbench.page_state import PageState
+from frictrack.workbench.panel_plots import PanelPlots
+from frictrack.workbench.plots_with_film import OpenFilms, PlotsWithFilm
 from frictrack.workbench.widgets import button, figure, html, note
 
 
@@ -24,8 +24,8 @@ class MotionTab:
 
     title = "2 Motion"
 
-    def __init__(self, desk: Desk, films: Films) -> None:
-        self.desk, self.bench = desk, Bench(desk, films, Linked(sizing_mode="stretch_width"))
+    def __init__(self, state: PageState, films: OpenFilms) -> None:
+        self.state, self.plots_with_film = state, PlotsWithFilm(state, films, PanelPlots(sizing_mode="stretch_width"))
         self.cutoff = pn.widgets.DiscreteSlider(
             label="Preview a plain low-pass, cut-off / Hz", options=[1.0], width=420
         )
@@ -34,7 +34,7 @@ class MotionTab:
         self.trade = pn.Column(sizing_mode="stretch_width")
         self.part = button("Part trend, vibrations and events instead", lambda: self._edit("cutoff", None))
         self.find = button("Find the free section by itself", lambda: self._edit("free", None))
-        self.use = button("Use this cut-off", self._cut)
+        self.use = button("Use this cut-off", self._use_cutoff)
         self.view = pn.Column(
             self.words,
             pn.FlexBox(
@@ -42,24 +42,24 @@ class MotionTab:
                 self.use,
                 self.part,
                 self.find,
-                button("Bring up to date", lambda: desk.start("measure", stage="friction"), "primary"),
+                button("Bring up to date", lambda: state.start("measure", stage="friction"), "primary"),
                 align_items="flex-end",
                 gap="10px",
             ),
-            self.bench.linked,
+            self.plots_with_film.linked,
             self.trade,
             sizing_mode="stretch_width",
         )
         self._ghost: float | None = None  # cut-off that is previewed, Hz
         self._filling = self._busy = False
-        self.cutoff.param.watch(self._slid, "value")
-        self.bench.linked.listen("moved", self._moved)
+        self.cutoff.param.watch(self._on_cutoff_moved, "value")
+        self.plots_with_film.linked.on_change("moved", self._on_section_moved)
 
     def refresh(self) -> None:
         """Show the run that is looked at."""
-        run = self.desk.measured
+        run = self.state.measured
         self._ghost = None
-        self.bench.draw(scenes.motion(run) if run else scenes.Scene(), self.desk.run)
+        self.plots_with_film.draw(plot_data.motion(run) if run else plot_data.PlotData(), self.state.run)
         self.use.visible = self.cutoff.visible = run is not None and run.cutoff is not None
         self.part.visible = self.find.visible = run is not None
         if run is None:
@@ -80,12 +80,12 @@ class MotionTab:
             self.cutoff.options = [float(np.round(f, 1)) for f in run.cutoff.frequency]
             self.cutoff.value = min(self.cutoff.options, key=lambda f: abs(f - near))
             self._filling = False
-            self._priced(run)
+            self._show_cost(run)
             self.trade.objects = [figure(plots.cutoff(run.name, run.cutoff, run.mass))]
             if asked and not (run.filtered.asked and np.isclose(run.filtered.cutoff, asked)):
-                self._look(float(asked))  # it stands in the study file and waits for the work to be done again
+                self._request_preview(float(asked))  # set in the study, not computed yet
 
-    def _priced(self, run: RunResults) -> None:
+    def _show_cost(self, run: RunResults) -> None:
         """What a cut-off costs: noise that it lets pass, detail that it takes away."""
         assert run.cutoff is not None
         noise, lost = run.cutoff.at(float(self.cutoff.value))
@@ -97,44 +97,44 @@ class MotionTab:
 
     # --- the preview
 
-    def _slid(self, event: Any) -> None:
-        run = self.desk.measured
+    def _on_cutoff_moved(self, event: Any) -> None:
+        run = self.state.measured
         if self._filling or run is None or run.cutoff is None:
             return
-        self._priced(run)
-        self._look(float(self.cutoff.value))
+        self._show_cost(run)
+        self._request_preview(float(self.cutoff.value))
 
-    def _look(self, cutoff: float) -> None:
+    def _request_preview(self, cutoff: float) -> None:
         """Have the ghosts of a cut-off drawn."""
         self._ghost = cutoff
         if not self._busy:
-            pn.state.execute(self._previews)
+            pn.state.execute(self._run_previews)
 
-    async def _previews(self) -> None:
+    async def _run_previews(self) -> None:
         """One at a time, beside the server's loop; of those asked for meanwhile the last one counts."""
         shown, self._busy = None, True
         try:
-            while self._ghost is not None and (wanted := (self.desk.run, self._ghost)) != shown:
-                run = self.desk.measured
+            while self._ghost is not None and (wanted := (self.state.run, self._ghost)) != shown:
+                run = self.state.measured
                 if run is None:
                     return
                 found = await asyncio.to_thread(previewed, run, wanted[1])
-                if self._ghost is not None and self.desk.measured is run:
-                    self.bench.draw(scenes.motion(run, found, f"at {wanted[1]:.3g} Hz"))
+                if self._ghost is not None and self.state.measured is run:
+                    self.plots_with_film.draw(plot_data.motion(run, found, f"at {wanted[1]:.3g} Hz"))
                     shown = wanted
         except FrictrackError as e:
-            self.desk.tell(str(e), wrong=True)
+            self.state.notify(str(e), is_error=True)
         finally:
             self._busy = False
 
     # --- what is put into the study
 
-    def _cut(self) -> None:
+    def _use_cutoff(self) -> None:
         self._edit("cutoff", f"{self.cutoff.value:g} Hz")
 
     def _edit(self, key: str, value: Any) -> None:
-        self.desk.do("edit", table="run", which=self.desk.run, key=key, value=value)
+        self.state.do("edit", table="run", which=self.state.run, key=key, value=value)
 
-    def _moved(self, handle: dict[str, Any]) -> None:
+    def _on_section_moved(self, handle: dict[str, Any]) -> None:
         begin, end = (f"{v:.4g} ms" for v in handle["span"])
         self._edit("free", [begin, end])

@@ -1,4 +1,4 @@
-"""What a page has before its eyes: the study as its files say, the work that goes on, and the last word on both.
+"""The state of the page: the study as its files say, the running job, and the last message to the user.
 
 The page keeps no state of its own but what is looked at. A change by the command line or another tab shows by itself.
 """
@@ -25,12 +25,12 @@ from frictrack.workbench.jobs import Job
 WHO = "page"
 
 
-class Desk(param.Parameterized):
+class PageState(param.Parameterized):
     """One browser tab's view of a study; `seen` counts up whenever something else is to be shown."""
 
     seen = param.Integer(default=0, doc="counts up when the study's files have changed")
-    said = param.String(default="", doc="the last word to the user: what was done, or why not")
-    wrong = param.Boolean(default=False, doc="whether that is a fault")
+    message = param.String(default="", doc="the last word to the user: what was done, or why not")
+    is_error = param.Boolean(default=False, doc="whether that is a fault")
     busy = param.Dict(default={}, doc="the work that goes on: do, done, total, what; empty when there is none")
     run = param.String(default="", doc="the run that is looked at")
     ghost = param.Parameter(default=None, doc="a model that was attempted, shown behind the current one")
@@ -51,27 +51,27 @@ class Desk(param.Parameterized):
     async def look(self) -> None:
         """Read again what has changed in the files, and how far the work has come."""
         self._watch()
-        if self._has_changed():
+        if self._files_changed():
             self._take(await asyncio.to_thread(_read, self.path))
 
     def look_first(self) -> None:
         """Read the files before there is a page to wait for them."""
-        self._has_changed()
+        self._files_changed()
         self._take(_read(self.path))
 
-    def _has_changed(self) -> bool:
+    def _files_changed(self) -> bool:
         before, self._print = self._print, self._fingerprint()
         return self._print != before
 
     def _take(self, found: tuple[Study | None, Results | None] | FrictrackError) -> None:
         if isinstance(found, FrictrackError):
-            self.tell(str(found), wrong=True)
+            self.notify(str(found), is_error=True)
             return
         self.study, self.results = found
         if self.study is not None:
             self.ledger = Ledger(self.study.output, WHO)
             self.rev = self.ledger.rev
-            self._ended = {job.folder.name for job in jobs.listed(self.study) if job.state != jobs.RUNNING}
+            self._ended = {job.folder.name for job in jobs.list_jobs(self.study) if job.state != jobs.RUNNING}
             names = [run.name for run in self.study.runs]
             if self.run not in names:
                 self.run = names[0] if names else ""
@@ -127,9 +127,9 @@ class Desk(param.Parameterized):
 
     # --- what is done
 
-    def tell(self, words: str, *, wrong: bool = False) -> None:
+    def notify(self, words: str, *, is_error: bool = False) -> None:
         """Say something to the user."""
-        self.param.update(said=words, wrong=wrong)
+        self.param.update(message=words, is_error=is_error)
 
     def begin(self, recordings: Sequence[str], keys: dict[str, Any]) -> bool:
         """Write the study file of some recordings; whether that went well."""
@@ -137,41 +137,43 @@ class Desk(param.Parameterized):
             known = {key: value for key, value in keys.items() if value}
             start_study(self.path, [self.path.parent / name for name in recordings], known)
         except FrictrackError as e:
-            self.tell(str(e), wrong=True)
+            self.notify(str(e), is_error=True)
             return False
         found = Findings(open_study(self.path))
         found.of_study()
-        self._tell_done(f"{self.path.name} is written; now run everything", found.words)
+        self._notify_done(f"{self.path.name} is written; now run everything", found.words)
         return True
 
-    def _tell_done(self, words: str, warnings: Sequence[str]) -> None:
+    def _notify_done(self, words: str, warnings: Sequence[str]) -> None:
         """Say that something is done, and what is implausible in the study."""
-        self.tell("; ".join([words, *(f"to be checked: {warning}" for warning in warnings)]), wrong=bool(warnings))
+        self.notify("; ".join([words, *(f"to be checked: {warning}" for warning in warnings)]), is_error=bool(warnings))
 
-    def do(self, do: str, **told: Any) -> bool:
+    def do(self, do: str, **arguments: Any) -> bool:
         """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
         assert self.study is not None
         try:
-            Session(open_study(self.path, bare=True), who=WHO, seen=self.rev).apply(do, **told)
+            Session(open_study(self.path, bare=True), who=WHO, seen=self.rev).apply(do, **arguments)
         except FrictrackError as e:
-            self.tell(str(e), wrong=True)
+            self.notify(str(e), is_error=True)
             return False
         self.rev = Ledger(self.study.output).rev
-        self.tell(" ".join((f"{do}: done", *(str(told[k]) for k in ("which", "key") if told.get(k) is not None))))
+        self.notify(
+            " ".join((f"{do}: done", *(str(arguments[k]) for k in ("which", "key") if arguments.get(k) is not None)))
+        )
         return True
 
-    def start(self, do: str, **told: Any) -> None:
+    def start(self, do: str, **arguments: Any) -> None:
         """Long work, in a process of its own."""
         if self.study is None:
             return
         try:
-            job = jobs.start(self.study, do, seen=self.rev, who=WHO, **told)
+            job = jobs.start(self.study, do, seen=self.rev, who=WHO, **arguments)
         except FrictrackError as e:
-            self.tell(str(e), wrong=True)
+            self.notify(str(e), is_error=True)
             return
         self.job = job
         self.busy = {"do": do, "done": 0, "total": 0, "what": "starts"}
-        self.tell("")
+        self.notify("")
 
     def cancel(self) -> None:
         """End the work that goes on."""
@@ -181,7 +183,7 @@ class Desk(param.Parameterized):
     def _watch(self) -> None:
         """The work that goes on, also that of another tab or of a server that is gone."""
         if self.job is None and self.study is not None:
-            going = (j for j in jobs.listed(self.study) if j.folder.name not in self._ended)
+            going = (j for j in jobs.list_jobs(self.study) if j.folder.name not in self._ended)
             self.job = next((j for j in going if j.state == jobs.RUNNING), None)
         if self.job is None:
             return
@@ -198,17 +200,17 @@ class Desk(param.Parameterized):
         if state == jobs.DONE:
             made = ended.result["done"]
             warnings = made.get("warnings", []) if isinstance(made, dict) else []
-            self._tell_done(f"{words}: done", [warning["words"] for warning in warnings])
+            self._notify_done(f"{words}: done", [warning["words"] for warning in warnings])
             if spec["do"] == "attempt":
-                self._attempted(ended)
+                self._show_attempt(ended)
             elif spec["do"] in ("add", "remove", "fit"):
                 self.ghost = None
         elif state == jobs.FAILED:
-            self.tell(f"{words}: {ended.result['error']}", wrong=True)
+            self.notify(f"{words}: {ended.result['error']}", is_error=True)
         else:
-            self.tell(f"{words}: {state}; what was finished stays, start it again to go on", wrong=True)
+            self.notify(f"{words}: {state}; what was finished stays, start it again to go on", is_error=True)
 
-    def _attempted(self, job: Job) -> None:
+    def _show_attempt(self, job: Job) -> None:
         from frictrack.flow import attempted  # noqa: PLC0415
 
         effect = job.spec["told"]["effect"]

@@ -1,4 +1,4 @@
-"""One effect of the model as a block: its equation, what was found of its parameters, and what is set of them.
+"""Show each effect of the model as a block: its equation, its fitted parameters and their settings.
 
 What is set stands in the effect's ``[[effect]]`` table of the study file; the next fit heeds it.
 """
@@ -17,20 +17,20 @@ from frictrack.errors import FrictrackError
 from frictrack.plots import number
 from frictrack.report.numbers import formula
 from frictrack.units import quantity
-from frictrack.workbench.desk import Desk
+from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, html
 
 FREE = "free"  # in `fixed at`: sought, although the library fixes it
-USUAL = "as usual"
-OWN = {USUAL: None, "own value in every run": True, "one value for all runs": False}
+LIBRARY_DEFAULT = "as usual"
+PER_RUN_CHOICES = {LIBRARY_DEFAULT: None, "own value in every run": True, "one value for all runs": False}
 STYLE = {"border": "1px solid #c8c8c8", "border-top": "5px solid #0072b2", "padding": "8px"}
 
 
-class Blocks:
+class EffectBlocks:
     """The blocks of the current model. They stay while it stays, so that nobody is interrupted in typing."""
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self, state: PageState) -> None:
+        self.state = state
         self.view = pn.FlexBox(gap="12px", sizing_mode="stretch_width")
         self._open: set[str] = set()
         self._boxes: list[_Parameter] = []
@@ -38,53 +38,53 @@ class Blocks:
 
     def show(self, library: dict[str, dict[str, Any]]) -> None:
         """Show the current model; `library` is what is known of every effect."""
-        model = self.desk.model
+        model = self.state.model
         summary = model.summary if model else {"model": [], "parameters": {}}
         made = (model.name if model else "", summary["model"], summary["parameters"])
         if made != self._made:
             self._boxes, self._made = [], made
             names = ((name, library.get(name) or library.get(name.split(":")[0], {})) for name in summary["model"])
-            self.view.objects = [self._block(name, told) for name, told in names]
+            self.view.objects = [self._block(name, entry) for name, entry in names]
         for box in self._boxes:
             box.fill()
 
-    def _block(self, name: str, told: dict[str, Any]) -> pn.Column:
-        given = {p["name"]: p for p in told.get("parameters", [])}
-        values = _values(self.desk, name)
+    def _block(self, name: str, entry: dict[str, Any]) -> pn.Column:
+        given = {p["name"]: p for p in entry.get("parameters", [])}
+        values = _values(self.state, name)
         rows: list[Any] = []
         more: list[Any] = []
         for parameter in dict.fromkeys((*values, *given)):
             about = given.get(parameter, {"unit": next(iter(values[parameter].values()))["unit"], "bounds": None})
-            box = _Parameter(self.desk, name, parameter, about)
+            box = _Parameter(self.state, name, parameter, about)
             self._boxes.append(box)
-            rows += [html(_said(parameter, values.get(parameter, {}))), pn.Row(box.fix, box.low, box.high)]
+            rows += [html(_parameter_line(parameter, values.get(parameter, {}))), pn.Row(box.fix, box.low, box.high)]
             more.append(pn.FlexBox(box.near, box.like, box.runs, gap="4px"))
         settings = pn.Card(
             *more,
             title="Priors, ties, values per run",
-            collapsed=name not in self._open and not any(_written(self.desk, name, k) for k in KNOWLEDGE),
+            collapsed=name not in self._open and not any(_settings_of(self.state, name, k) for k in ADVANCED_KEYS),
             sizing_mode="stretch_width",
             header_background="#f3f3f3",
         )
         settings.param.watch(lambda e: (self._open.discard if e.new else self._open.add)(name), "collapsed")
         return pn.Column(
-            html(f"<h3 class=ft-h>{escape(name)}</h3><p class=ft-note>{formula(told.get('equation', ''))}</p>"),
+            html(f"<h3 class=ft-h>{escape(name)}</h3><p class=ft-note>{formula(entry.get('equation', ''))}</p>"),
             *rows,
             settings,
-            button(f"Remove {name}", lambda: self.desk.start("remove", effect=name)),
+            button(f"Remove {name}", lambda: self.state.start("remove", effect=name)),
             width=400,
             styles=STYLE,
         )
 
 
-KNOWLEDGE = ("prior", "tie", "per_run")
+ADVANCED_KEYS = ("prior", "tie", "per_run")
 
 
 class _Parameter:
     """The boxes of one parameter, filled with what the study file says, and what becomes of what is typed."""
 
-    def __init__(self, desk: Desk, effect: str, name: str, about: dict[str, Any]) -> None:
-        self.desk, self.effect, self.name = desk, effect, name
+    def __init__(self, state: PageState, effect: str, name: str, about: dict[str, Any]) -> None:
+        self.state, self.effect, self.name = state, effect, name
         self.unit, self.bounds = about["unit"], about["bounds"]
 
         self.fix, self.low, self.high = (
@@ -92,7 +92,7 @@ class _Parameter:
         )
         self.near = pn.widgets.TextInput(label=f"{name}: prior", placeholder="mean ± std", width=112, margin=4)
         self.like = pn.widgets.TextInput(label=f"{name}: tied to", placeholder="2*effect.name", width=130, margin=4)
-        self.runs = pn.widgets.Select(label=f"{name}: per run", options=list(OWN), width=102, margin=4)
+        self.runs = pn.widgets.Select(label=f"{name}: per run", options=list(PER_RUN_CHOICES), width=102, margin=4)
         self._filled: dict[Any, str] = {}
         self._filling = False
         self.fill()
@@ -102,13 +102,13 @@ class _Parameter:
             (self.high, "bounds", self._bound),
             (self.near, "prior", self._prior),
             (self.like, "tie", lambda text: text or None),
-            (self.runs, "per_run", OWN.__getitem__),
+            (self.runs, "per_run", PER_RUN_CHOICES.__getitem__),
         ):
             box.param.watch(partial(self._typed, key, read), "value")
 
     def fill(self) -> None:
         """Show what the study file says now; a text that it did not take stays until it says something else."""
-        held, bounds, prior, tie, own = (self._told(key) for key in ("fix", "bounds", *KNOWLEDGE))
+        held, bounds, prior, tie, own = (self._setting(key) for key in ("fix", "bounds", *ADVANCED_KEYS))
         low, high = ("", "") if bounds is None else (f"{side:g}" for side in bounds)
         texts = {
             self.fix: "" if held is None else FREE if held is False else f"{held:g}",
@@ -116,7 +116,7 @@ class _Parameter:
             self.high: high,
             self.near: "" if prior is None else f"{prior[0]:g} ± {prior[1]:g}",
             self.like: tie or "",
-            self.runs: next(words for words, value in OWN.items() if value is own),
+            self.runs: next(words for words, value in PER_RUN_CHOICES.items() if value is own),
         }
         self._filling = True
         for box, text in texts.items():
@@ -124,8 +124,8 @@ class _Parameter:
                 self._filled[box] = box.value = text
         self._filling = False
 
-    def _told(self, key: str) -> Any:
-        return _written(self.desk, self.effect, key).get(self.name)
+    def _setting(self, key: str) -> Any:
+        return _settings_of(self.state, self.effect, key).get(self.name)
 
     def _typed(self, key: str, read: Callable[[Any], Any], event: Any) -> None:
         """Into the study file; what cannot be read is told, and stays as it was typed."""
@@ -134,12 +134,12 @@ class _Parameter:
         try:
             value = read(event.new.strip() if isinstance(event.new, str) else event.new)
         except FrictrackError as e:
-            return self.desk.tell(f"{self.effect}: {e}", wrong=True)
-        old = _written(self.desk, self.effect, key)
+            return self.state.notify(f"{self.effect}: {e}", is_error=True)
+        old = _settings_of(self.state, self.effect, key)
         new = {**old, self.name: value} if value is not None else {k: v for k, v in old.items() if k != self.name}
         if new != old:
             plain = {k: list(v) if isinstance(v, tuple) else v for k, v in new.items()}
-            self.desk.do("edit", table="effect", which=self.effect, key=key, value=plain or None)
+            self.state.do("edit", table="effect", which=self.effect, key=key, value=plain or None)
         return None
 
     # --- texts -> values; each raises FrictrackError for a text that is none
@@ -173,17 +173,17 @@ class _Parameter:
         return tuple(float(f"{q:.12g}") for q in (mean, std))  # type: ignore[return-value]
 
 
-def _written(desk: Desk, effect: str, key: str) -> dict[str, Any]:
+def _settings_of(state: PageState, effect: str, key: str) -> dict[str, Any]:
     """What the study file says of an effect's parameters."""
-    tables = desk.study.effects if desk.study else ()
+    tables = state.study.effects if state.study else ()
     return next((dict(getattr(t, key)) for t in tables if t.effect == effect), {})
 
 
-def _values(desk: Desk, name: str) -> dict[str, dict[str, Any]]:
+def _values(state: PageState, name: str) -> dict[str, dict[str, Any]]:
     """What the fit found of an effect: parameter -> run, or "" for all -> its value."""
-    assert desk.model is not None
+    assert state.model is not None
     out: dict[str, dict[str, Any]] = {}
-    for full, value in desk.model.summary["parameters"].items():
+    for full, value in state.model.summary["parameters"].items():
         address, _, run = full.partition("[")
         effect, _, parameter = address.rpartition(".")
         if effect == name:
@@ -191,10 +191,10 @@ def _values(desk: Desk, name: str) -> dict[str, dict[str, Any]]:
     return out
 
 
-def _said(parameter: str, values: dict[str, Any]) -> str:
+def _parameter_line(parameter: str, values: dict[str, Any]) -> str:
     """A parameter with its value and standard deviation, or its values in the runs."""
-    told = "; ".join(f"{escape(run)} {_value(value)}" if run else _value(value) for run, value in values.items())
-    return f"<b>{formula(parameter)}</b> = {told or 'fit again to see it'}"
+    entry = "; ".join(f"{escape(run)} {_value(value)}" if run else _value(value) for run, value in values.items())
+    return f"<b>{formula(parameter)}</b> = {entry or 'fit again to see it'}"
 
 
 def _value(value: dict[str, Any]) -> str:
