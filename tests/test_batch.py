@@ -19,7 +19,7 @@ from campaigns import campaign, results, slide
 from rich.console import Console
 from scipy import stats
 
-from frictrack import crew
+from frictrack import workers
 from frictrack.batch import batch, find_studies
 from frictrack.batch.campaign import Campaign, State
 from frictrack.batch.journal import Journal
@@ -48,7 +48,7 @@ class Inline:
             future.set_exception(e)
         return future
 
-    def room(self) -> int:
+    def capacity(self) -> int:
         return self._room
 
 
@@ -79,7 +79,7 @@ def inline(quick: None, monkeypatch: pytest.MonkeyPatch) -> Inline:
     def here(workers: int | None = None) -> Iterator[Inline]:
         yield one
 
-    monkeypatch.setattr("frictrack.batch.driver.here", here)
+    monkeypatch.setattr("frictrack.batch.driver.local_workers", here)
     return one
 
 
@@ -289,7 +289,7 @@ def _fail() -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_process_that_dies_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
-    with crew.here(2) as ours:
+    with workers.local_workers(2) as ours:
         once = ours.submit(_die_once, str(tmp_path / "mark"))
         always, failing, fine = ours.submit(_die), ours.submit(_fail), ours.submit(os.path.basename, "a/b")
         assert once.result(60) == "done"
@@ -301,20 +301,20 @@ def test_a_process_that_dies_takes_only_its_own_work_with_it(tmp_path: Path) -> 
 
 
 def test_as_many_as_the_memory_takes(tmp_path: Path) -> None:
-    assert crew.fitting(free=3e9, taken=1e9, need=1.5e9) == 2
-    assert crew.fitting(free=0.1e9, taken=0.0, need=1.5e9) == 1  # one always goes on
-    machine = crew.free_memory(tmp_path)
+    assert workers.max_parallel(free=3e9, taken=1e9, need=1.5e9) == 2
+    assert workers.max_parallel(free=0.1e9, taken=0.0, need=1.5e9) == 1  # one always goes on
+    machine = workers.free_memory(tmp_path)
     assert machine > 0
     (tmp_path / "memory.max").write_text("1000000\n")
     (tmp_path / "memory.current").write_text("900000\n")
     (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 50000\n")
-    assert crew.free_memory(tmp_path) == 150000.0
+    assert workers.free_memory(tmp_path) == 150000.0
     (tmp_path / "memory.max").write_text("max\n")
-    assert crew.free_memory(tmp_path) == pytest.approx(machine, rel=0.5)
+    assert workers.free_memory(tmp_path) == pytest.approx(machine, rel=0.5)
 
 
 def test_a_scheduler_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crew, "PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 0.5)
     campaign(tmp_path, 1)
     with pytest.raises(FrictrackError, match=r"expected a Dask scheduler at tcp:.* but none answers"):
         batch([str(tmp_path)], tmp_path / "all", scheduler="tcp://127.0.0.1:9")

@@ -45,7 +45,7 @@ from frictrack.fit import fit, restore, state
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import GRAVITY
 from frictrack.simulate.slide import Conditions, simulate
-from frictrack.store import Entry
+from frictrack.store import GroupContent
 
 SPAN = Span(duration=0.15, x_min=-0.02, x_max=0.6, v_min=0.05, v_max=6.0, fps=4000.0)
 ALL = [*LIBRARY.values(), effects.atm2(1), effects.atm2(2)]
@@ -343,7 +343,7 @@ def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
         assert estimate.std <= 0.02 * abs(truth[plain]), address
         off = abs(estimate.value - truth[plain])
         assert off <= max(2e-3 * abs(truth[plain]), 5 * estimate.std), (address, estimate, truth[plain])
-    store.write(tmp_path / "study.h5", {"state": Entry(state(fitted))})
+    store.write(tmp_path / "study.h5", {"state": GroupContent(state(fitted))})
     again = restore(runs, store.read(tmp_path / "study.h5", "state"))
     assert again.parameters.keys() == fitted.parameters.keys()
     for address, estimate in fitted.parameters.items():

@@ -25,9 +25,9 @@ from frictrack.flow.ledger import Ledger
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
-from frictrack.store import Entry
-from frictrack.store.marks import mark
-from frictrack.store.seal import ROOM, sealed
+from frictrack.store import GroupContent
+from frictrack.store.file_header import HEADER_BYTES, with_header
+from frictrack.store.signatures import mark
 from frictrack.study import load, parse, read_table, tables, write_study
 from frictrack.units import quantity
 from frictrack.version import __version__
@@ -408,7 +408,7 @@ def test_a_lens_file_that_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def results(path: Path) -> Path:
-    store.write(path, {"track": Entry({"x": np.arange(4.0)}), "models/1_a": Entry({"n": 1})})
+    store.write(path, {"track": GroupContent({"x": np.arange(4.0)}), "models/1_a": GroupContent({"n": 1})})
     return path
 
 
@@ -495,7 +495,7 @@ def test_results_that_mean_harm(tmp_path: Path, harm: object) -> None:
     path = results(tmp_path / "v3.h5")
     with h5py.File(path, "r+") as file:
         harm(file)
-    path.write_bytes(sealed(path.read_bytes()[ROOM:], __version__))  # who means harm seals it too
+    path.write_bytes(with_header(path.read_bytes()[HEADER_BYTES:], __version__))  # who means harm seals it too
     assert path.stat().st_size < 2 << 20
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match="damaged or is not HDF5; delete it and run again"):
@@ -513,10 +513,10 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
         file["track/inside"] = h5py.ExternalLink("other.h5", "/track")
         file["turning"] = h5py.SoftLink("/turning")
     held = path.read_bytes()
-    path.write_bytes(sealed(held[ROOM:], __version__))
+    path.write_bytes(with_header(held[HEADER_BYTES:], __version__))
     with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
         store.read(path, "track")
-    path.write_bytes(sealed(held[ROOM:], __version__, mark))  # not even where it is ours
+    path.write_bytes(with_header(held[HEADER_BYTES:], __version__, mark))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):
@@ -524,9 +524,9 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
                 look(path, group)
     for group in ("models/2_b", "soft/b"):
         with pytest.raises(FrictrackError, match="but it is a link"):
-            store.write(path, {group: Entry({"n": 2})})
+            store.write(path, {group: GroupContent({"n": 2})})
         with pytest.raises(FrictrackError, match="but it is a link"):
-            store.write(path, {}, marks={group.split("/")[0]: {"current": False}})
+            store.write(path, {}, attribute_updates={group.split("/")[0]: {"current": False}})
         with pytest.raises(FrictrackError, match="but it is a link"):
             store.write(path, {}, remove=(group,))
     with pytest.raises(FrictrackError):
@@ -541,7 +541,7 @@ def test_python_files_beside_a_study_are_not_run(tmp_path: Path, words: tuple[st
     folder = tmp_path / "day_1"
     Session(open_study(folder / "study.toml")).bring_up_to("displacement")
     for path in (folder / "study_results").glob("*.h5"):
-        path.write_bytes(sealed(path.read_bytes()[ROOM:], __version__))  # of somebody else
+        path.write_bytes(with_header(path.read_bytes()[HEADER_BYTES:], __version__))  # of somebody else
     for name in ("json", "struct", "h5py", "numpy", "frictrack", "multiprocessing", "sitecustomize"):
         (folder / f"{name}.py").write_text("open('owned', 'w')")
     command = Path(sys.executable).with_name("frictrack")

@@ -13,7 +13,7 @@ from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.records import Curve, Track
 from frictrack.results import Film
-from frictrack.store import Entry, Stamp
+from frictrack.store import GroupContent, Provenance
 
 
 def track(n: int = 5) -> Track:
@@ -44,7 +44,7 @@ def test_a_record_comes_back_as_it_was(tmp_path: Path) -> None:
     film = Film(np.arange(3.0), path="v3.avi", fps=4000.0, n_frames=3, hash="ab", picture=np.eye(4, dtype=np.uint8))
     ramp = np.linspace(0, 1, 4)
     curve = Curve(ramp, ramp, ramp, ramp, ramp, ramp, ramp, run="v3", parts={"coulomb": 2 * ramp})
-    store.write(path, {"track": Entry(track()), "recording": Entry(film), "curve": Entry(curve)})
+    store.write(path, {"track": GroupContent(track()), "recording": GroupContent(film), "curve": GroupContent(curve)})
     equal(store.read(path, "track", Track), track())
     equal(store.read(path, "recording", Film), film)
     equal(store.read(path, "curve", Curve), curve)
@@ -61,7 +61,7 @@ def test_a_dictionary_comes_back_as_it_was(tmp_path: Path) -> None:
         "sub": {"k": 1.5},
         "long": "é" * 90_000,
     }
-    store.write(path, {"models/1_tustin": Entry(content)})
+    store.write(path, {"models/1_tustin": GroupContent(content)})
     back = store.read(path, "models/1_tustin")
     np.testing.assert_array_equal(back.pop("theta"), content.pop("theta"))
     assert back == content
@@ -69,7 +69,9 @@ def test_a_dictionary_comes_back_as_it_was(tmp_path: Path) -> None:
 
 def test_others_read_columns_with_units(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
-    store.write(path, {"track": Entry(track(), Stamp(key="k", input_hash="h", settings='{"target": null}'))})
+    store.write(
+        path, {"track": GroupContent(track(), Provenance(key="k", input_hash="h", settings='{"target": null}'))}
+    )
     with h5py.File(path) as file:
         assert file["track/x_px"].attrs["unit"] == "px"
         assert file["track/reason"].asstr()[2] == "left the picture µ"
@@ -81,9 +83,11 @@ def test_others_read_columns_with_units(tmp_path: Path) -> None:
 def test_writing_one_group_keeps_the_others(tmp_path: Path) -> None:
     path = tmp_path / "study.h5"
     store.write(
-        path, {"a": Entry({"n": 1}), "b/c": Entry({"n": 2}), "gone": Entry({"n": 3})}, links={"runs/v3": "v3.h5"}
+        path,
+        {"a": GroupContent({"n": 1}), "b/c": GroupContent({"n": 2}), "gone": GroupContent({"n": 3})},
+        links={"runs/v3": "v3.h5"},
     )
-    store.write(path, {"a": Entry({"n": 4})}, remove=("gone",))
+    store.write(path, {"a": GroupContent({"n": 4})}, remove=("gone",))
     assert store.read(path, "a") == {"n": 4}
     assert store.read(path, "b/c") == {"n": 2}
     assert store.names(path) == ["a", "b", "runs"]
@@ -92,7 +96,7 @@ def test_writing_one_group_keeps_the_others(tmp_path: Path) -> None:
 
 
 def test_the_runs_link_shows_the_run(tmp_path: Path) -> None:
-    store.write(tmp_path / "v3.h5", {"track": Entry(track())})
+    store.write(tmp_path / "v3.h5", {"track": GroupContent(track())})
     store.write(tmp_path / "study.h5", {}, links={"runs/v3": "v3.h5"})
     with h5py.File(tmp_path / "study.h5") as file:
         assert file["runs/v3/track/x_px"].shape == (5,)
@@ -100,26 +104,26 @@ def test_the_runs_link_shows_the_run(tmp_path: Path) -> None:
 
 def test_a_stamp_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
-    assert store.stamp(path, "track") is None
-    made = Stamp(key="k", input_hash="h", settings="{}")
-    store.write(path, {"track": Entry(track(), made)})
-    assert store.stamp(path, "track") == made
-    assert store.stamp(path, "motion") is None
+    assert store.provenance(path, "track") is None
+    made = Provenance(key="k", input_hash="h", settings="{}")
+    store.write(path, {"track": GroupContent(track(), made)})
+    assert store.provenance(path, "track") == made
+    assert store.provenance(path, "motion") is None
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
-    store.write(path, {"a": Entry({"n": 1})})
+    store.write(path, {"a": GroupContent({"n": 1})})
     before = path.read_bytes()
     with pytest.raises(TypeError):
-        store.write(path, {"b": Entry({"n": object()})})
+        store.write(path, {"b": GroupContent({"n": object()})})
     assert path.read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "v3.h5"]
 
 
 def test_the_same_content_makes_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one.h5", "two.h5"):
-        store.write(tmp_path / name, {"track": Entry(track())})
+        store.write(tmp_path / name, {"track": GroupContent(track())})
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
 
 
@@ -130,18 +134,18 @@ def damaged(path: Path, content: bytes) -> Path:
 
 def test_a_truncated_file_is_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
-    store.write(path, {"track": Entry(track())})
+    store.write(path, {"track": GroupContent(track())})
     damaged(path, path.read_bytes()[:1500])
     with pytest.raises(FrictrackError, match=r"v3\.h5 is damaged or is not HDF5; delete it and run again"):
         store.read(path, "track", Track)
     with pytest.raises(FrictrackError, match="is damaged or is not HDF5"):
-        store.write(path, {"a": Entry({})})
+        store.write(path, {"a": GroupContent({})})
 
 
 def test_flipped_bytes_are_found(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
     noise = np.random.default_rng(0).normal(size=2000)
-    store.write(path, {"a": Entry({"x": noise})})
+    store.write(path, {"a": GroupContent({"x": noise})})
     with h5py.File(path) as file:
         offset = file["a/x"].id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
@@ -156,22 +160,22 @@ def test_a_file_of_another_program_is_left_alone(tmp_path: Path) -> None:
         file["x"] = 1
     before = path.read_bytes()
     with pytest.raises(FrictrackError, match="to be a frictrack result but another program wrote it; move it away"):
-        store.write(path, {"a": Entry({})})
+        store.write(path, {"a": GroupContent({})})
     assert path.read_bytes() == before
 
 
 def test_a_later_schema_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "v3.h5"
     with monkeypatch.context() as later:
-        later.setattr("frictrack.store.seal.SCHEMA", 99)
-        later.setattr("frictrack.store.door.__version__", "7.1.0")
-        store.write(path, {"a": Entry({"n": 1})})
+        later.setattr("frictrack.store.file_header.SCHEMA", 99)
+        later.setattr("frictrack.store.hdf5_io.__version__", "7.1.0")
+        store.write(path, {"a": GroupContent({"n": 1})})
     before = path.read_bytes()
     words = rf"expected .*v3\.h5 of schema {store.SCHEMA} at most but it has 99 and was written by frictrack 7\.1\.0"
     with pytest.raises(FrictrackError, match=words + r", this is \S+; update it"):
         store.read(path, "a")
     with pytest.raises(FrictrackError, match="update it"):
-        store.write(path, {"a": Entry({"n": 2})})
+        store.write(path, {"a": GroupContent({"n": 2})})
     assert path.read_bytes() == before
     assert [fault.do for fault in store.check(path)] == ["update it"]
 

@@ -24,9 +24,9 @@ from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow import schema as written
-from frictrack.store import Entry, Stamp, apart, marks
-from frictrack.store.seal import sealed
-from frictrack.store.sums import wrong_sums
+from frictrack.store import GroupContent, Provenance, sandbox, signatures
+from frictrack.store.checksums import wrong_checksums
+from frictrack.store.file_header import with_header
 from frictrack.version import __version__
 
 
@@ -46,8 +46,10 @@ def sample(path: Path) -> Path:
         "long": "é" * 20_000,
         "inside": {"k": 3, "y": np.zeros(5)},
     }
-    stamp = Stamp("k" * 64, "h" * 64, '[[":/other", "k"]]', '{"mass": 0.35}')
-    store.write(path, {"models/1_tustin": Entry(content, stamp), "other": Entry({"n": 1}, stamp)})
+    provenance = Provenance("k" * 64, "h" * 64, '[[":/other", "k"]]', '{"mass": 0.35}')
+    store.write(
+        path, {"models/1_tustin": GroupContent(content, provenance), "other": GroupContent({"n": 1}, provenance)}
+    )
     store.write(path, {}, links={"diagnosis": "/models/1_tustin", "runs/v3": path.name})
     return path
 
@@ -76,14 +78,14 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_sound_file_has_no_faults(sound: Path) -> None:
     assert store.check(sound) == []
-    assert [name for name, _ in wrong_sums(h5py.File(sound, locking=False))] == []
+    assert [name for name, _ in wrong_checksums(h5py.File(sound, locking=False))] == []
 
 
 def test_every_flipped_bit_of_the_first_bytes_is_found(sound: Path) -> None:
     """The seal itself, and HDF5's superblock, which the seal leaves out."""
     content, path = sound.read_bytes(), sound.with_name("flipped_head.h5")
-    for at in (*range(0, 150, 3), *range(store.ROOM - 4, store.START)):
-        for bit in range(8) if at >= store.ROOM else (at % 8,):
+    for at in (*range(0, 150, 3), *range(store.HEADER_BYTES - 4, store.CHECKSUM_START)):
+        for bit in range(8) if at >= store.HEADER_BYTES else (at % 8,):
             flipped = bytearray(content)
             flipped[at] ^= 1 << bit
             path.write_bytes(flipped)
@@ -114,7 +116,7 @@ def test_a_flip_in_numbers_names_them(sound: Path, share: float, name: str) -> N
     path = sound.with_name("flipped_numbers.h5")
     path.write_bytes(content)
     with h5py.File(path, locking=False) as file:
-        assert [place for place, _ in wrong_sums(file)] == [f"/{full}"]
+        assert [place for place, _ in wrong_checksums(file)] == [f"/{full}"]
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
@@ -145,7 +147,7 @@ def _compare(path: Path, whole: dict[str, Any]) -> None:
     """Leave with 1 where the sums find a fault; else with 0 where all is read as before, and with 2 where not."""
     try:
         with h5py.File(path, locking=False) as file:
-            faults = list(wrong_sums(file))
+            faults = list(wrong_checksums(file))
         os._exit(1 if faults else 0 if everything(path) == whole else 2)
     except Exception:  # noqa: BLE001
         os._exit(1)
@@ -153,13 +155,13 @@ def _compare(path: Path, whole: dict[str, Any]) -> None:
 
 def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sealed again by who means harm: in this heap of strings a few of the bytes let HDF5 2.0 search without end."""
-    monkeypatch.setattr(apart, "PATIENCE", 1.0)
+    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 1.0)
     content, path = sound.read_bytes(), sound.with_name("harm.h5")
     text = content.index(b'{"mass": 0.35}')
     for at in range(text - 8, text + 30):
         harm = bytearray(content)
         harm[at] = 8
-        path.write_bytes(sealed(bytes(harm[store.ROOM :]), __version__))
+        path.write_bytes(with_header(bytes(harm[store.HEADER_BYTES :]), __version__))
         with suppress(FrictrackError):
             store.read(path, "models/1_tustin")
         assert all(fault.file == path for fault in store.check(path))
@@ -167,11 +169,11 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
 
 @pytest.mark.parametrize("child", ["os.abort()", "time.sleep(60)", "print('no JSON')"])
 def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest.MonkeyPatch, child: str) -> None:
-    monkeypatch.setattr(apart, "PATIENCE", 1.0)
-    monkeypatch.setattr(apart, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
-    monkeypatch.setattr(apart, "_APART", apart._Apart())
+    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(sandbox, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
+    monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("strange.h5")
-    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], __version__))
+    path.write_bytes(with_header(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     for _ in range(2):  # the answer is kept
         with pytest.raises(FrictrackError, match=r"strange.h5 is damaged or is not HDF5; delete it and run again"):
             store.read(path, "models/1_tustin")
@@ -181,10 +183,10 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGALRM")
 def test_a_process_that_hangs_ends_also_when_nobody_waits(sound: Path) -> None:
     code = """
-from frictrack.store import apart
+from frictrack.store import sandbox
 import ctypes
-apart.PATIENCE = 0.3
-apart.serve(lambda path: ctypes.CDLL(None).sleep(60))
+sandbox.MIN_TIMEOUT_S = 0.3
+sandbox.run_sandbox_process(lambda path: ctypes.CDLL(None).sleep(60))
 """
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as asked:
         assert asked.stdin is not None
@@ -194,10 +196,10 @@ apart.serve(lambda path: ctypes.CDLL(None).sleep(60))
 
 
 def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(apart, "_CHILD", "import nothing_of_the_kind")
-    monkeypatch.setattr(apart, "_APART", apart._Apart())
+    monkeypatch.setattr(sandbox, "_CHILD", "import nothing_of_the_kind")
+    monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
     path = sound.with_name("unknown.h5")
-    path.write_bytes(sealed(sound.read_bytes()[store.ROOM :], __version__))
+    path.write_bytes(with_header(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     with pytest.raises(FrictrackError, match=r"but .*python.* begins none"):
         store.read(path, "models/1_tustin")
 
@@ -205,17 +207,17 @@ def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypa
 def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = Path(shutil.copy(sound, sound.with_name("theirs.h5")))
     asked: list[Path] = []
-    monkeypatch.setattr(apart, "asked", lambda path: asked.append(path) or [])
+    monkeypatch.setattr(sandbox, "check_in_sandbox", lambda path: asked.append(path) or [])
     assert store.names(path)
     assert asked == []
     for secret in (b"of somebody else", b""):  # also where there is no home to keep it
-        monkeypatch.setattr(marks, "_secret", lambda secret=secret: secret)
+        monkeypatch.setattr(signatures, "_secret", lambda secret=secret: secret)
         shutil.copy(sound, path)
         for _ in range(3):
             assert store.read(path, "other") == {"n": 1}
-        store.write(path, {"other": Entry({"n": 1})})
+        store.write(path, {"other": GroupContent({"n": 1})})
         assert store.read(path, "other") == {"n": 1}
-        assert marks.is_ours(path) == bool(secret)
+        assert signatures.is_signed_by_user(path) == bool(secret)
     assert asked == [path] * 3
 
 
@@ -246,7 +248,7 @@ def test_the_seal_is_what_the_page_says(sound: Path) -> None:
     line = next(line for line in written.page().splitlines() if "sha256sum" in line)
     command = line.split("`")[1].replace("v3.h5", str(sound))
     told = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True).stdout.split()[0]
-    assert sound.read_bytes()[: store.ROOM].decode().split("\n")[1].endswith(told)
+    assert sound.read_bytes()[: store.HEADER_BYTES].decode().split("\n")[1].endswith(told)
 
 
 def test_the_page_is_that_of_the_code() -> None:
@@ -259,7 +261,7 @@ def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pyte
     session.compare()
     for stage in session.runs[0].stages:
         session.runs[0].get(stage)
-    page, own = written.page(), {*vars(Stamp()), "sha256"}
+    page, own = written.page(), {*vars(Provenance()), "sha256"}
     results = study_file.parent / "study_results"
     with h5py.File(results / "slow.h5") as file:
         for stage, group in file.items():
@@ -291,7 +293,7 @@ def _replace_on(path: Path, stop: Any) -> None:
     generation = 1
     while not stop.is_set():
         some, other = ({"x": np.full(4000, float(generation)), "n": generation} for _ in range(2))
-        store.write(path, {"a": Entry(some), "b/c": Entry(other)})
+        store.write(path, {"a": GroupContent(some), "b/c": GroupContent(other)})
         generation += 1
 
 
@@ -299,7 +301,7 @@ def _ours(path: Path, out: Any) -> None:
     """Reads until the file was replaced ten times before its eyes."""
     seen: set[int] = set()
     while len(seen) < 10:
-        with store.held(path):
+        with store.snapshot(path):
             a, b = store.read(path, "a"), store.read(path, "b/c")
         assert store.read(path, "a")["n"] >= a["n"]
         assert {a["n"], *a["x"]} == {b["n"], *b["x"]} == {float(a["n"])}, "torn"
@@ -323,7 +325,7 @@ def _theirs(path: Path, out: Any) -> None:
 
 def test_readers_see_whole_versions_while_a_writer_works(tmp_path: Path) -> None:
     path = tmp_path / "study.h5"
-    store.write(path, {name: Entry({"x": np.zeros(4000), "n": 0}) for name in ("a", "b/c")})
+    store.write(path, {name: GroupContent({"x": np.zeros(4000), "n": 0}) for name in ("a", "b/c")})
     context = multiprocessing.get_context("spawn")
     stop, out = context.Event(), context.Queue()
     readers = [context.Process(target=target, args=(path, out)) for target in (_ours, _theirs)]
@@ -343,7 +345,7 @@ def test_readers_see_whole_versions_while_a_writer_works(tmp_path: Path) -> None
 def test_a_viewer_that_has_the_file_open_for_writing_stops_nobody(tmp_path: Path) -> None:
     """HDF5 would lock it; we do not ask for its locks, which network drives may lack."""
     path = tmp_path / "v3.h5"
-    store.write(path, {"a": Entry({"n": 1})})
+    store.write(path, {"a": GroupContent({"n": 1})})
     code = f"import h5py, sys; f = h5py.File({str(path)!r}, 'r+'); print('open', flush=True); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -351,7 +353,7 @@ def test_a_viewer_that_has_the_file_open_for_writing_stops_nobody(tmp_path: Path
         assert viewer.stdout is not None
         assert viewer.stdout.readline() == "open\n"
         assert store.read(path, "a") == {"n": 1}
-        store.write(path, {"a": Entry({"n": 2})})
+        store.write(path, {"a": GroupContent({"n": 2})})
         viewer.communicate("", timeout=20)
     assert store.read(path, "a") == {"n": 2}
     assert store.check(path) == []
@@ -359,13 +361,13 @@ def test_a_viewer_that_has_the_file_open_for_writing_stops_nobody(tmp_path: Path
 
 def test_a_hostile_link_is_not_written_through(tmp_path: Path) -> None:
     outside = tmp_path / "outside" / "theirs.h5"
-    store.write(outside, {"models/1": Entry({"n": 1})})
+    store.write(outside, {"models/1": GroupContent({"n": 1})})
     before = outside.read_bytes()
     path = tmp_path / "lab" / "study.h5"
     store.write(path, {}, links={"models": "../outside/theirs.h5"})
     for change in (
-        {"groups": {"models/2": Entry({"n": 2})}},
-        {"groups": {}, "marks": {"models": {"n": 3}}},
+        {"groups": {"models/2": GroupContent({"n": 2})}},
+        {"groups": {}, "attribute_updates": {"models": {"n": 3}}},
         {"groups": {}, "remove": ("models/models",)},
     ):
         with pytest.raises(FrictrackError, match=r"expected the group /models in .* but it is a link"):
@@ -412,6 +414,6 @@ def test_times_of_files_and_clocks_that_jump_do_not_matter(study_file: Path, mon
 def test_stamps_name_every_input(study_file: Path) -> None:
     work = Session(open_study(study_file)).runs[0]
     work.get("motion")
-    stamps = store.stamps(work.path)
-    assert [name for name, _ in json.loads(stamps["displacement"].inputs)] == [f"{work.run.name}.csv"]
-    assert json.loads(stamps["motion"].inputs) == [[":/filtered", stamps["filtered"].key]]
+    provenances = store.provenances(work.path)
+    assert [name for name, _ in json.loads(provenances["displacement"].inputs)] == [f"{work.run.name}.csv"]
+    assert json.loads(provenances["motion"].inputs) == [[":/filtered", provenances["filtered"].key]]

@@ -22,7 +22,7 @@ from frictrack.errors import FrictrackError
 from frictrack.files import _HOST
 from frictrack.flow import Session, open_study, verify
 from frictrack.flow.stages import FILM, TABLE
-from frictrack.store import Entry
+from frictrack.store import GroupContent
 from frictrack.version import __version__
 
 DATA = Path(__file__).parent / "data" / "schema_1"
@@ -159,8 +159,8 @@ def test_a_changed_setting_is_said(study: Path) -> None:
 
 def test_a_result_made_again_leaves_others_out_of_date(study: Path) -> None:
     path = study.parent / "study_results" / "slow.h5"
-    other = store.Stamp(**(vars(store.stamp(path, "filtered")) | {"key": "another"}))
-    store.write(path, {"filtered": Entry(store.read(path, "filtered"), other)})
+    other = store.Provenance(**(vars(store.provenance(path, "filtered")) | {"key": "another"}))
+    store.write(path, {"filtered": GroupContent(store.read(path, "filtered"), other)})
     kinds = faults(path)
     assert ("outdated", "slow.h5", "/motion") in kinds
     assert ("damage", "slow.h5", "/filtered") in kinds  # its key is not that of its settings
@@ -242,13 +242,13 @@ def test_a_diagnosis_without_its_report_is_said(study: Path) -> None:
 def test_every_stage_says_where_it_comes_from(study: Path) -> None:
     results = study.parent / "study_results"
     for path in results.glob("*.h5"):
-        for group, stamp in store.stamps(path).items():
-            assert min(len(stamp.key), len(stamp.input_hash)) == 64, group
-            assert json.loads(stamp.inputs), group
-            assert stamp.version == __version__
-            json.loads(stamp.settings)
-    assert set(TABLE) == set(store.stamps(results / "slow.h5"))
-    assert {"models/1_coulomb+viscous", "comparison"} == set(store.stamps(results / "study.h5"))
+        for group, provenance in store.provenances(path).items():
+            assert min(len(provenance.key), len(provenance.input_hash)) == 64, group
+            assert json.loads(provenance.inputs), group
+            assert provenance.version == __version__
+            json.loads(provenance.settings)
+    assert set(TABLE) == set(store.provenances(results / "slow.h5"))
+    assert {"models/1_coulomb+viscous", "comparison"} == set(store.provenances(results / "study.h5"))
     assert set(TABLE) < set(FILM)
 
 
@@ -299,7 +299,7 @@ def test_a_study_of_an_earlier_schema_is_sound_and_migrated(tmp_path: Path, monk
         velocity = file["motion/v"][()]
     np.testing.assert_array_equal(store.read(results / "v3.h5", "motion")["v"], velocity)
     assert {path.name: path.read_bytes() for path in results.glob("*.h5")} == before  # reading leaves them
-    monkeypatch.setattr("frictrack.store.door.sealed", lambda hdf5, version, mark: 1 / 0)
+    monkeypatch.setattr("frictrack.store.hdf5_io.with_header", lambda hdf5, version, mark: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         store.write(results / "v3.h5", {})
     assert (results / "v3.h5").read_bytes() == before["v3.h5"]

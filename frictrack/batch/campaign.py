@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.batch.work import Begun, Done, begin, conclude, in_words, measure, undone
-from frictrack.crew import Crew
 from frictrack.errors import FrictrackError
+from frictrack.workers import WorkerPool
 
 LOOK = 0.5  # s between two looks at what is under way
 
@@ -66,9 +66,9 @@ class _Piece:
 class Campaign:
     """Studies, and who works on them."""
 
-    def __init__(self, studies: Sequence[Path], seed: int, crew: Crew, state: State) -> None:
+    def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: State) -> None:
         self.seed = seed
-        self.crew = crew
+        self.pool = pool
         self.state = state
         self._later = deque(studies)
         self._next: deque[_Piece] = deque()  # what goes on comes before what begins
@@ -90,10 +90,10 @@ class Campaign:
 
     def _fill(self) -> bool:
         """Give as many pieces away as there is room for; whether any is left or under way."""
-        room = self.crew.room()
+        room = self.pool.capacity()
         while len(self._going) < room and (self._next or self._later):
             piece = self._next.popleft() if self._next else self._first(self._later.popleft())
-            self._going[self.crew.submit(piece.of, *piece.told)] = piece
+            self._going[self.pool.submit(piece.of, *piece.told)] = piece
             self.state.under_way[_title(piece)] = time.monotonic()
         return bool(self._next or self._later)
 

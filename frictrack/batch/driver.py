@@ -16,9 +16,9 @@ from frictrack.batch.find import find_studies
 from frictrack.batch.journal import Journal
 from frictrack.batch.trends import trends
 from frictrack.batch.work import Done
-from frictrack.crew import cluster, here
 from frictrack.report import campaign as page
 from frictrack.results import plain
+from frictrack.workers import cluster_workers, local_workers
 
 PAUSE = 10.0  # s between two tables while studies are being done
 SHARE = 0.05  # of the time that tables may take
@@ -47,8 +47,8 @@ def batch(
     todo = [path for path in labels if path not in done]
     told = _Told(stem, labels, done)
     if todo:
-        with cluster(scheduler) if scheduler else here(workers) as crew:
-            for one in Campaign(todo, seed, crew, state).worked(watch):
+        with cluster_workers(scheduler) if scheduler else local_workers(workers) as pool:
+            for one in Campaign(todo, seed, pool, state).worked(watch):
                 journal.note(one)
                 done[Path(one.study)] = one
                 told.now_and_then()

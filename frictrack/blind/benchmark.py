@@ -19,11 +19,11 @@ from frictrack.blind.seal import NAME, opened, seal
 from frictrack.blind.tally import tally
 from frictrack.blind.truth import Truth
 from frictrack.blind.write import write_study
-from frictrack.crew import spread
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow import Progress, silent
 from frictrack.results import plain
+from frictrack.workers import run_parallel
 
 TABLES = {"one": 200, "none": 100, "two": 60, "foreign": 60}
 FILMS = {"one": 20, "none": 10, "fault": 10}
@@ -133,6 +133,6 @@ def _spread(
 ) -> Iterator[tuple[str, Any]]:
     """Results as they come, from several processes where that pays."""
     progress(0, len(work), what)
-    for done, pair in enumerate(spread(work, workers), 1):
+    for done, pair in enumerate(run_parallel(work, workers), 1):
         progress(done, len(work), what)
         yield pair

@@ -18,7 +18,7 @@ from frictrack import store
 from frictrack.files import replace_text
 from frictrack.flow.stages import FILM, TABLE
 from frictrack.records import Curve, Modelled
-from frictrack.store import Stamp
+from frictrack.store import Provenance
 
 PAGE = Path(store.__file__).parent / "SCHEMA.md"
 MODEL = {
@@ -114,9 +114,11 @@ h5dump -d /motion/v {run}.h5
 
 def page() -> str:
     """The page, in Markdown."""
-    head = _HEAD.format(schema=store.SCHEMA, room=store.ROOM, start=store.START, after=store.START + 1)
-    stamp = ((f.name, "text", _comments(Stamp).get(f.name, "")) for f in fields(Stamp))
-    parts = [head + _table(("attribute", "type", "what"), stamp), "\n## A run: `<run>.h5`\n"]
+    head = _HEAD.format(
+        schema=store.SCHEMA, room=store.HEADER_BYTES, start=store.CHECKSUM_START, after=store.CHECKSUM_START + 1
+    )
+    provenance = ((f.name, "text", _comments(Provenance).get(f.name, "")) for f in fields(Provenance))
+    parts = [head + _table(("attribute", "type", "what"), provenance), "\n## A run: `<run>.h5`\n"]
     parts += [_stage(name) for name in {**FILM, **TABLE}]
     parts += ["\n## The study: `study.h5`\n\n", _table(("group", "what"), ((f"`/{k}`", v) for k, v in ASIDE.items()))]
     model = ((f"`{name}`", *told) for name, told in MODEL.items())

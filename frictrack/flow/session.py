@@ -29,7 +29,7 @@ from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
 from frictrack.flow.witnesses import seen_beside
 from frictrack.friction import impact
 from frictrack.results import Results, plain
-from frictrack.store import Entry
+from frictrack.store import GroupContent
 from frictrack.study import Study, nearest
 from frictrack.version import __version__
 
@@ -174,7 +174,7 @@ class Session:
         fitted, inside = self.tried.fit(group), f"models/{group}/certainty"
 
         def make() -> dict[str, Any]:
-            known = json.loads(store.read(self.path, inside)["summary"]) if store.stamp(self.path, inside) else {}
+            known = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
             asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
             found = certainty(fitted, **asked, progress=self.progress)
             return {"summary": json.dumps(known | plain(found.summary()))}
@@ -235,7 +235,7 @@ class Session:
         self.tried.fit(group)  # a refit drops the old diagnosis
         inside = f"models/{group}/diagnosis"
         found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec), self._told()]), seed)
-        if store.stamp(self.path, "diagnosis") != store.stamp(self.path, inside):
+        if store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         return {**found, "warnings": self.findings.summary, "findings": self._in_records()}
 
@@ -335,7 +335,7 @@ class Session:
 
     def _seed(self) -> int:
         """The seed of the last diagnosis."""
-        held = store.stamp(self.path, "diagnosis")
+        held = store.provenance(self.path, "diagnosis")
         return int(json.loads(held.settings)["seed"]) if held else 0
 
     def _papers(self) -> tuple[str, ...]:
@@ -364,10 +364,10 @@ class Session:
         self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None
     ) -> dict[str, Any]:
         """A stored summary, made again when its key has changed."""
-        held = store.stamp(self.path, group)
+        held = store.provenance(self.path, group)
         if held is None or held.key != key:
-            stamp = self.tried.stamp(key, json.dumps({} if seed is None else {"seed": seed}))
-            store.write(self.path, {group: Entry(make(), stamp)})
+            provenance = self.tried.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
+            store.write(self.path, {group: GroupContent(make(), provenance)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
 

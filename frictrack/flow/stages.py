@@ -37,7 +37,7 @@ from frictrack.records import (
 )
 from frictrack.remote import Remote, local
 from frictrack.results import Film, Sensors, plain
-from frictrack.store import Entry, Stamp
+from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 from frictrack.version import __version__
 
@@ -82,7 +82,7 @@ class RunWork:
         self._made: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
         self._sources: dict[str, list[tuple[str, str]]] = {}
-        self._stamps: dict[str, Stamp | None] = {}
+        self._provenances: dict[str, Provenance | None] = {}
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Pass on what a stage says of itself, with the run's name."""
@@ -119,14 +119,14 @@ class RunWork:
 
     def is_current(self, name: str) -> bool:
         """Whether the stored result is what would be made today."""
-        stamp = self._stamp(name)
-        return stamp is not None and (self.kept or stamp.key == self.key(name))
+        provenance = self._provenance(name)
+        return provenance is not None and (self.kept or provenance.key == self.key(name))
 
     def key(self, name: str) -> str:
         """Hash of everything the stage depends on."""
         if self.kept:
-            stamp = self._stamp(name)
-            return stamp.key if stamp else "never made"
+            provenance = self._provenance(name)
+            return provenance.key if provenance else "never made"
         if name not in self._keys:
             hashes = [found for _, found in self.inputs(name)]
             self._keys[name] = key_of(name, __version__, self.settings(name), hashes)
@@ -149,18 +149,18 @@ class RunWork:
         inside = value.is_relative_to(self.study.folder)
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
-    def _stamp(self, name: str) -> Stamp | None:
+    def _provenance(self, name: str) -> Provenance | None:
         """Where the stored result comes from; of a run that is kept it is read once."""
         if not self.kept:
-            return store.stamp(self.path, name)
-        if name not in self._stamps:
-            self._stamps[name] = store.stamp(self.path, name)
-        return self._stamps[name]
+            return store.provenance(self.path, name)
+        if name not in self._provenances:
+            self._provenances[name] = store.provenance(self.path, name)
+        return self._provenances[name]
 
     def changed(self) -> list[str]:
         """Keys of the study file that have other values now than when the stored stages were made."""
-        held = {name: stamp for name in self.stages if (stamp := self._stamp(name)) is not None}
-        pairs = ((json.loads(stamp.settings), plain(self.settings(name))) for name, stamp in held.items())
+        held = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
+        pairs = ((json.loads(provenance.settings), plain(self.settings(name))) for name, provenance in held.items())
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 
     def inputs(self, name: str) -> list[tuple[str, str]]:
@@ -208,23 +208,23 @@ class RunWork:
     def _make(self, name: str) -> Any:
         stage = self.stages[name]
         with self.filmed() if name == "tracks" else nullcontext():  # the track may be made on the way
-            made, stamp = self._called(stage, [self.get(i) for i in stage.inputs])
-        store.write(self.path, {name: Entry(made, stamp)})
+            made, provenance = self._called(stage, [self.get(i) for i in stage.inputs])
+        store.write(self.path, {name: GroupContent(made, provenance)})
         return made
 
-    def _new_stamp(self, name: str) -> Stamp:
+    def _new_provenance(self, name: str) -> Provenance:
         inputs, settings = self.inputs(name), json.dumps(self.settings(name), sort_keys=True)
         together = digest([found for _, found in inputs])
-        return Stamp(self.key(name), together, json.dumps(inputs), settings, __version__)
+        return Provenance(self.key(name), together, json.dumps(inputs), settings, __version__)
 
-    def _called(self, stage: Stage, inputs: list[Any]) -> tuple[Any, Stamp]:
+    def _called(self, stage: Stage, inputs: list[Any]) -> tuple[Any, Provenance]:
         """What a stage makes of its inputs; a failure says in which run and stage, and what is known of the film.
 
-        The stamp comes first: a file that changes while it is read then counts as changed, not as what was read.
+        The provenance comes first: a file that changes while it is read then counts as changed, not as what was read.
         """
         try:
-            stamp = self._new_stamp(stage.name)
-            return stage.make(self, *inputs), stamp
+            provenance = self._new_provenance(stage.name)
+            return stage.make(self, *inputs), provenance
         except FrictrackError as e:
             film = self.get("recording") if self.run.video and stage.name != "recording" else None
             notes = "".join(f" ({note})" for note in film.notes) if film else ""

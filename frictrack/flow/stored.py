@@ -35,7 +35,7 @@ def stored(study: Study) -> Results:
     """Runs, models, comparison and diagnosis as they lie in the results folder, however old."""
     works = [RunWork(study, run, kept=True) for run in study.runs]
     tried = Tried(study, works, silent, Ledger(study.output))
-    with store.held(tried.path, *(work.path for work in works)):
+    with store.snapshot(tried.path, *(work.path for work in works)):
         models = tuple(tried.results(group) for group in tried.groups)
         current = next((model for model in models if model.current), None)
         has_papers = "papers" in store.names(tried.path)

@@ -20,7 +20,7 @@ from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
 from frictrack.records import Curve, Modelled, Run
 from frictrack.results import ModelResults, plain
-from frictrack.store import Entry, Stamp
+from frictrack.store import GroupContent, Provenance
 from frictrack.study import EffectTable, Study
 from frictrack.study.schema import RunTable
 
@@ -159,11 +159,11 @@ class Tried:
 
     def is_outdated(self, group: str) -> bool:
         """Whether a model was fitted to other runs, or under other settings, than those of today."""
-        return self._stamp(group).key != self.key(self.spec(group))
+        return self._provenance(group).key != self.key(self.spec(group))
 
     def use(self, group: str) -> None:
         """Make a model current that was tried before."""
-        store.write(self.path, {}, remove=STALE, marks=self._marks(group))
+        store.write(self.path, {}, remove=STALE, attribute_updates=self._marks(group))
 
     def _marks(self, head: str) -> dict[str, dict[str, Any]]:
         """Attributes of the models once that one is current."""
@@ -186,7 +186,7 @@ class Tried:
             group, head = f"{len(self.groups) + 1}_{spec.name}", self.head
             marks = {"models": {"study_model": self._asked}} | self._marks(group)
             entry = {f"models/{group}": self._entry(spec, fitted, current=True)}
-            store.write(self.path, entry, remove=STALE, links=self._links(), marks=marks)
+            store.write(self.path, entry, remove=STALE, links=self._links(), attribute_updates=marks)
             change.before = {} if head is None else {"current": head}
             change.after = {"current": group}
         self._fits[group] = fitted
@@ -200,7 +200,7 @@ class Tried:
         """Fit a model into a file beside the study: JSON of `fit`."""
         name = f"attempt_{spec.name}"
         entry = self._entry(spec, self._fit(spec), current=False)
-        passing = replace(entry, stamp=replace(entry.stamp, inputs="[]"))  # nobody brings it up to date later
+        passing = replace(entry, provenance=replace(entry.provenance, inputs="[]"))  # nobody brings it up to date later
         store.write(path, {f"models/{name}": passing})
         return model_results(path, name).summary
 
@@ -229,9 +229,9 @@ class Tried:
         """The groups of the runs that a fit rests on, each with its key."""
         return [(f"{w.path.name}:/{name}", w.key(name)) for w in self._works for name in ("friction", "motion")]
 
-    def stamp(self, key: str, settings: str) -> Stamp:
+    def provenance(self, key: str, settings: str) -> Provenance:
         """That of anything made from the runs of today."""
-        return Stamp(key, self.input_hash, json.dumps(self.inputs), settings)
+        return Provenance(key, self.input_hash, json.dumps(self.inputs), settings)
 
     @property
     def input_hash(self) -> str:
@@ -272,8 +272,8 @@ class Tried:
     def papers(self) -> Any:
         """The current model by the papers' route (force domain, SGA), kept beside the others."""
         spec = replace(self.current()[1], domain="force", search="sga", over="all")
-        stamp = store.stamp(self.path, "papers")
-        if stamp is None or stamp.key != self.key(spec):
+        provenance = store.provenance(self.path, "papers")
+        if provenance is None or provenance.key != self.key(spec):
             store.write(self.path, {"papers": self._entry(spec, self._fit(spec), current=False)})
         return self.results("papers")
 
@@ -281,10 +281,10 @@ class Tried:
         """A stored model as the report wants it; `group` may be ``papers``."""
         return model_results(self.path, group)
 
-    def _stamp(self, group: str) -> Stamp:
-        return store.stamp(self.path, f"models/{group}") or Stamp()
+    def _provenance(self, group: str) -> Provenance:
+        return store.provenance(self.path, f"models/{group}") or Provenance()
 
-    def _entry(self, spec: Spec, fitted: Any, *, current: bool) -> Entry:
+    def _entry(self, spec: Spec, fitted: Any, *, current: bool) -> GroupContent:
         content = {
             "current": current,
             "equation": str(fitted.model),
@@ -293,13 +293,13 @@ class Tried:
             "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
             "motion": {told.run: told for told in fitted.motion},
         }
-        return Entry(content, self.stamp(self.key(spec), spec.json()))
+        return GroupContent(content, self.provenance(self.key(spec), spec.json()))
 
 
 def model_results(path: Path, group: str) -> ModelResults:
     """A model of a study's file, or of an attempt's, as the report wants it; `group` may be ``papers``."""
     inside = group if group == "papers" else f"models/{group}"
-    with store.held(path):
+    with store.snapshot(path):
         held = store.read(path, inside)
         curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
         return ModelResults(

@@ -21,10 +21,10 @@ from frictrack.files import is_busy
 from frictrack.flow.ledger import NAME, Ledger
 from frictrack.flow.stages import FILM, TABLE, Progress, RunWork, digest, key_of, silent
 from frictrack.flow.tried import Tried
-from frictrack.store import Fault, Stamp
+from frictrack.store import Fault, Provenance
 from frictrack.study import Study, load, results_of
 
-Stamps = Callable[[Path], dict[str, Stamp]]
+Provenances = Callable[[Path], dict[str, Provenance]]
 AGAIN = "run the study again"
 _GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # as `RunWork.inputs` and `Tried.inputs` name groups
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
@@ -45,7 +45,7 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         studies |= {p.resolve(): p for p in named}
     faults, works = _opened(studies.values())
     sound: set[Path] = set()
-    stamps = lru_cache(maxsize=256)(store.stamps)  # what is told of a file is asked for by those made from it
+    provenances = lru_cache(maxsize=256)(store.provenances)  # what is told of a file is asked for by those made from it
     for i, path in enumerate(files):
         progress(i, len(files), "files")
         found = store.check(files[path])
@@ -53,7 +53,7 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         if "foreign" in kinds and files[path] not in paths:
             continue
         if not kinds & {"damage", "foreign"}:
-            found += _told(files[path], stamps)
+            found += _told(files[path], provenances)
             sound.add(path)
         faults += found
     progress(len(files), len(files), "files")
@@ -66,7 +66,7 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         "files": len(files),
         "studies": len(studies),
         "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
-        "without_checksums": [str(files[path]) for path in sound if store.head(path) is None],
+        "without_checksums": [str(files[path]) for path in sound if store.read_header(path) is None],
         "at_work": [str(folder) for folder in folders if is_busy(folder)],
     }
 
@@ -129,18 +129,18 @@ def _study(works: list[RunWork], sound: set[Path]) -> Iterator[Fault]:
 
 def _inputs(work: RunWork) -> Iterator[Fault]:
     """What the run's keys and files are now against what was measured."""
-    for name, stamp in ((n, s) for n in work.stages if (s := store.stamp(work.path, n)) is not None):
-        then, now = json.loads(stamp.settings), work.settings(name)
+    for name, provenance in ((n, s) for n in work.stages if (s := store.provenance(work.path, n)) is not None):
+        then, now = json.loads(provenance.settings), work.settings(name)
         if changed := [key for key in now if then.get(key) != now[key]]:
             words = f"was made with another {' and '.join(changed)} than the study file has now"
             yield Fault(work.path, f"/{name}", words, AGAIN, "changed")
         else:
-            yield from _measured(work, name, stamp)
+            yield from _measured(work, name, provenance)
 
 
-def _measured(work: RunWork, name: str, stamp: Stamp) -> Iterator[Fault]:
+def _measured(work: RunWork, name: str, provenance: Provenance) -> Iterator[Fault]:
     """Whether the files that a stage read still hold the same."""
-    then = {file: found for file, found in json.loads(stamp.inputs or "[]") if not _GROUP.fullmatch(file)}
+    then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
         now = {str(work.written(path)): work.content(path) for path in work.files(work.stages[name])}
     except (FrictrackError, OSError) as e:
@@ -148,7 +148,7 @@ def _measured(work: RunWork, name: str, stamp: Stamp) -> Iterator[Fault]:
         yield Fault(work.path, f"/{name}", words, "put it back; these results still stand", "missing")
         return
     other = [file for file in then if now.get(file) != then[file]]
-    if not stamp.inputs and digest([found for _, found in work.inputs(name)]) != stamp.input_hash:
+    if not provenance.inputs and digest([found for _, found in work.inputs(name)]) != provenance.input_hash:
         other = list(now)  # schema 1 named no inputs one by one
     if other:
         words = f"was made from {' and '.join(other)} as it was then, which has changed since; the results are sound"
@@ -164,37 +164,37 @@ def _models(study: Study, works: list[RunWork]) -> Iterator[Fault]:
             yield Fault(tried.path, f"/models/{group}", words, AGAIN, "outdated")
 
 
-def _told(path: Path, stamps: Stamps) -> list[Fault]:
+def _told(path: Path, provenances: Provenances) -> list[Fault]:
     """What is wrong with the provenance of a file whose bytes are sound."""
     try:
-        return list(_provenance(path, stamps))
+        return list(_provenance(path, provenances))
     except (ValueError, TypeError, KeyError) as e:
         return [Fault(path, "", f"its provenance is not that of frictrack ({e})", AGAIN)]
 
 
-def _provenance(path: Path, stamps: Stamps) -> Iterator[Fault]:
+def _provenance(path: Path, provenances: Provenances) -> Iterator[Fault]:
     """Whether every result of a file tells where it comes from, and comes from what lies there."""
-    for group, stamp in stamps(path).items():
+    for group, provenance in provenances(path).items():
         full = f"/{group}"
-        if not (stamp.key and stamp.input_hash and stamp.version):
+        if not (provenance.key and provenance.input_hash and provenance.version):
             yield Fault(path, full, "does not say what it was made from", AGAIN)
             continue
-        inputs = json.loads(stamp.inputs or "[]")
-        yield from _upstream(path, full, inputs, stamps)
+        inputs = json.loads(provenance.inputs or "[]")
+        yield from _upstream(path, full, inputs, provenances)
         hashes = [found for _, found in inputs]
         if hashes and (group in FILM or group in TABLE):
-            key = key_of(group, stamp.version, json.loads(stamp.settings), hashes)
-            if (key, digest(hashes)) != (stamp.key, stamp.input_hash):
+            key = key_of(group, provenance.version, json.loads(provenance.settings), hashes)
+            if (key, digest(hashes)) != (provenance.key, provenance.input_hash):
                 yield Fault(path, full, "its key is not that of its settings, version and inputs", AGAIN)
 
 
-def _upstream(path: Path, full: str, inputs: list[list[str]], stamps: Stamps) -> Iterator[Fault]:
+def _upstream(path: Path, full: str, inputs: list[list[str]], provenances: Provenances) -> Iterator[Fault]:
     """Whether the groups that one was made from are there, and were not made again since."""
     for name, key in inputs:
         if found := _GROUP.fullmatch(name):
             other = path.parent / found[1] if found[1] else path
             try:
-                held = stamps(other).get(found[2]) if other.exists() else None
+                held = provenances(other).get(found[2]) if other.exists() else None
             except FrictrackError:
                 continue  # told of that file
             if held is None:

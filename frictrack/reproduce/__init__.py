@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictrack.crew import spread
 from frictrack.reproduce.augmented import orders, two_models
 from frictrack.reproduce.beam import time_units, tustin_groups
 from frictrack.reproduce.collision import sine_filter
@@ -19,6 +18,7 @@ from frictrack.reproduce.eq8 import eq8_trials
 from frictrack.reproduce.friction_problem import genetic_searches
 from frictrack.reproduce.page import Reproduction, shown, write
 from frictrack.reproduce.parts import FULL, QUICK, Claim, Effort, Part, Progress, Table, silent
+from frictrack.workers import run_parallel
 
 __all__ = [
     "FULL",
@@ -51,7 +51,7 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
 
 
 def reproduced(*, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
-    """Everything that `reproduce` writes, unwritten. In full the parts are spread over the processors."""
+    """Everything that `reproduce` writes, unwritten. In full the parts are run_parallel over the processors."""
     effort = QUICK if quick else FULL
     steps: tuple[Callable[[], Part], ...] = (
         time_units,
@@ -77,7 +77,7 @@ def _one_by_one(steps: Sequence[Callable[[], Part]], progress: Progress) -> tupl
 def _spread(steps: Sequence[Callable[[], Part]], progress: Progress) -> tuple[Part, ...]:
     """The parts in their order, whichever is done first."""
     made: dict[str, Part] = {}
-    for name, part in spread({str(i): step for i, step in enumerate(steps)}):
+    for name, part in run_parallel({str(i): step for i, step in enumerate(steps)}):
         made[name] = part
         progress(len(made), len(steps), "reproduce")
     return tuple(made[str(i)] for i in range(len(steps)))

@@ -1,36 +1,37 @@
-"""The only door to HDF5: records and plain dictionaries in, the same out, a file replaced whole or not at all.
+"""Read and write HDF5 results files: records and dictionaries in, the same out. A file is replaced as a whole.
 
-    door        write, read, what is there
-    layout      records and dictionaries as groups
-    seal        the checksum of a whole file, looked at before HDF5 sees a byte of it
-    marks       whether this user wrote a file
-    apart       files of others, opened by a process of its own before we do
-    sums        the checksum of every group and dataset, which says where a fault is
-    migrations  files of earlier schemas
-    faults      all that can be wrong with one file
+    hdf5_io      write and read groups, list what is in a file
+    encoding     records and dictionaries as HDF5 groups
+    file_header  the checksum of a whole file, checked before HDF5 reads the file
+    signatures   whether this user wrote a file
+    sandbox      a separate process that opens files of other users first
+    checksums    the checksum of every group and dataset, which locates a fault
+    size_checks  limits on what a file declares, checked before memory is allocated
+    migrations   files of earlier schemas
+    integrity    all faults of one file
 
 What is in a file, and how others read it, is in SCHEMA.md.
 """
 
-from frictrack.store.door import attributes, held, names, read, stamp, stamps, write
-from frictrack.store.faults import Fault, check
-from frictrack.store.layout import Entry, Stamp
-from frictrack.store.seal import ROOM, SCHEMA, START, head
+from frictrack.store.encoding import GroupContent, Provenance
+from frictrack.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, read_header
+from frictrack.store.hdf5_io import attributes, names, provenance, provenances, read, snapshot, write
+from frictrack.store.integrity import Fault, check
 
 __all__ = [
-    "ROOM",
+    "CHECKSUM_START",
+    "HEADER_BYTES",
     "SCHEMA",
-    "START",
-    "Entry",
     "Fault",
-    "Stamp",
+    "GroupContent",
+    "Provenance",
     "attributes",
     "check",
-    "head",
-    "held",
     "names",
+    "provenance",
+    "provenances",
     "read",
-    "stamp",
-    "stamps",
+    "read_header",
+    "snapshot",
     "write",
 ]

@@ -118,7 +118,7 @@ def results() -> bytes:
         "displacement": Displacement(t, x, x, x, x, x, ok, pixel_pitch=1e-3),
         "models/1_tustin": {"current": True, "summary": "{}", "state": {"theta": x, "names": ["a", "b"], "tau": None}},
     }
-    return made("run.h5", lambda path: store.write(path, {k: store.Entry(v) for k, v in groups.items()}))
+    return made("run.h5", lambda path: store.write(path, {k: store.GroupContent(v) for k, v in groups.items()}))
 
 
 def foreign() -> bytes:

@@ -27,7 +27,7 @@ from frictrack.flow.stages import FILM
 from frictrack.recording import open_recording, opened
 from frictrack.sensors import Series
 from frictrack.simulate.scene import read_scene
-from frictrack.store.seal import sealed
+from frictrack.store.file_header import with_header
 from frictrack.study import edited, load, parse, read_clocked, read_table
 from frictrack.units import coherent, quantity
 from frictrack.version import __version__
@@ -221,7 +221,7 @@ def edited_results(data: bytes, folder: Path) -> None:
     with h5py.File(path, "r+") as file:
         for at in range(0, min(len(data), 40) - 3, 4):
             _edit(file, *data[at : at + 4])
-    path.write_bytes(sealed(path.read_bytes()[store.ROOM :], __version__))  # who means harm seals it too
+    path.write_bytes(with_header(path.read_bytes()[store.HEADER_BYTES :], __version__))  # who means harm seals it too
     _used(path)
 
 
@@ -252,12 +252,14 @@ def results(data: bytes, folder: Path) -> None:
 def _used(path: Path) -> None:
     """A file of results, read and written to."""
     for name in store.names(path):
-        store.stamp(path, name)
+        store.provenance(path, name)
         store.read(path, name)
         if name in FILM and FILM[name].kind is not dict:
             store.read(path, name, FILM[name].kind)
     store.names(path, "models")
-    store.write(path, {"models/2_new": store.Entry({"a": 1})}, marks={"models/2_new": {"current": True}})
+    store.write(
+        path, {"models/2_new": store.GroupContent({"a": 1})}, attribute_updates={"models/2_new": {"current": True}}
+    )
     assert store.read(path, "models/2_new")["a"] == 1
 
 

@@ -36,11 +36,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from machine import described  # noqa: E402
 
-from frictrack.crew import spread  # noqa: E402
 from frictrack.files import replace_text  # noqa: E402
 from frictrack.results import plain  # noqa: E402
 from frictrack.threads import processors  # noqa: E402
 from frictrack.version import __version__  # noqa: E402
+from frictrack.workers import run_parallel  # noqa: E402
 from reality.faults import FILMED, KINDS  # noqa: E402 - found only now
 from reality.judge import CPU_LIMIT, Outcome, judge, judged, read_outcome  # noqa: E402
 from reality.studies import draw_case, planned  # noqa: E402
@@ -58,7 +58,7 @@ def main() -> None:
     left = sorted((n for n in plans if n not in rows), key=lambda n: plans[n][1] in FILMED)  # films take longest
     work = {name: partial(one, folder, name, plans[name], args.limit) for name in left if args.minutes > 0}
     end = time.monotonic() + 60 * args.minutes
-    for name, row in spread(work, args.workers):
+    for name, row in run_parallel(work, args.workers):
         rows[name] = row
         print(f"{len(rows)}/{len(plans)} {_short(row)}", file=sys.stderr, flush=True)
         if time.monotonic() > end:

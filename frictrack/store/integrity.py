@@ -1,4 +1,4 @@
-"""All that can be wrong with one file: its bytes, its schema, the checksums in it, its links to other files."""
+"""Find all faults of one results file: its bytes, its schema, its checksums, its links to other files."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pathlib import Path
 import h5py
 
 from frictrack.errors import FrictrackError
-from frictrack.store.apart import asked, serve
-from frictrack.store.claims import once
-from frictrack.store.door import REMEDY, border, copy
-from frictrack.store.marks import is_ours
-from frictrack.store.migrations import in_memory, migrated
-from frictrack.store.seal import head
-from frictrack.store.sums import wrong_sums
+from frictrack.store.checksums import wrong_checksums
+from frictrack.store.file_header import read_header
+from frictrack.store.hdf5_io import REMEDY, check_header, copy_groups
+from frictrack.store.migrations import empty_file_in_memory, migrate
+from frictrack.store.sandbox import check_in_sandbox, run_sandbox_process
+from frictrack.store.signatures import is_signed_by_user
+from frictrack.store.size_checks import check_visited_once
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong, where, and what to do."""
+    """One fault: what is wrong, where, and what to do."""
 
     file: Path
     group: str  # "/motion/x"; "" where it is the file
@@ -31,52 +31,59 @@ class Fault:
 
     @property
     def words(self) -> str:
-        """One line."""
+        """The fault in one line."""
         return f"{', '.join(filter(None, (str(self.file), self.group)))}: {self.what}; {self.do}"
 
 
 def check(path: Path) -> list[Fault]:
-    """Every fault of one HDF5 file, none where it is sound. Nothing is raised whatever the file holds."""
+    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds.
+
+    Returns
+    -------
+    list of Fault
+        Empty if the file is sound.
+
+    """
     try:
-        border(path, anew=True)
+        check_header(path, reread=True)
     except (FrictrackError, OSError) as e:
-        return _hit(path, e)
-    found = _inside(path, sealed=True) if is_ours(path) else _apart(path)
+        return _damaged_groups(path, e)
+    found = _inside(path, sealed=True) if is_signed_by_user(path) else _inside_in_sandbox(path)
     if found is None:
         return [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
     return found
 
 
-def _hit(path: Path, why: Exception) -> list[Fault]:
-    """Of a file whose bytes are not those that were written: the groups hit, as far as HDF5 can still tell."""
+def _damaged_groups(path: Path, why: Exception) -> list[Fault]:
+    """Name the damaged groups of a file whose bytes have changed, as far as HDF5 can still read it."""
     try:
-        told = head(path)
+        header = read_header(path)
     except OSError as e:
         return [Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")]
     what, _, do = str(why).removeprefix(f"{path} ").rpartition("; ")
-    if told is None or do == "update it":
+    if header is None or do == "update it":
         return [Fault(path, "", what, do)]
-    inside = _apart(path)
+    inside = _inside_in_sandbox(path)
     where = "HDF5 itself fails on them" if inside is None else "none of them in what is read"
     return inside or [Fault(path, "", f"some of its bytes are not those that were written, {where}", REMEDY)]
 
 
 def _inside(path: Path, *, sealed: bool = False) -> list[Fault]:
-    """What is wrong inside a file; where our own seal is whole, every checksum inside is that of its content."""
+    """Find the faults inside a file; with an intact header, all checksums inside are right."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
-            now = migrated(file)
-            wrong = [Fault(path, name, what, REMEDY) for name, what in (() if sealed else wrong_sums(now))]
+            now = migrate(file)
+            wrong = [Fault(path, name, what, REMEDY) for name, what in (() if sealed else wrong_checksums(now))]
             return wrong + list(_links(path, now, "/", set()))
-    except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
+    except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
         return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
 
 
 def _links(path: Path, file: h5py.File, inside: str, met: set[int]) -> Iterator[Fault]:
-    """Links that show nothing, or something outside the folder; `met` are the groups above and beside."""
-    once(file[inside], met)
+    """Find links that lead nowhere or out of the folder; `met` are the groups that were visited."""
+    check_visited_once(file[inside], met)
     for name in file[inside]:
         link, full = file.get(f"{inside}{name}", getlink=True), f"{inside}{name}"
         if isinstance(link, h5py.ExternalLink):
@@ -92,21 +99,21 @@ def _links(path: Path, file: h5py.File, inside: str, met: set[int]) -> Iterator[
             yield from _links(path, file, f"{full}/", met)
 
 
-def _apart(path: Path) -> list[Fault] | None:
-    """What is wrong inside, looked for by a process of its own; None where it crashes or never returns."""
-    found = asked(path)
-    return None if found is None else [Fault(path, **told) for told in found]
+def _inside_in_sandbox(path: Path) -> list[Fault] | None:
+    """Find the faults inside a file in a separate process; None if it crashes or never returns."""
+    found = check_in_sandbox(path)
+    return None if found is None else [Fault(path, **fault) for fault in found]
 
 
-def answer() -> None:
-    """Be the process that looks into files for others."""
-    serve(_told)
+def run_check_process() -> None:
+    """Run the process that checks files for others; see `frictrack.store.sandbox`."""
+    run_sandbox_process(_faults_as_dicts)
 
 
-def _told(path: Path) -> list[dict[str, str]]:
-    """What is wrong inside a file; one that will be read is copied too, as it is when something is written into it."""
+def _faults_as_dicts(path: Path) -> list[dict[str, str]]:
+    """Find the faults inside a file; one that is sound is also copied, as it is when it is written to."""
     found = _inside(path)
     if all(fault.kind != "damage" for fault in found):
-        with suppress(Exception), h5py.File(path, "r", locking=False) as old, in_memory() as new:
-            copy(old, new)
+        with suppress(Exception), h5py.File(path, "r", locking=False) as old, empty_file_in_memory() as new:
+            copy_groups(old, new)
     return [{k: v for k, v in vars(fault).items() if k != "file"} for fault in found]

@@ -1,7 +1,7 @@
-"""The checksum of every group and dataset: the attribute `sha256` on each, over what is read of it.
+"""Compute the checksum of every group and dataset: the attribute `sha256` on each, over what is read of it.
 
-That of a dataset is over its kind, shape, numbers and attributes; that of a group over its attributes, the names in
-it, their checksums and the links: the one of the file itself thus answers for all.
+The checksum of a dataset covers its type, shape, values and attributes. The checksum of a group covers its attributes,
+the names in it, their checksums and its links, so that the checksum of the root covers everything.
 """
 
 from __future__ import annotations
@@ -13,44 +13,55 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.store.claims import fits, members, once
+from frictrack.store.size_checks import check_size, check_visited_once, members
 
-SUM = "sha256"
+CHECKSUM = "sha256"
 
 
-def add_sums(item: h5py.Group | h5py.Dataset) -> str:
-    """Put the checksum on everything inside that has none, and say that of the whole."""
-    held = item.attrs.get(SUM)
+def add_checksums(item: h5py.Group | h5py.Dataset) -> str:
+    """Write the missing checksums of an object and everything in it; return the checksum of the object."""
+    held = item.attrs.get(CHECKSUM)
     if held is None:
         if isinstance(item, h5py.Group):
             for _, child in members(item):
-                add_sums(child)
-        held = item.attrs[SUM] = _sum(item)
+                add_checksums(child)
+        held = item.attrs[CHECKSUM] = _checksum(item)
     return str(held)
 
 
-def drop_sums(file: h5py.File, name: str) -> None:
-    """Take the checksum off what is about to change, and off all that it lies in."""
-    file.attrs.pop(SUM, None)
+def drop_checksums(file: h5py.File, name: str) -> None:
+    """Remove the checksums of a group that is about to change, and of all its parents."""
+    file.attrs.pop(CHECKSUM, None)
     inside = ""
     for part in filter(None, name.split("/")):
         inside = f"{inside}/{part}"
         if isinstance(file.get(inside, getlink=True), h5py.HardLink):
-            file[inside].attrs.pop(SUM, None)
+            file[inside].attrs.pop(CHECKSUM, None)
 
 
-def wrong_sums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None) -> Iterator[tuple[str, str]]:
-    """(name, what is wrong) of everything inside that is not as its checksum says, or cannot be read.
+def wrong_checksums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None) -> Iterator[tuple[str, str]]:
+    """Find everything whose content differs from its checksum, or that cannot be read.
 
-    A fault stands with the innermost thing that it is in; `met` are the groups above and beside it.
+    Parameters
+    ----------
+    item
+        A group or a dataset.
+    met
+        Addresses of the groups that were visited already.
+
+    Yields
+    ------
+    tuple of (str, str)
+        Name of the innermost object with the fault, and the fault.
+
     """
     met = set() if met is None else met
     try:
-        once(item, met)
+        check_visited_once(item, met)
         for name in item if isinstance(item, h5py.Group) else ():
             yield from _wrong_child(item, name, met)
-        held, found = item.attrs.get(SUM), _sum(item)
-    except Exception as e:  # noqa: BLE001 - whatever h5py stumbles over in a damaged file
+        held, found = item.attrs.get(CHECKSUM), _checksum(item)
+    except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
         yield item.name, f"cannot be read ({' '.join(str(e).split())})"
         return
     if held is None:
@@ -66,17 +77,17 @@ def _wrong_child(group: h5py.Group, name: str, met: set[int]) -> Iterator[tuple[
         yield f"{group.name.rstrip('/')}/{name}", f"cannot be read ({' '.join(str(e).split())})"
         return
     if inside is not None:
-        yield from wrong_sums(inside, met)
+        yield from wrong_checksums(inside, met)
 
 
-def _sum(item: h5py.Group | h5py.Dataset) -> str:
-    """Of what lies in the thing itself; of what is inside a group the checksums that stand there are taken."""
+def _checksum(item: h5py.Group | h5py.Dataset) -> str:
+    """Compute the checksum of an object; for the members of a group, their stored checksums are used."""
     digest = hashlib.sha256()
     for part in _group(item) if isinstance(item, h5py.Group) else _coded(_array(item), item.dtype):
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)
     for name in sorted(item.attrs):
-        if name != SUM:
+        if name != CHECKSUM:
             value = item.attrs[name]
             for part in (name.encode(), *_coded(value, getattr(value, "dtype", None))):
                 digest.update(len(part).to_bytes(8, "little"))
@@ -85,8 +96,8 @@ def _sum(item: h5py.Group | h5py.Dataset) -> str:
 
 
 def _array(dataset: h5py.Dataset) -> Any:
-    """The array as it stands in the file. Raises ValueError for what frictrack never writes in today's schema."""
-    fits(dataset)
+    """Read an array as stored. Raise ValueError for types that frictrack never writes in today's schema."""
+    check_size(dataset)
     if (text := h5py.check_string_dtype(dataset.dtype)) and text.length is None:
         raise ValueError("expected texts of fixed length")
     return dataset[()]
@@ -98,13 +109,13 @@ def _group(group: h5py.Group) -> Iterator[bytes]:
         yield name.encode()
         link = group.get(name, getlink=True)
         if isinstance(link, h5py.HardLink):
-            yield str(group[name].attrs.get(SUM)).encode()
+            yield str(group[name].attrs.get(CHECKSUM)).encode()
         else:
             yield f"{type(link).__name__} {getattr(link, 'filename', '')} {link.path}".encode()
 
 
 def _coded(value: Any, dtype: Any) -> Iterator[bytes]:
-    """Kind, shape and content of an array, a number, a text or nothing."""
+    """Encode type, shape and content of an array, a number, a text or an empty value."""
     if isinstance(value, h5py.Empty):
         yield b"empty"
     elif isinstance(value, str | bytes):

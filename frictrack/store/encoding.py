@@ -1,0 +1,152 @@
+"""Encode records and dictionaries as HDF5 groups that h5py, HDFView or MATLAB read without frictrack.
+
+A record becomes a group. Its columns are datasets with the attribute `unit`; its numbers and strings are attributes;
+its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a subgroup. Every group that a
+stage wrote has the attributes of its `Provenance`.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frictrack.results import plain
+from frictrack.store.checksums import CHECKSUM
+from frictrack.store.size_checks import check_visited_once, members, read_array
+from frictrack.version import __version__
+
+_MAX_ATTRIBUTE_CHARACTERS = 16_000  # characters; HDF5 keeps an attribute below 64 kB
+_MAX_COMPACT_ATTRIBUTES = 64  # attributes of a group that stay in its header, which is smaller and read in one piece
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a group was made from. It is current as long as the same `key` would be made today."""
+
+    key: str = ""  # hash of the stage's name, the version, the settings and the inputs
+    input_hash: str = ""  # hash of the inputs together
+    inputs: str = "[]"  # JSON: [name, key or hash] of each; ":/track" here, "v3.h5:/track" beside, or a file
+    settings: str = "{}"  # JSON: keys of the study file, their values
+    version: str = __version__  # of frictrack
+
+
+@dataclass(frozen=True, eq=False)
+class GroupContent:
+    """The content of one group: a record, or a dictionary of arrays, numbers, strings and records."""
+
+    content: Any
+    provenance: Provenance = Provenance()
+
+
+PROVENANCE_KEYS = {f.name for f in fields(Provenance)}
+
+
+def new_group(parent: h5py.Group, name: str) -> h5py.Group:
+    """Create a group inside another one, and the groups between them."""
+    *between, last = name.split("/")
+    for part in between:
+        parent = parent[part] if part in parent else new_group(parent, part)
+    creation = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+    creation.set_attr_phase_change(_MAX_COMPACT_ATTRIBUTES, _MAX_COMPACT_ATTRIBUTES // 2)
+    return h5py.Group(h5py.h5g.create(parent.id, last.encode(), gcpl=creation))
+
+
+def write_group(group: h5py.Group, content: Any) -> None:
+    """Write a record or a dictionary into an empty group."""
+    if is_dataclass(content):
+        for f in fields(content):
+            _write_value(group, f.name, getattr(content, f.name), f.metadata.get("unit"))
+    else:
+        for name, value in content.items():
+            _write_value(group, name, value, None)
+
+
+def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> None:
+    if value is None:
+        group.attrs[name] = h5py.Empty("f8")
+    elif isinstance(value, dict) or is_dataclass(value):
+        write_group(new_group(group, name), value)
+    elif isinstance(value, np.ndarray):
+        write_array(group, name, value).attrs["unit"] = unit or ""
+    elif isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
+        write_array(group, name, np.array(value))
+    else:
+        group.attrs[name] = json.dumps(plain(value)) if isinstance(value, tuple | list) else value
+        if unit and isinstance(value, float):
+            group.attrs[f"{name}_unit"] = unit
+
+
+def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any]) -> h5py.Dataset:
+    """Write an array of numbers or strings as a compressed dataset.
+
+    Strings get one fixed length, because HDF5 compresses and checks only those.
+    """
+    if value.dtype.kind in "UO":
+        coded = np.char.encode(value.astype(np.str_), "utf-8")
+        value = coded.astype(h5py.string_dtype("utf-8", max(coded.dtype.itemsize, 1)))
+    if value.ndim == 0 or value.size == 0:
+        return group.create_dataset(name, data=value)
+    return group.create_dataset(name, data=value, compression="gzip", shuffle=True, fletcher32=True)
+
+
+def read_dict(group: h5py.Group, met: set[int] | None = None) -> dict[str, Any]:
+    """Read everything in a group as a dictionary, without the provenance.
+
+    Parameters
+    ----------
+    group
+        The group.
+    met
+        Addresses of the groups that were read already, against groups inside themselves.
+
+    Raises
+    ------
+    ValueError
+        For content that frictrack never writes.
+
+    """
+    met = set() if met is None else met
+    check_visited_once(group, met)
+    content = {k: _listed(to_python(v)) for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    for name, item in members(group):
+        content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
+    return content
+
+
+def read_record(group: h5py.Group, kind: Any) -> Any:
+    """Read a group as the record type `kind`."""
+    values = {}
+    inside = dict(members(group))
+    for f in fields(kind):
+        if f.name in inside:
+            item = inside[f.name]
+            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
+        elif f.name in group.attrs:
+            raw = to_python(group.attrs[f.name])
+            is_tuple = raw is not None and str(f.type).startswith("tuple")
+            values[f.name] = _tuple(json.loads(raw)) if is_tuple else raw
+    return kind(**values)
+
+
+def to_python(value: Any) -> Any:
+    """Convert an attribute to a Python object."""
+    if isinstance(value, h5py.Empty):
+        return None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _listed(value: Any) -> Any:
+    """Decode a text that is a JSON list; return anything else as it is."""
+    if isinstance(value, str) and value.startswith("["):
+        with suppress(json.JSONDecodeError):
+            return json.loads(value)
+    return value
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
