@@ -27,7 +27,7 @@ from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import GroupContent
 from frictrack.store.file_header import HEADER_BYTES, with_header
-from frictrack.store.signatures import mark
+from frictrack.store.signatures import sign
 from frictrack.study import load, parse, read_table, tables, write_study
 from frictrack.units import quantity
 from frictrack.version import __version__

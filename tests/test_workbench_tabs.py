@@ -199,7 +199,7 @@ def test_a_report_that_is_not_there_is_not_downloaded(study_file: Path) -> None:
     record.refresh()
     assert all(one.disabled for one in record.reports)
     with pytest.raises(FrictrackError, match="write it first"):
-        record._paper()
+        record._report_pdf()
 
 
 def test_every_tab_fits_on_a_projector(bench: Server, chromium: Any) -> None:
