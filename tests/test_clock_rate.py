@@ -11,7 +11,7 @@ from runs import BASE, FPS, MASS, SIX, Slider, Spec, integrate, measured
 
 from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.model_selection import separation
+from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, restore, state
 from frictrack.fit.prediction import predicted
@@ -91,8 +91,8 @@ def test_right_clocks_are_not_doubted():
 def test_a_law_with_a_clock_is_held_against_one_without():
     runs = recorded({2: 1.05})
     timed, plain = (fit(law, runs).solution for law in ("coulomb,viscous,clock_rate", "coulomb,viscous"))
-    assert separation(timed, plain) > 100.0
-    assert abs(separation(timed, timed)) < 1e-3
+    assert expected_separation(timed, plain) > 100.0
+    assert abs(expected_separation(timed, timed)) < 1e-3
 
 
 def test_a_clock_that_is_wrong_in_all_runs_is_absorbed_by_the_law():

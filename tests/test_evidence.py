@@ -16,8 +16,8 @@ from scipy.integrate import solve_ivp
 
 from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.auxiliary_signals import Known, curves_of, evidence
-from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.auxiliary_signals import KnownFindings, assess_auxiliary_signals, evidence_curves
+from frictrack.diagnose.compressed import compress_residual
 from frictrack.fit import fit
 from frictrack.flow.witnesses import seen_beside
 from frictrack.records import Track
@@ -57,7 +57,7 @@ def slides(cause, *, seed=0, speeds=SPEEDS, bounce=True):
 
 
 def seen(runs, beside=None):
-    return evidence(fit(LAW, runs).solution, runs, np.random.default_rng(0), beside)
+    return assess_auxiliary_signals(fit(LAW, runs).solution, runs, np.random.default_rng(0), beside)
 
 
 def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
@@ -69,7 +69,7 @@ def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
     assert "the normal load changes with it" in first.words
     size = float(first.words.split("by ")[1].split(" of its vertical inertia")[0])
     assert size == pytest.approx(MU, rel=0.1)
-    curve = curves_of([first])["evidence_0"]
+    curve = evidence_curves([first])["evidence_0"]
     assert np.corrcoef(curve["left"], curve["told"])[0, 1] > 0.95
     assert "curve" not in first.summary()
 
@@ -105,8 +105,10 @@ def test_what_tells_less_than_the_best_candidate_is_evidence_only_beside_it():
     runs, _ = slides("load")
     fitted = fit(LAW, runs).solution
     (first,) = seen(runs)
-    assert evidence(fitted, runs, np.random.default_rng(0), None, Known(3 * fitted.chi2)) == []
-    (beside,) = evidence(fitted, runs, np.random.default_rng(0), None, Known(3 * fitted.chi2, fitted, ["patch"]))
+    assert assess_auxiliary_signals(fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2)) == []
+    (beside,) = assess_auxiliary_signals(
+        fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2, fitted, ["patch"])
+    )
     assert beside.share == first.share
     assert "of what is left beside patch" in beside.words
 
@@ -169,5 +171,5 @@ def test_what_rides_on_the_mass_is_no_witness(name, share, counts):
 def test_what_a_law_needs_beside_the_motion_is_read_along_with_it():
     law = {name: BASE[name] for name in LAW} | {"measured_load": {"coefficient": 1.0}}
     runs, _ = study(models.of([*law]), law, specs=(Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.06)), sigma=1e-5)
-    left = reduced(fit([*law], runs).solution)
+    left = compress_residual(fit([*law], runs).solution)
     assert all(path.lift is not None and len(path.lift) == len(path.t) for path in left.paths)

@@ -18,21 +18,21 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 from frictrack import effects, models, plots
 from frictrack.cli import show
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.effect_description import words
+from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import (
-    Duel,
+    Contest,
     Explanation,
-    explanation,
-    films,
-    for_unexplained,
+    make_explanation,
     menu,
     next_experiment,
-    settling,
+    plan_for_candidates,
+    plan_for_unexplained,
+    rate_runs,
 )
-from frictrack.diagnose.experiments.advice_text import told_apart
-from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER, LEVEL, checks
-from frictrack.diagnose.experiments.virtual_runs import Film, filmed
-from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.experiments.advice_text import describe_separation
+from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER_STD, LEVEL_STD_RAD, direct_checks
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, simulate_run
+from frictrack.diagnose.model_selection import information_criterion
 from frictrack.fit import fit
 from frictrack.fit.stepwise import grow, settled
 from frictrack.records import GRAVITY
@@ -64,7 +64,7 @@ def explained(runs, *names):
 
 def explanations(runs, *names):
     bare, grown = explained(runs, *names)
-    return [explanation(n, s, bare) for n, s in grown.items()]
+    return [make_explanation(n, s, bare) for n, s in grown.items()]
 
 
 def take(film, law, scatter, *, seed=9):
@@ -103,12 +103,12 @@ def pair(request):
 def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pair):
     truth, rival, law, runs, among = pair
     _, before = explained(runs, truth, rival)
-    assert abs(information(before[rival]) - information(before[truth])) < 25  # nobody could tell
-    offers = sorted((o for o in films(among) if o.parted()), key=lambda o: -o.least())
+    assert abs(information_criterion(before[rival]) - information_criterion(before[truth])) < 25  # nobody could tell
+    offers = sorted((o for o in rate_runs(among) if o.parted()), key=lambda o: -o.least())
     best = offers[0]
     film = next(e.film for e in menu(among[0].solution) if e.key == best.key)
     _, after = explained([*runs, take(film, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
-    observed = information(after[rival]) - information(after[truth])
+    observed = information_criterion(after[rival]) - information_criterion(after[truth])
     expected = best.evidence[truth, rival]
     assert observed > 10
     spread = 4 * np.sqrt(expected)  # of a chi-squared of that non-centrality, two standard deviations
@@ -119,7 +119,7 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
     values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
     runs = runs_with("vibration", values, (4.2, 4.6, 5.0, 5.5), duration=0.06)
     shake, vibration = explanations(runs, "camera_shake", "vibration")
-    for duel in (Duel(shake, vibration), Duel(vibration, shake)):
+    for duel in (Contest(shake, vibration), Contest(vibration, shake)):
         repeat = next(e.film for e in menu(shake.solution) if e.key == "repeat")
         assert abs(duel.now) < 1
         assert abs(duel.after(repeat)) < 1  # both have a phase of its own for it
@@ -132,8 +132,8 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
 def test_the_planned_run_is_the_one_that_the_law_makes():
     runs = runs_with("drag", {"c": 0.05}, (4.0, 4.2, 4.4))
     bare = fit(LAW, runs).solution
-    film = Film((0.0, 3.0), (0.0, 0.3), mass=2.0)
-    piece = filmed(bare, film)
+    film = RunDesign((0.0, 3.0), (0.0, 0.3), mass=2.0)
+    piece = simulate_run(bare, film)
     f_c, f_v = (bare.p[bare.problem.layout.index(*a)] for a in (("coulomb", "F_c"), ("viscous", "F_v")))
     m, load = 2 * MASS, 2 * f_c  # m v' = -2 F_c - F_v v, by hand
     v = (3.0 + load / f_v) * np.exp(-f_v * piece.t / m) - load / f_v
@@ -141,7 +141,7 @@ def test_the_planned_run_is_the_one_that_the_law_makes():
     assert np.max(np.abs(piece.y - x)) < 1e-9
     assert piece.y[-1] <= 0.3
     assert v.min() > 0
-    tilted = filmed(bare, replace(film, mass=1.0, tilt=np.deg2rad(5.0)))
+    tilted = simulate_run(bare, replace(film, mass=1.0, tilt=np.deg2rad(5.0)))
     a = np.gradient(np.gradient(tilted.y, tilted.t), tilted.t)[5]
     lean = GRAVITY * np.sin(np.deg2rad(5.0)) + (f_c * np.cos(np.deg2rad(5.0)) + f_v * 3.0) / MASS
     assert a == pytest.approx(-lean, rel=0.01)
@@ -161,9 +161,9 @@ def test_the_menu_keeps_within_what_the_set_up_has_shown():
 def test_a_level_tells_a_slope_by_its_own_accuracy():
     runs = runs_with("slope", {"F": 1.2}, (4.0, -4.0, 4.4, -4.4))
     slope, asymmetry = explanations(runs, "slope", "asymmetry")
-    found = {check.key: (if_one, if_other) for check, if_one, if_other in checks(slope, asymmetry)}
+    found = {check.key: (if_one, if_other) for check, if_one, if_other in direct_checks(slope, asymmetry)}
     value = slope.solution.p[slope.solution.problem.layout.index("slope", "F")]
-    signal = (value / (MASS * GRAVITY * LEVEL)) ** 2
+    signal = (value / (MASS * GRAVITY * LEVEL_STD_RAD)) ** 2
     assert found["level"][0] == pytest.approx(signal)
     assert found["level"][1] == pytest.approx(slope.gain * signal / (slope.gain + signal))
     told = next_experiment([slope, asymmetry])
@@ -174,20 +174,20 @@ def test_a_level_tells_a_slope_by_its_own_accuracy():
 def test_an_accelerometer_tells_a_force_from_a_fault_of_the_picture():
     runs = runs_with("vibration", {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}, (4.2,))
     vibration, shake = explanations(runs, "vibration", "camera_shake")
-    found = {check.key: if_one for check, if_one, _ in checks(vibration, shake)}
+    found = {check.key: if_one for check, if_one, _ in direct_checks(vibration, shake)}
     frames = len(vibration.solution.problem.pieces[0].t)
     amplitude = vibration.solution.p[vibration.solution.problem.layout.index("vibration", "amplitude")]
-    assert found["accelerometer"] == pytest.approx(frames / 2 * (amplitude / MASS / ACCELEROMETER) ** 2, rel=0.1)
+    assert found["accelerometer"] == pytest.approx(frames / 2 * (amplitude / MASS / ACCELEROMETER_STD) ** 2, rel=0.1)
 
 
 def test_a_pair_that_no_run_parts_is_told_what_else_does():
     runs = runs_with("slope", {"F": 1.2}, (4.0, 4.2))
     bare, grown = explained(runs, "slope", "spring")
-    assert settling(bare, [], ()) == []  # nothing passes, nothing to part
+    assert plan_for_candidates(bare, [], ()) == []  # nothing passes, nothing to part
     one = Explanation("spring", grown["spring"], 0.0, grown["spring"])
     told = next_experiment([one, replace(one, effect="spring")])
     assert [(step["kind"], step["separates"], step["expected_delta_bic"]) for step in told] == [("none", [], 0.0)]
-    pair = [explanation(n, s, bare) for n, s in grown.items()]
+    pair = [make_explanation(n, s, bare) for n, s in grown.items()]
     told = next_experiment(pair)  # in one direction neither has brought anything: a cable pulls like a slope
     assert told[-1]["kind"] == "none"
     assert told[-1]["what"].startswith("No run of this menu parts slope and spring")
@@ -214,7 +214,7 @@ def test_what_no_effect_explains_gets_a_run_that_tells_its_axis():
     law = {n: BASE[n] for n in LAW} | {"joint": {"F": 0.3, "x_c": 0.15, "w": 0.01}}
     specs = tuple(Spec(v, 1, 0.06) for v in (4.0, 4.1))
     runs, _ = study(models.of([*LAW, joint]), law, specs=specs, sigma=SIGMA)
-    told = for_unexplained(fit(LAW, runs).solution)
+    told = plan_for_unexplained(fit(LAW, runs).solution)
     assert told[0]["kind"] == "film"
     assert "place" in told[0]["separates"]
     assert told[0]["expected_if_true"]["place"] > 10
@@ -224,23 +224,23 @@ def test_what_no_effect_explains_gets_a_run_that_tells_its_axis():
 def test_candidates_speak_of_the_numbers_of_this_study():
     runs = runs_with("patch", {"F": 1.5, "x_c": 0.21, "w": 0.02}, (4.0, 5.0))
     _, grown = explained(runs, "patch")
-    told = words(effects.get("patch"), grown["patch"])["here"]
+    told = describe_effect(effects.get("patch"), grown["patch"])["here"]
     assert told.startswith("From x = 0.17")
     assert "r0 in frame" in told
     assert "look at run" in told
     runs = runs_with("texture", {"amplitude": 0.8, "period": 0.03, "phase": 1.0}, (4.0, 5.0))
     _, grown = explained(runs, "texture")
-    assert "one mark every 30.0 mm of the course" in words(effects.get("texture"), grown["texture"])["here"]
-    assert "here" not in words(effects.get("texture"))
+    assert "one mark every 30.0 mm of the course" in describe_effect(effects.get("texture"), grown["texture"])["here"]
+    assert "here" not in describe_effect(effects.get("texture"))
 
 
 @pytest.mark.parametrize("name", sorted(set(effects.LIBRARY) - {"coulomb", "viscous", "lugre", "presliding"}))
 def test_every_effect_of_the_library_has_words_of_its_own(name):
-    from frictrack.diagnose.effect_description import OWN  # noqa: PLC0415
-    from frictrack.diagnose.experiments.advice_text import KEEPS  # noqa: PLC0415
+    from frictrack.diagnose.effect_description import DESCRIPTIONS  # noqa: PLC0415
+    from frictrack.diagnose.experiments.advice_text import INVARIANTS  # noqa: PLC0415
 
-    assert name in KEEPS
-    assert name in OWN or name in ("stribeck", "measured_load")
+    assert name in INVARIANTS
+    assert name in DESCRIPTIONS or name in ("stribeck", "measured_load")
 
 
 STEPS = [
@@ -250,7 +250,7 @@ STEPS = [
         "expected_delta_bic": 41.0,
         "expected_if_true": {"vibration": 41.0, "camera_shake": 300.0, "load_modulation": 55.0},
         "groups": [["vibration"], ["camera_shake", "load_modulation"]],
-        "tells": told_apart([["vibration"], ["camera_shake", "load_modulation"]]),
+        "tells": describe_separation([["vibration"], ["camera_shake", "load_modulation"]]),
         "kind": "film",
         "key": "half mass",
     },
@@ -274,7 +274,7 @@ def test_terminal_and_report_say_the_same():
     assert "1. Film a run with half the mass: why" in said
     assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said
     assert "2. No run of this menu parts slope and spring" in said
-    assert told_apart([["a"], ["b"], ["c"]]) == "a, b and c apart"
+    assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}
     rows = settle.experiments(settle.shown(found)).rows
     assert rows == (

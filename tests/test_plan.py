@@ -20,7 +20,7 @@ from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
 from frictrack.cli import main, show
-from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.fit.stepwise import grow, settled
@@ -132,8 +132,8 @@ def test_films_of_the_planned_runs_keep_what_the_plan_promised(chosen, name, riv
     assert chosen.evidence[a, b] > 10
     bare = fit(LAW, film_planned(chosen, name)).solution
     true, other = (settled(grow(bare, effects.get(n))) for n in (name, rival))
-    assert information(other) - information(true) > 10
-    assert information(bare) - information(true) > 10
+    assert information_criterion(other) - information_criterion(true) > 10
+    assert information_criterion(bare) - information_criterion(true) > 10
 
 
 def test_the_detection_limit_is_where_the_effect_begins_to_show(chosen, told):

@@ -14,7 +14,7 @@ from test_series import given, tustin_force
 
 from frictrack import effects, models, words
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.admissible import implausible
+from frictrack.diagnose.admissible import physical_objection
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit
 from frictrack.fit.measured_friction import noise_of
@@ -182,7 +182,7 @@ def test_a_hidden_effect_is_plausible_as_it_is_found():
         runs = study(models.tustin() + name, BASE | {name: HIDDEN[name]}, SIX, sigma=1e-5)[0]
         found = fit(models.tustin() + name, runs).solution
         effect = next(e for e in found.problem.model.effects if e.name == name)
-        assert implausible(found.problem.layout, found.p, effect) == ""
+        assert physical_objection(found.problem.layout, found.p, effect) == ""
 
 
 # --- deviations that hold when the law does not

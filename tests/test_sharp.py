@@ -11,7 +11,7 @@ import tifffile
 from scipy.fft import dct
 
 from frictrack.calibration import calibrate
-from frictrack.diagnose.null_distribution import locked, slow_errors
+from frictrack.diagnose.null_distribution import peak_locking_errors, slow_errors
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track
@@ -144,7 +144,7 @@ def test_what_stays_off_slowly_is_as_large_in_every_octave_and_goes_with_the_pit
 @pytest.mark.parametrize(("step", "slow"), [(2.0, True), (2.137, False)])
 def test_errors_that_repeat_from_pixel_to_pixel_are_slow_at_a_whole_number_of_pixels_per_frame(step: float, slow: bool):
     frames = np.arange(240)
-    errors = locked(5.3 + step * frames - 2e-4 * (frames - 120.0) ** 2, 400, np.random.default_rng(2))
+    errors = peak_locking_errors(5.3 + step * frames - 2e-4 * (frames - 120.0) ** 2, 400, np.random.default_rng(2))
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.05)
     calm = errors[100:140].mean(axis=0)  # white noise would come to 0.16
     assert (np.std(calm) > 0.5) == slow

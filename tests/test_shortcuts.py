@@ -9,7 +9,7 @@ from test_series import swing
 
 from frictrack import effects
 from frictrack.compare.spectral_lines import seen, waves
-from frictrack.diagnose.experiments.expected_separation import _few
+from frictrack.diagnose.experiments.expected_separation import _compress_response
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.fit.least_squares import continued, promising, refine, resettled, settle_scatter, traces
@@ -80,7 +80,7 @@ def test_a_step_promises_what_it_brings_where_the_law_is_linear(slide):
 
 def test_few_rows_hold_all_of_a_linear_answer(slide):
     response = slide.responses[0]
-    few, step = _few(response), np.arange(1.0, response.jac.shape[1] + 1)
+    few, step = _compress_response(response), np.arange(1.0, response.jac.shape[1] + 1)
     for change in (0 * step, step, -3 * step):
         whole = response.r - response.jac @ change
         short = few.r - few.jac @ change

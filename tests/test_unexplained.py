@@ -13,13 +13,13 @@ import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack.diagnose.compressed import reduced
-from frictrack.diagnose.formulas.formula_search import formulas
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.formulas.formula_search import search_formulas
 from frictrack.diagnose.formulas.shapes import SHAPES
-from frictrack.diagnose.model_selection import information
-from frictrack.diagnose.repeatability.common_curves import Repeat, Repeats
-from frictrack.diagnose.simpler_model import plainer
-from frictrack.diagnose.smooth_forces import axes, smooth_forces
+from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, Repeatability
+from frictrack.diagnose.simpler_model import find_simpler_model
+from frictrack.diagnose.smooth_forces import candidate_axes, smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.effects.settings import definitions, read
 from frictrack.fit import fit
@@ -87,19 +87,19 @@ def fits():
 @pytest.fixture(scope="module")
 def firsts(fits):
     """The first formula of a cause, looked for once."""
-    return cache(lambda cause: formulas(fits[cause].solution)[0])
+    return cache(lambda cause: search_formulas(fits[cause].solution)[0])
 
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_the_axis_of_a_cause_outside_the_library_is_found(fits, cause):
-    best, second, *_ = smooth_forces(reduced(fits[cause].solution))
+    best, second, *_ = smooth_forces(compress_residual(fits[cause].solution))
     assert best.axis.name == CAUSES[cause][0]
     assert best.share > 0.9
     assert best.gain > second.gain
 
 
 def test_the_curve_is_the_force_within_its_band(fits):
-    smooth = smooth_forces(reduced(fits["magnet"].solution))[0]
+    smooth = smooth_forces(compress_residual(fits["magnet"].solution))[0]
     assert smooth.axis.factor == ""  # it pulls whichever way the mass goes
     truth = CAUSES["magnet"][1](smooth.at, 0, 0, 0, 0)
     away = smooth.force - truth
@@ -108,7 +108,7 @@ def test_the_curve_is_the_force_within_its_band(fits):
 
 
 def test_pure_noise_has_no_axis():
-    smooth = smooth_forces(reduced(fit(LAW, slides(None)).solution))
+    smooth = smooth_forces(compress_residual(fit(LAW, slides(None)).solution))
     assert smooth[0].gain < 12  # of six to nine axes; a cause has hundreds
 
 
@@ -155,18 +155,18 @@ def test_the_json_has_what_the_report_shows(fits):
 
 
 def repeated(axis):
-    return Repeats([Repeat(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
+    return Repeatability([AxisRepeatability(axis, share=0.9, p=0.005, runs=6, of=6, evidence=50.0)])
 
 
 def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     """The library's best imitation swings the load, with an amplitude and a phase in every run."""
     start = fits["rate_and_state"]
     imitation = fit([*LAW, "load_modulation"], start.runs)
-    told = plainer(start.solution, imitation.solution, repeated("v"))
+    told = find_simpler_model(start.solution, imitation.solution, repeated("v"))
     assert told["decisive"]
     assert told["words"].startswith("a force of speed alone explains more with ")
     assert told["formulas"][0]["axis"] == "v"
-    worth = information(start.solution) - information(imitation.solution)
+    worth = information_criterion(start.solution) - information_criterion(imitation.solution)
     assert told["formulas"][0]["delta_bic"] > 10 + worth
 
 
@@ -175,14 +175,14 @@ def test_an_effect_of_the_library_wins_ties():
     runs = slides(lambda x, v, t, s, load: 0.8 * load * s * np.exp(-(((x - 0.3) / 0.015) ** 2) / 2))
     start, found = fit(LAW, runs), fit([*LAW, "patch"], runs)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
-    told = plainer(start.solution, found.solution, repeated("x"))
+    told = find_simpler_model(start.solution, found.solution, repeated("x"))
     assert told is None or not told["decisive"]
 
 
 def test_fewer_numbers_say_the_same_as_all_frames(fits):
     """The traces of a force in few numbers against the motion itself, moved by that force."""
     solution = fits["magnet"].solution
-    left = reduced(solution)
+    left = compress_residual(solution)
     push = [1e-3 * np.sin(2 * np.pi * p.x / 0.1)[:, None] for p in left.paths]
     told = left.trace(push)[:, 0]
     whole = []
@@ -206,14 +206,14 @@ def test_shapes_are_written_as_they_are_evaluated():
 
 
 def test_one_direction_alone_has_no_second_factor():
-    left = reduced(fit(LAW, slides("joint", plan=PLAN[:3])).solution)
-    assert {axis.factor for axis in axes(left)} == {"L * s"}
+    left = compress_residual(fit(LAW, slides("joint", plan=PLAN[:3])).solution)
+    assert {axis.factor for axis in candidate_axes(left)} == {"L * s"}
 
 
 def test_the_law_is_taken_out_of_every_trace(fits):
     """What the law could make by itself leaves nothing beside it."""
     solution = fits["joint"].solution
-    left = reduced(solution)
+    left = compress_residual(solution)
     assert np.linalg.norm(left.trace([np.sign(p.v)[:, None] * p.load for p in left.paths])) < 1e-2 * np.linalg.norm(
         np.concatenate([m @ (np.sign(p.v) * p.load) for m, p in zip(left.maps, left.paths, strict=True)])
     )

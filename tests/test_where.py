@@ -14,8 +14,8 @@ from frictrack.compare.bump_dictionary import _times
 from frictrack.compare.deconvolve import deconvolved
 from frictrack.compare.global_significance import Chance, arc
 from frictrack.compare.local_forces import local_forces
-from frictrack.diagnose.repeatability.common_curves import Repeat, repeats, told
-from frictrack.diagnose.repeatability.residual_curves import common, figures_of
+from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
+from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
 from frictrack.fit import fit
 from frictrack.fit.smooth_functions import hats, matern
 from frictrack.fit.stepwise import grow
@@ -163,14 +163,14 @@ def test_the_missing_force_of_a_line_is_told_with_its_phase():
     assert line.p < 1e-6
     size = np.sqrt(2 * np.mean(np.concatenate([p.F for p in pieces]) ** 2))
     assert size == pytest.approx(1.0, abs=0.3)
-    curve = figures_of(pieces, line)["common_phase"]  # one period: up first, then down
+    curve = residual_figures(pieces, line)["common_phase"]  # one period: up first, then down
     assert curve["F"][np.argmin(np.abs(curve["at"] - 0.25))] > 0.5
     assert curve["F"][np.argmin(np.abs(curve["at"] - 0.75))] < -0.5
-    assert repeats(solution, np.random.default_rng(0)).best.axis == "phase"
+    assert assess_repeatability(solution, np.random.default_rng(0)).best.axis == "phase"
 
 
 def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
-    found = repeats(patched[1], np.random.default_rng(0))
+    found = assess_repeatability(patched[1], np.random.default_rng(0))
     assert found.best.axis == "x"
     assert found.best.of == 4
     assert found.words.startswith("The failure repeats at the same place in ")
@@ -179,49 +179,58 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
 
 
 def test_blows_at_moments_of_their_own_do_not_repeat(blown):
-    found = repeats(blown[1], np.random.default_rng(0))
+    found = assess_repeatability(blown[1], np.random.default_rng(0))
     assert found.best is None
     assert found.words.startswith("The failure does not repeat from run to run")
 
 
 def test_one_run_cannot_tell_whether_a_failure_repeats():
     runs = lacking("patch", PATCH, specs=FOUR[:1])
-    found = repeats(fit(LAW, runs).solution, np.random.default_rng(0))
+    found = assess_repeatability(fit(LAW, runs).solution, np.random.default_rng(0))
     assert found.summary() == []
     assert found.words.startswith("One run cannot tell")
 
 
 def test_words_say_which_axes_these_runs_hardly_part():
-    axes = [Repeat("x", 0.8, 0.005, 5, 6, evidence=40.0), Repeat("t", 0.75, 0.005, 4, 6, evidence=33.0),
-            Repeat("v", 0.1, 0.5, 0, 6, evidence=20.0)]  # fmt: skip
-    assert told(axes) == (
+    axes = [
+        AxisRepeatability("x", 0.8, 0.005, 5, 6, evidence=40.0),
+        AxisRepeatability("t", 0.75, 0.005, 4, 6, evidence=33.0),
+        AxisRepeatability("v", 0.1, 0.5, 0, 6, evidence=20.0),
+    ]
+    assert describe_axes(axes) == (
         "The failure repeats at the same place in 5 of 6 runs: it belongs to the course. "
         "These runs hardly tell this from the same time since release; another speed would."
     )
 
 
 def test_what_the_runs_show_too_little_of_is_left_open():
-    axes = [Repeat("v", 0.2, 0.01, 1, 6, evidence=9.0), Repeat("x", 0.1, 0.5, 0, 6, evidence=-5.0)]
-    assert told(axes).startswith("Whether the failure repeats from run to run cannot be told")
-    assert told([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
+    axes = [
+        AxisRepeatability("v", 0.2, 0.01, 1, 6, evidence=9.0),
+        AxisRepeatability("x", 0.1, 0.5, 0, 6, evidence=-5.0),
+    ]
+    assert describe_axes(axes).startswith("Whether the failure repeats from run to run cannot be told")
+    assert describe_axes([replace(a, evidence=-40.0) for a in axes]).startswith("The failure does not repeat")
 
 
 def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
-    axes = [Repeat("x", 0.84, 0.005, 5, 5, evidence=-60.0), Repeat("t", 0.3, 0.2, 1, 5, evidence=-90.0)]
+    axes = [
+        AxisRepeatability("x", 0.84, 0.005, 5, 5, evidence=-60.0),
+        AxisRepeatability("t", 0.3, 0.2, 1, 5, evidence=-90.0),
+    ]
     assert axes[0].holds
-    assert told(axes) == "The failure repeats at the same place in 5 of 5 runs: it belongs to the course."
+    assert describe_axes(axes) == "The failure repeats at the same place in 5 of 5 runs: it belongs to the course."
 
 
 def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
     specs = tuple(Spec(v, 1, 0.1) for v in (2.5, 3.5, 5.0, -6.5))
-    found = repeats(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution, np.random.default_rng(0))
+    found = assess_repeatability(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution, np.random.default_rng(0))
     assert found.best.axis == "v"
     assert found.best.evidence > 10
 
 
 def test_a_fine_wave_over_the_place_repeats_there():
     texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
-    found = repeats(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution, np.random.default_rng(0))
+    found = assess_repeatability(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution, np.random.default_rng(0))
     assert found.best.axis == "x"
 
 
@@ -248,11 +257,11 @@ def test_the_common_curve_is_the_mean_of_runs_and_its_band_knows_their_scatter()
     axis = np.tile(np.linspace(0.0, 1.0, 400), 3)
     run = np.repeat([0.0, 1.0, 2.0], 400)
     shape = np.sin(2 * np.pi * axis)
-    alike = common(run, axis, shape, np.full(1200, 0.01))
+    alike = mean_curve(run, axis, shape, np.full(1200, 0.01))
     np.testing.assert_allclose(alike["F"][5:-5], np.sin(2 * np.pi * alike["at"][5:-5]), atol=0.02)
-    apart = common(run, axis, shape + run - 1, np.full(1200, 0.01))
+    apart = mean_curve(run, axis, shape + run - 1, np.full(1200, 0.01))
     assert np.median(apart["sigma_F"]) == pytest.approx(1 / np.sqrt(3), rel=0.1)  # a spread of one, over three runs
-    half = common(run[:400], axis[:400] / 2, shape[:400], np.full(400, 0.01))
+    half = mean_curve(run[:400], axis[:400] / 2, shape[:400], np.full(400, 0.01))
     assert half["at"][-1] == 0.5
 
 
@@ -262,7 +271,7 @@ def test_every_span_is_marked_in_its_runs_colour(patched):
     spans = failing_spans(solution, runs)
     looks = style.run_looks(runs)
     found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
-    figure = plots.missing_force(figures_of(pieces, line), spans, looks, found)
+    figure = plots.missing_force(residual_figures(pieces, line), spans, looks, found)
     assert figure.get_suptitle() == "The force that the model misses repeats with place"
     place = next(ax for ax in figure.axes if "displacement x" in ax.get_xlabel())
     bars = {tuple(np.round(b.get_xdata(), 3)): b.get_color() for b in place.lines if b.get_linewidth() == 3.0}

@@ -19,10 +19,10 @@ def objection(solution: Solution, effect: Effect) -> str:
     sizes must exceed three of its own standard deviations, in the shape that was found: a narrow strong patch and a
     wide weak one trade places, and yet something is there.
     """
-    return implausible(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
+    return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
 
 
-def implausible(layout: Layout, p: Array, effect: Effect) -> str:
+def physical_objection(layout: Layout, p: Array, effect: Effect) -> str:
     """Return the effect's own objection to its fitted values, where it stands in every run in which it acts."""
     if effect.plausible is None:
         return ""

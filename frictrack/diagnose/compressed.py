@@ -21,16 +21,16 @@ from frictrack.fit.parameters import basis_of, prior_rows
 from frictrack.fit.segments import Rows
 from frictrack.records import Array
 
-MOST = 800  # numbers over all pieces, about
-FEWEST = 4  # per piece
-POINTS = 3  # places per spline at which a force is read
-CUBIC = 3
+MAX_COMPONENTS = 800  # numbers over all pieces, about
+MIN_COMPONENTS_PER_PIECE = 4  # per piece
+POINTS_PER_SPLINE = 3  # places per spline at which a force is read
+SPLINE_DEGREE = 3
 
 Force = Callable[[Path], Array]  # along one piece (n,): columns (n, k), N
 
 
 @dataclass(frozen=True)
-class Reduced:
+class CompressedResidual:
     """The residual (M,) beside the law, and for every piece how a force at its points becomes such numbers.
 
     `paths` and `maps` (m_i, n_i) by piece; `rows` its points among its frames, `shifts` (m_i, frames) the same for a
@@ -68,10 +68,10 @@ class Reduced:
         return np.split(columns, np.cumsum([len(p.t) for p in self.paths])[:-1])
 
 
-def reduced(solution: Solution, without: str = "") -> Reduced:
+def compress_residual(solution: Solution, without: str = "") -> CompressedResidual:
     """The residual of a fitted law in few numbers; `without` names an effect whose force counts as residual."""
     responses, layout = solution.responses, solution.problem.layout
-    each = max(MOST // len(responses), FEWEST)
+    each = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
     parts = [_reduced(solution, r, each) for r in responses]
     jac, data = solution.jac, solution.unlevelled()
     own = np.array([slot.effect == without for slot in layout.slots])
@@ -90,7 +90,7 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
     chi2 = float(data @ data - on_basis @ basis.shrink(solution.tau) @ on_basis)
     free = len(data) - 2 * len(responses) - basis.u.shape[1]
     whole = np.concatenate(left)
-    found = Reduced(
+    found = CompressedResidual(
         paths=[path for _, path, *_ in parts],
         maps=[m for _, _, m, _ in parts],
         rows=[rows for *_, rows in parts],
@@ -106,7 +106,7 @@ def reduced(solution: Solution, without: str = "") -> Reduced:
     return replace(found, blur=_blur(found, solution, without))
 
 
-def _blur(left: Reduced, solution: Solution, without: str) -> float:
+def _blur(left: CompressedResidual, solution: Solution, without: str) -> float:
     """The largest share of the square of a column of the law that is left of it beside the law."""
     layout = solution.problem.layout
     made = [
@@ -131,24 +131,24 @@ def _root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
 def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, Path, Array, Rows]:
     """Orthonormal traces (n, m) of one piece, its path at the points where a force is read, and the map to them."""
     piece = response.piece
-    count = max(min(len(piece.t) // 3, each), FEWEST)
+    count = max(min(len(piece.t) // 3, each), MIN_COMPONENTS_PER_PIECE)
     knots = _knots(piece.t[0], piece.t[-1], count)
-    nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, CUBIC).toarray()
+    nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, SPLINE_DEGREE).toarray()
     _, edges = response.linear.respond(-nodes / piece.mass, np.zeros((2, count)))
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     moved -= response.q @ (response.q.T @ moved)
     scale = np.linalg.norm(moved, axis=0)
     u, s, vt = np.linalg.svd(moved / np.where(scale > 0, scale, 1.0), full_matrices=False)
     keep = s > 1e-7 * s[0]
-    rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS * count).round().astype(int))
-    read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, CUBIC).toarray())
+    rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS_PER_SPLINE * count).round().astype(int))
+    read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, SPLINE_DEGREE).toarray())
     back = (s[keep, None] * vt[keep]) * scale
     return u[:, keep], _read(solution, response, rows), back @ read, rows
 
 
 def _knots(first: float, last: float, count: int) -> Array:
-    inner = np.linspace(first, last, count - CUBIC + 1)
-    return np.concatenate([[first] * CUBIC, inner, [last] * CUBIC])
+    inner = np.linspace(first, last, count - SPLINE_DEGREE + 1)
+    return np.concatenate([[first] * SPLINE_DEGREE, inner, [last] * SPLINE_DEGREE])
 
 
 def _read(solution: Solution, response: Response, rows: Rows) -> Path:

@@ -8,14 +8,14 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import ncx2
 
-from frictrack.diagnose.hypothesis_tests import Scanned
+from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.linearised import ABSORBED, Scan
 from frictrack.records import Array
 
 POWER = 0.95
-VISITED = 1e-3  # of the usual gain: less belongs to a place, speed or moment that no run comes near
+MIN_RELATIVE_GAIN = 1e-3  # of the usual gain: less belongs to a place, speed or moment that no run comes near
 
 
 def noncentrality(threshold: float, freedom: int) -> float:
@@ -23,7 +23,9 @@ def noncentrality(threshold: float, freedom: int) -> float:
     return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-9, 1e6))
 
 
-def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple[dict[str, Any], dict[str, Array]]:
+def detection_limit(
+    scanned: ScannedCandidate, draws: Ensemble, critical: float
+) -> tuple[dict[str, Any], dict[str, Array]]:
     """Limit at the least favourable setting that the runs visit, as the JSON has it, and the curve over all settings.
 
     The first coefficient (for events: of the first run) whose expected likelihood ratio passes the threshold of the
@@ -37,7 +39,7 @@ def detection_limit(scanned: Scanned, draws: Ensemble, critical: float) -> tuple
     per_amplitude = _unit_gain(found, draws.left)
     needed = np.sqrt(noncentrality(threshold, family.size) / np.maximum(per_amplitude, 1e-300))
     needed[per_amplitude <= 0] = np.inf
-    visited = per_amplitude > VISITED * np.median(per_amplitude)
+    visited = per_amplitude > MIN_RELATIVE_GAIN * np.median(per_amplitude)
     worst = int(np.argmax(np.where(visited, needed, 0.0))) if visited.any() else 0
     size = next((p for p in scanned.effect.parameters if p.role in ("amplitude", "depth") or p.linear), None)
     unit = size.unit if size else ""

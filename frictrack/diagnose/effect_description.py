@@ -13,24 +13,24 @@ from frictrack.fit.least_squares import Response, Solution, place
 from frictrack.models import Model
 from frictrack.records import GRAVITY, Array, stretches
 
-CLEAR = 0.8  # of the largest force of the cause: the middle of the first stretch that reaches it is told
+STRONG_SHARE = 0.8  # of the largest force of the cause: the middle of the first stretch that reaches it is told
 DEGREE = float(np.rad2deg(1.0))
 
 
-def words(effect: Effect, solution: Solution | None = None) -> dict[str, str]:
+def describe_effect(effect: Effect, solution: Solution | None = None) -> dict[str, str]:
     """What a cause is, what it looks like, how to confirm it, and `here`: this study's numbers once it is fitted."""
     told = {"what": effect.what, "looks_like": effect.looks_like, "confirm": effect.confirm}
     if solution is None or effect.name not in solution.problem.model:
         return told
-    seen = Seen(effect.name, solution)
-    own = OWN.get(effect.kind)
+    seen = FittedEffect(effect.name, solution)
+    own = DESCRIPTIONS.get(effect.kind)
     parts = [own(seen) if own else "", seen.strongest()]
     said = "; ".join(part for part in parts if part)
     return told | ({"here": f"{said[:1].upper()}{said[1:]}."} if said else {})
 
 
 @dataclass(frozen=True)
-class Seen:
+class FittedEffect:
     """One cause of a fitted law along the fitted runs."""
 
     name: str
@@ -70,7 +70,7 @@ class Seen:
         """Run, piece and frame where the cause is first about as large as it gets."""
         tops = [float(np.max(np.abs(b), initial=0.0)) for b in self.blocks]
         k = int(np.argmax(tops))
-        high = stretches(np.abs(self.blocks[k]) >= CLEAR * tops[k])[0]
+        high = stretches(np.abs(self.blocks[k]) >= STRONG_SHARE * tops[k])[0]
         i = (high.start + high.stop - 1) // 2
         response = self.solution.responses[k]
         return response.piece.run, response, i
@@ -136,26 +136,26 @@ def _length(metres: float) -> str:
     return f"{_n(1e3 * metres)} mm" if size >= 1e-4 else f"{_n(1e6 * metres)} µm"
 
 
-def _swing(seen: Seen) -> str:
+def _swing(seen: FittedEffect) -> str:
     f = seen.value("frequency")
     return f"{_n(f)} Hz, one swing every {_n(1e3 / f)} ms in every run"
 
 
-def _vibration(seen: Seen) -> str:
+def _vibration(seen: FittedEffect) -> str:
     f, mass = seen.value("frequency"), seen.most[1].piece.mass
     moved = seen.value("amplitude") / (mass * (2 * np.pi * f) ** 2)
     return f"{_swing(seen)}; ± {_n(abs(seen.value('amplitude')))} N, which moves the mass by ± {_length(abs(moved))}"
 
 
-def _ringing(seen: Seen) -> str:
+def _ringing(seen: FittedEffect) -> str:
     return f"{_swing(seen)}, down to a third after {_n(1e3 * seen.value('tau'))} ms"
 
 
-def _beam(seen: Seen) -> str:
+def _beam(seen: FittedEffect) -> str:
     return f"{_n(seen.value('frequency'))} Hz near the clamp, lower with the mass farther out"
 
 
-def _modulated_load(seen: Seen) -> str:
+def _modulated_load(seen: FittedEffect) -> str:
     f, depth = seen.value("frequency"), abs(seen.value("depth"))
     lift = depth * GRAVITY / (2 * np.pi * f) ** 2
     return (
@@ -164,29 +164,29 @@ def _modulated_load(seen: Seen) -> str:
     )
 
 
-def _modulated_viscous(seen: Seen) -> str:
+def _modulated_viscous(seen: FittedEffect) -> str:
     return f"{_swing(seen)}; the viscous coefficient swings by ± {_n(100 * abs(seen.value('depth')), 2)} %"
 
 
-def _shake(seen: Seen) -> str:
+def _shake(seen: FittedEffect) -> str:
     size = abs(seen.value("amplitude"))
     pitch = seen.most[1].piece.path.pixel_pitch
     px = f" ({_n(size / pitch, 2)} px)" if pitch else ""
     return f"{_swing(seen)}; everything in the picture would move by ± {_length(size)}{px}"
 
 
-def _texture(seen: Seen) -> str:
+def _texture(seen: FittedEffect) -> str:
     period = seen.value("period")
     return f"a period of {_length(period)}: one mark every {_length(period)} of the course"
 
 
-def _patch(seen: Seen) -> str:
+def _patch(seen: FittedEffect) -> str:
     middle, width = seen.value("x_c"), seen.value("w")
     past = seen.passes(middle)
     return f"from x = {middle - 2 * width:.3f} to {middle + 2 * width:.3f} m, the middle passed by {past or 'no run'}"
 
 
-def _blow(seen: Seen) -> str:
+def _blow(seen: FittedEffect) -> str:
     mass = seen.most[1].piece.mass
     lost = abs(seen.value("J")) / mass
     when = 1e3 * seen.value("time")
@@ -195,83 +195,83 @@ def _blow(seen: Seen) -> str:
     )
 
 
-def _lost(seen: Seen) -> str:
+def _lost(seen: FittedEffect) -> str:
     return f"in run {seen.run} {_n(1e3 * seen.value('time'))} ms after release, {_n(seen.value('frames'), 2)} frames"
 
 
-def _drag(seen: Seen) -> str:
+def _drag(seen: FittedEffect) -> str:
     return f"{_n(seen.value('c'))} N at 1 m/s, four times that at 2 m/s"
 
 
-def _spring(seen: Seen) -> str:
+def _spring(seen: FittedEffect) -> str:
     return f"{_n(seen.value('k'))} N more for every metre toward +x"
 
 
-def _thermal(seen: Seen) -> str:
+def _thermal(seen: FittedEffect) -> str:
     way = "less" if seen.value("dF") > 0 else "more"
     return (
         f"{_n(abs(seen.value('dF')))} N {way} in the end, two thirds of it within {_length(seen.value('length'))} slid"
     )
 
 
-def _drift(seen: Seen) -> str:
+def _drift(seen: FittedEffect) -> str:
     longest, end = seen.end()
     name = seen.solution.problem.layout.run_names[longest.piece.run]
     return f"{_n(seen.value('k') * end)} N by the end of run {name}, {_n(1e3 * end)} ms after release"
 
 
-def _slope(seen: Seen) -> str:
+def _slope(seen: FittedEffect) -> str:
     piece = seen.solution.problem.pieces[0]
     lean = seen.value("F") / (piece.mass / piece.path.mass_ratio * GRAVITY)
     return f"as a course that rises by {_n(1e3 * lean)} mm in a metre toward +x ({_n(DEGREE * lean)} degrees)"
 
 
-def _asymmetry(seen: Seen) -> str:
+def _asymmetry(seen: FittedEffect) -> str:
     return (
         f"{_n(2 * seen.value('dF'))} N between the two directions at the reference load, and "
         f"{_n(2 * seen.value('dF_v'))} N more for every m/s"
     )
 
 
-def _lens(seen: Seen) -> str:
+def _lens(seen: FittedEffect) -> str:
     return f"no error at x = {seen.value('x_c'):.3f} m, growing with the cube of the way from there"
 
 
-def _locking(seen: Seen) -> str:
+def _locking(seen: FittedEffect) -> str:
     return f"± {_n(abs(seen.value('amplitude')), 2)} px, once in every pixel"
 
 
-def _clock(seen: Seen) -> str:
+def _clock(seen: FittedEffect) -> str:
     _, end = seen.end()
     return f"the frame rate would change by {_n(100 * seen.value('k') * end, 2)} % in the longest run"
 
 
-def _rate(seen: Seen) -> str:
+def _rate(seen: FittedEffect) -> str:
     factor = float(np.exp(seen.value("rate")))
     return f"in run {seen.run}, whose true times would be its recorded ones times {_n(factor, 4)}"
 
 
-def _late(seen: Seen) -> str:
+def _late(seen: FittedEffect) -> str:
     tau = seen.value("tau")
     speed = float(np.median(np.abs(place(seen.most[1])[1])))
     return f"{_n(1e3 * tau)} ms late, {_length(tau * speed)} at {_n(speed, 2)} m/s"
 
 
-def _turned(seen: Seen) -> str:
+def _turned(seen: FittedEffect) -> str:
     along, across = seen.value("along"), seen.value("across")
     return f"the followed point would lie {_length(along)} along and {_length(across)} above the centre of mass"
 
 
-def _driven(seen: Seen) -> str:
+def _driven(seen: FittedEffect) -> str:
     return f"the true drive would be {_n(100 * seen.value('e'))} % larger, {_n(1e3 * seen.value('tau'))} ms late"
 
 
-def _hysteresis(seen: Seen) -> str:
+def _hysteresis(seen: FittedEffect) -> str:
     length = 1.0 / seen.value("gamma")
     return f"{_n(seen.value('alpha'))} N/m for small swings, yielding within {_length(length)}"
 
 
-OWN: dict[str, Callable[[Seen], str]] = {
+DESCRIPTIONS: dict[str, Callable[[FittedEffect], str]] = {
     "vibration": _vibration,
     "decaying_vibration": _ringing,
     "beam_vibration": _beam,

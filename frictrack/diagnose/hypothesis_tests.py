@@ -20,11 +20,11 @@ from frictrack.records import Array
 from frictrack.threads import side_by_side
 
 ALPHA = 0.01  # half for lack of fit, half for candidates
-COMMON = 0.99  # quantile of its own null at which every candidate is put on the common scale
+COMMON_SCALE_QUANTILE = 0.99  # quantile of its own null at which every candidate is put on the common scale
 
 
 @dataclass(frozen=True)
-class Scanned:
+class ScannedCandidate:
     """One candidate effect scanned over data and draws: its statistic above its own null quantile, (D,)."""
 
     effect: Effect
@@ -39,16 +39,16 @@ class Scanned:
 
 
 @dataclass(frozen=True)
-class Tests:
+class SearchTests:
     """Lack of fit and every candidate, calibrated for the whole search."""
 
     p_lack_of_fit: float
-    scanned: list[Scanned]
+    scanned: list[ScannedCandidate]
     p: dict[str, float]
     critical: float  # excess that one search in 1/ALPHA * 2 exceeds by chance
 
 
-def candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
+def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:
     """Every effect that could enter the model, under the name it would have there; and by name why another cannot.
 
     `own` are effects beside the library's, or some of these as a study sets them. One that takes the place of others,
@@ -99,13 +99,13 @@ def _may_repeat(effect: Effect) -> bool:
     return (own or places) and any(p.scan is not None and p.free for p in effect.parameters)
 
 
-def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> Tests:
+def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> SearchTests:
     """Test the fitted model for lack of fit and for every effect of the library."""
     made = side_by_side(lambda e: _scan(solution, draws, e), library)
     scanned = [s for s in made if s is not None]
     tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
     p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}
-    return Tests(
+    return SearchTests(
         p_lack_of_fit=lack_of_fit(draws),
         scanned=scanned,
         p=p,
@@ -113,7 +113,7 @@ def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) ->
     )
 
 
-def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> Scanned | None:
+def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> ScannedCandidate | None:
     made = families(draws.law, known(solution, effect))
     if not made:
         return None
@@ -124,8 +124,8 @@ def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> Scanned | None
         statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)
     else:
         statistic = tops[0]
-    quantile = float(np.quantile(statistic[1:], COMMON))
-    return Scanned(effect, scans, statistic, quantile)
+    quantile = float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE))
+    return ScannedCandidate(effect, scans, statistic, quantile)
 
 
 def _p_value(null: Array, value: float) -> float:

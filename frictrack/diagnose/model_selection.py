@@ -9,12 +9,14 @@ import numpy as np
 from frictrack.fit.least_squares import Problem, Solution, refine
 from frictrack.fit.parameters import Layout, restraint
 
-SAME = 10.0  # expected chi-squared difference below which two causes cannot be told apart
-EVEN = 2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
-NEAR = 40.0  # measured difference beyond which the expected one is not worth computing
+MIN_CHI2_SEPARATED = 10.0  # expected chi-squared difference below which two causes cannot be told apart
+MAX_BIC_BARE_MENTION = (
+    2.0  # difference of the criterion that is worth no more than a bare mention (Kass & Raftery 1995)
+)
+MAX_CHI2_NEAR = 40.0  # measured difference beyond which the expected one is not worth computing
 
 
-def separation(best: Solution, rival: Solution) -> float:
+def expected_separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
     ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
@@ -25,7 +27,7 @@ def separation(best: Solution, rival: Solution) -> float:
     return fitted.objective - float(held @ held)
 
 
-def information(solution: Solution) -> float:
+def information_criterion(solution: Solution) -> float:
     """Bayesian information criterion with the levels integrated out (Schwarz 1978); smaller is better.
 
     The likelihood is not the restricted one: laws of other fixed effects could not be compared by that.
@@ -35,9 +37,9 @@ def information(solution: Solution) -> float:
     if solution.basis.random:
         levels = solution.jac[:, layout.levels]
         spread = float(np.linalg.slogdet(np.eye(levels.shape[1]) + solution.tau**2 * (levels.T @ levels))[1])
-    return solution.objective + spread + price(layout, solution.problem)
+    return solution.objective + spread + parameter_penalty(layout, solution.problem)
 
 
-def price(layout: Layout, problem: Problem) -> float:
+def parameter_penalty(layout: Layout, problem: Problem) -> float:
     """What the unknowns of a law cost, its levels apart."""
     return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))

@@ -19,8 +19,8 @@ from frictrack.fit.segments import Piece, Rows
 from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
 from frictrack.records import Array, Mask
 
-DRAWS = 999
-TAUS = np.geomspace(2e-4, 0.32, 13)
+N_DRAWS = 999
+TAU_GRID = np.geomspace(2e-4, 0.32, 13)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Ensemble:
         return out
 
 
-def ensemble(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Ensemble:
+def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Ensemble:
     """Draws of the null hypothesis that the fitted model is the whole truth."""
     law = beside(solution)
     seen, basis = law.solution, law.basis
@@ -58,7 +58,7 @@ def ensemble(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -
         scatter = seen.tau * rng.standard_normal((len(levels), draws))
         data[:, 1:] += (seen.jac[:, levels] @ scatter).astype(np.float32)
     own = law.coordinates(data)
-    taus = np.append(TAUS, seen.tau) if basis.random else np.array([1.0])
+    taus = np.append(TAU_GRID, seen.tau) if basis.random else np.array([1.0])
     on_basis = law.turned.T @ own
     profile = np.stack([basis.misfit(on_basis, np.zeros(1 + draws), tau) + basis.logdet(tau) for tau in taus])
     best = np.argmin(profile, axis=0)
@@ -90,16 +90,18 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             piece = law.strips[i].response.piece
             if piece.locked and piece.path.pixel_pitch:
                 e *= np.float32(np.sqrt(1 - piece.locked))
-                e += locked(piece.y / piece.path.pixel_pitch, e.shape[1], rng) * np.float32(np.sqrt(piece.locked))
+                e += peak_locking_errors(piece.y / piece.path.pixel_pitch, e.shape[1], rng) * np.float32(
+                    np.sqrt(piece.locked)
+                )
             if piece.step:
                 share = min(piece.step**2 / 12.0 / float(np.mean(piece.sigma**2)), 1.0)
                 e *= np.float32(np.sqrt(1 - share))
-                e += _whitened(piece, rounding(law.strips[i].response.model_y, piece.step, e.shape[1], rng))
+                e += _whitened(piece, rounding_errors(law.strips[i].response.model_y, piece.step, e.shape[1], rng))
             if piece.systematic:
                 e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
             if piece.shake:
                 frequency, rms = piece.shake
-                e += _whitened(piece, rms * tones(piece.t * frequency, e.shape[1], rng))
+                e += _whitened(piece, rms * random_tones(piece.t * frequency, e.shape[1], rng))
             q = law.strips[i].response.q.astype(np.float32)
             e -= q @ (q.T @ e)
 
@@ -116,15 +118,15 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
     return errors
 
 
-def locked(place: Array, draws: int, rng: np.random.Generator) -> Short:
+def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> Short:
     """Errors (n, D) of rms one on the average that repeat from pixel to pixel, at places (n,) in px.
 
     Where the target goes a whole number of pixels per frame, or stops, they change slowly.
     """
-    return (tones(place, draws, rng) + tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
+    return (random_tones(place, draws, rng) + random_tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
 
 
-def rounding(place: Array, step: float, draws: int, rng: np.random.Generator) -> Short:
+def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Generator) -> Short:
     """Errors (n, D) in m of places (n,) that are rounded to multiples of a step, their origin at random.
 
     While a mass is slower than a step per frame they are alike from frame to frame: no white noise (Widrow & Kollar
@@ -135,7 +137,7 @@ def rounding(place: Array, step: float, draws: int, rng: np.random.Generator) ->
     return errors
 
 
-def tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:
+def random_tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:
     """Tones (n, D) of rms one on the average and any phase, at so many `turns` (n,)."""
     waves = np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1).astype(np.float32)
     return waves @ rng.standard_normal((2, draws), dtype=np.float32)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
-from frictrack.diagnose.model_selection import EVEN, information, price
-from frictrack.diagnose.rounds import Round, Tried
+from frictrack.diagnose.model_selection import MAX_BIC_BARE_MENTION, information_criterion, parameter_penalty
+from frictrack.diagnose.rounds import RefinedCandidate, Round
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
@@ -22,18 +22,18 @@ def is_smooth(effect: Effect) -> bool:
     return plain and effect.acts_on == "force" and not effect.modifies and not effect.memory
 
 
-def simplest(near: Sequence[Tried]) -> Tried:
+def simplest_candidate(near: Sequence[RefinedCandidate]) -> RefinedCandidate:
     """The candidate with the fewest non-linear parameters among those whose evidence equals that of the first.
 
     Differences of the criterion count in units of the dispersion of the best law: while much remains unexplained, a
     flexible effect gains by imitating it.
     """
     best = near[0]
-    even = [t for t in near if best.delta_bic - t.delta_bic < EVEN * dispersion(best.law)]
+    even = [t for t in near if best.delta_bic - t.delta_bic < MAX_BIC_BARE_MENTION * dispersion(best.law)]
     return min(even, key=lambda t: sum(p.free for p in t.effect.nonlinear))
 
 
-def first_of_pair(last: Round, best: Tried) -> Tried | None:
+def stronger_of_smooth_pair(last: Round, best: RefinedCandidate) -> RefinedCandidate | None:
     """The stronger of two smooth effects that together explain as much as one flexible one; None where none do.
 
     It is asked only while the law misses much: a flexible effect then imitates the sum of plain ones.
@@ -47,18 +47,20 @@ def first_of_pair(last: Round, best: Tried) -> Tried | None:
     pairs = {both: tried_together(law, both) for both in combinations(smooth, 2)}
     if not pairs:
         return None
-    both, trial = min(pairs.items(), key=lambda item: item[1].misfit + price(item[1].layout, last.solution.problem))
+    both, trial = min(
+        pairs.items(), key=lambda item: item[1].misfit + parameter_penalty(item[1].layout, last.solution.problem)
+    )
     try:
         found = simulated(law, trial)
     except FrictrackError:
         return None
-    if information(found) > information(best.law) + EVEN * dispersion(best.law):
+    if information_criterion(found) > information_criterion(best.law) + MAX_BIC_BARE_MENTION * dispersion(best.law):
         return None
     stronger = min(both, key=lambda e: alone[e.name].misfit)
     return _member(last, stronger, alone[stronger.name], best.p)
 
 
-def _member(last: Round, effect: Effect, trial: Trial, p: float) -> Tried | None:
+def _member(last: Round, effect: Effect, trial: Trial, p: float) -> RefinedCandidate | None:
     """One effect of a pair as a candidate; the pair as a whole has passed with `p`."""
     there = next((t for t in last.tried if t.effect.name == effect.name and t.solution is not None), None)
     if there is not None:
@@ -67,11 +69,11 @@ def _member(last: Round, effect: Effect, trial: Trial, p: float) -> Tried | None
         law = simulated(last.draws.law, trial)
     except FrictrackError:
         return None
-    gain = information(last.solution) - information(law)
-    return Tried(effect, law, gain, p, along=(last.draws.law, trial))
+    gain = information_criterion(last.solution) - information_criterion(law)
+    return RefinedCandidate(effect, law, gain, p, along=(last.draws.law, trial))
 
 
-def explained_alone(last: Round, tried: Sequence[Tried]) -> dict[str, float]:
+def explained_shares(last: Round, tried: Sequence[RefinedCandidate]) -> dict[str, float]:
     """Share of the misfit beyond the noise that every candidate explains by itself, by name."""
     misfit = bare(last.draws.law)
     excess = max(misfit - last.solution.problem.n_frames, 1e-300)
@@ -82,7 +84,7 @@ def explained_alone(last: Round, tried: Sequence[Tried]) -> dict[str, float]:
     return out
 
 
-def nested(found: Sequence[Tried]) -> list[Solution | None]:
+def nested_models(found: Sequence[RefinedCandidate]) -> list[Solution | None]:
     """The laws with the first effect found, the first two, and so on; None where one cannot be followed."""
     if not found:
         return []

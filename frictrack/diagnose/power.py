@@ -13,16 +13,24 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
-from frictrack.diagnose.hypothesis_tests import Scanned
+from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.rounds import Round
 from frictrack.fit import Fit
 from frictrack.fit.linearised import Strip
 from frictrack.records import Array
 
-BASIC = ("stribeck", "viscous", "drag", "texture", "vibration")  # effects that a complete law must be able to exclude
-SHARE = 0.10  # of the mean friction: rms size at which they must be seen
-HOPELESS = 5.0  # times less noise that a laboratory can still be asked for: beyond, another kind of run is needed
-GIVEN = ("fixed", "tied")  # reasons for which a parameter has no deviation though nothing is wrong with it
+BASIC_EFFECTS = (
+    "stribeck",
+    "viscous",
+    "drag",
+    "texture",
+    "vibration",
+)  # effects that a complete law must be able to exclude
+MIN_DETECTABLE_SHARE = 0.10  # of the mean friction: rms size at which they must be seen
+MAX_NOISE_FACTOR = (
+    5.0  # times less noise that a laboratory can still be asked for: beyond, another kind of run is needed
+)
+NOT_ESTIMATED = ("fixed", "tied")  # reasons for which a parameter has no deviation though nothing is wrong with it
 
 
 @dataclass(frozen=True)
@@ -41,19 +49,19 @@ class Undetermined:
     uncertainty: float | None = None
 
     def summary(self) -> dict[str, Any]:
-        """Entry of the JSON `undetermined`."""
+        """Entry of the JSON `find_undetermined`."""
         return {"what": self.what, "why": self.why, "settled_by": self.settled_by, "limit_over_friction": self.limit}
 
 
-def undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
+def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, Array]]) -> list[Undetermined]:
     """List what the runs of a fit leave open; `curves` hold the detection limits over all settings, by effect."""
     friction = mean_friction(first)
     found = [*_parameters(fit), *_vague(fit, first, friction)]
     for scanned in first.tests.scanned:
         name = scanned.effect.name
-        if scanned.effect.kind in BASIC and name == scanned.effect.kind and len(scanned.scans) == 1:
-            limit = size_of_limit(first, scanned, curves[name]["limit"]) / friction
-            if not limit <= SHARE:
+        if scanned.effect.kind in BASIC_EFFECTS and name == scanned.effect.kind and len(scanned.scans) == 1:
+            limit = limit_as_force(first, scanned, curves[name]["limit"]) / friction
+            if not limit <= MIN_DETECTABLE_SHARE:
                 found.append(_unseen(name, limit, scanned.effect.confirm))
     return found
 
@@ -66,7 +74,7 @@ def mean_friction(first: Round) -> float:
     return max(float(np.mean(np.concatenate(forces))), 1e-300)
 
 
-def size_of_limit(first: Round, scanned: Scanned, limits: Array) -> float:
+def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> float:
     """Smallest force that would have been seen, N rms, at the middle setting of an effect's scan.
 
     The middle is that of the logarithm of every scanned parameter: a line at a tenth of the highest frequency.
@@ -102,7 +110,7 @@ def _parameters(fit: Fit) -> Sequence[Undetermined]:
     sized = _sized(fit)
     for address, found in fit.parameters.items():
         shared = "[" not in address and address.split(".")[0] not in sized
-        if shared and found.value is None and found.reason and not found.reason.startswith(GIVEN):
+        if shared and found.value is None and found.reason and not found.reason.startswith(NOT_ESTIMATED):
             groups.setdefault(found.reason, []).append(address)
     return [Undetermined(" and ".join(names), *_split(reason)) for reason, names in groups.items()]
 
@@ -119,13 +127,13 @@ def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
     for effect in first.solution.problem.model.effects:
         for k, p in enumerate(effect.linear):
             found = fit.parameters.get(f"{effect.name}.{p.name}")
-            if effect.kind not in (*BASIC, "coulomb") or p.per_run or found is None or not found.std:
+            if effect.kind not in (*BASIC_EFFECTS, "coulomb") or p.per_run or found is None or not found.std:
                 continue
             columns = [
                 s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.strips
             ]
             share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
-            if share > SHARE:
+            if share > MIN_DETECTABLE_SHARE:
                 why = f"its standard deviation, {found.std:.2g} {p.unit}, is {100 * share:.0f} % of the mean friction"
                 yield Undetermined(f"{effect.name}.{p.name}", why, effect.confirm, uncertainty=share)
 
@@ -139,7 +147,7 @@ def _split(reason: str) -> tuple[str, str]:
 def _unseen(name: str, limit: float, confirm: str) -> Undetermined:
     if not np.isfinite(limit):
         return Undetermined(name, "the fitted law takes it up whatever its size", confirm)
-    times = limit / SHARE
+    times = limit / MIN_DETECTABLE_SHARE
     why = f"only from {100 * limit:.2g} % of the mean friction on would it have been seen"
     how = f"noise lower by a factor of {times:.2g}, or {int(np.ceil(times**2))} times as many runs"
-    return Undetermined(name, why, how if times < HOPELESS else confirm, limit)
+    return Undetermined(name, why, how if times < MAX_NOISE_FACTOR else confirm, limit)

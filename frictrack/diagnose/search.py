@@ -10,20 +10,27 @@ import numpy as np
 
 from frictrack.compare import failing_spans
 from frictrack.diagnose.admissible import objection
-from frictrack.diagnose.auxiliary_signals import Beside, Evidence, Known, curves_of, evidence, sensed
+from frictrack.diagnose.auxiliary_signals import (
+    AuxiliarySignals,
+    Evidence,
+    KnownFindings,
+    assess_accelerometer,
+    assess_auxiliary_signals,
+    evidence_curves,
+)
 from frictrack.diagnose.detection_limits import detection_limit
-from frictrack.diagnose.effect_description import words
-from frictrack.diagnose.experiments import for_unexplained, settling
+from frictrack.diagnose.effect_description import describe_effect
+from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.hypothesis_tests import ALPHA
-from frictrack.diagnose.model_selection import NEAR
-from frictrack.diagnose.parsimony import explained_alone, first_of_pair, nested, simplest
-from frictrack.diagnose.power import Undetermined, undetermined
-from frictrack.diagnose.repeatability import where_it_fails
-from frictrack.diagnose.rounds import Round, Tried, finished, one_round, reviewed, rivals
-from frictrack.diagnose.simpler_model import plainer
-from frictrack.diagnose.subsampling import sampled, thinned
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR
+from frictrack.diagnose.parsimony import explained_shares, nested_models, simplest_candidate, stronger_of_smooth_pair
+from frictrack.diagnose.power import Undetermined, find_undetermined
+from frictrack.diagnose.repeatability import find_failure_pattern
+from frictrack.diagnose.rounds import RefinedCandidate, Round, find_rivals, refine_fully, review_found, run_round
+from frictrack.diagnose.simpler_model import find_simpler_model
+from frictrack.diagnose.subsampling import subsample_frames, subsample_pieces
 from frictrack.diagnose.unexplained import unexplained_force
-from frictrack.diagnose.unsegmented import uncut
+from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
@@ -35,12 +42,17 @@ from frictrack.fit.uncertainty import Estimates, estimates, linear_estimates
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-MOST_EFFECTS = 4  # effects looked for one after the other
-MOST_ROUNDS = 6  # of adding and looking again
-WORTH_LISTING, MAX_OTHERS = 0.01, 6  # share of the misfit, and number, of further effects in the table of importance
-WORTH_ADDING = 0.99  # times the held-out error before, that an effect must reach for the list to go on past it
-DECISIVE = 0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
-LISTED = 3  # candidates whose held-out error and rivals are computed
+MAX_EFFECTS = 4  # effects looked for one after the other
+MAX_ROUNDS = 6  # of adding and looking again
+MIN_SHARE_LISTED, MAX_OTHERS_LISTED = (
+    0.01,
+    6,
+)  # share of the misfit, and number, of further effects in the table of importance
+MAX_ERROR_RATIO_ADDED = 0.99  # times the held-out error before, that an effect must reach for the list to go on past it
+MAX_ERROR_RATIO_DECISIVE = (
+    0.9  # times the held-out error before: what an effect must reach beside a law that is not determined
+)
+N_CANDIDATES_HELD_OUT = 3  # candidates whose held-out error and rivals are computed
 
 Progress = Callable[[int, int, str], None]
 
@@ -50,7 +62,7 @@ def diagnose(
     fit: Fit,
     *,
     own: Sequence[Effect] = (),
-    beside: Beside | None = None,
+    beside: AuxiliarySignals | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -64,21 +76,21 @@ def diagnose(
     tell = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    whole = uncut(fit)
+    whole = join_segments(fit)
     if whole is not None:
-        whole, coarse = thinned(whole)
+        whole, coarse = subsample_frames(whole)
         found = _search(fit, whole, (own, beside), (np.random.default_rng(seed), tell))
-        said = None if found.last.leaves_misfit else _concluded(fit, found, beside, tell)
+        said = None if found.last.leaves_misfit else _finish(fit, found, beside, tell)
         if said is not None and said.verdict != "unexplained":
-            tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
+            tell(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else settled(fit.solution)
-    start, left_out = (measured_friction.weighed(start)[0], "") if fit.measured else sampled(start)
-    start, coarse = (start, "") if fit.measured else thinned(start)
+    start, left_out = (measured_friction.weighed(start)[0], "") if fit.measured else subsample_pieces(start)
+    start, coarse = (start, "") if fit.measured else subsample_frames(start)
     found = _search(fit, start, (own, beside), (np.random.default_rng(seed), tell))
-    said = _concluded(fit, found, beside, tell)
-    tell(MOST_ROUNDS, MOST_ROUNDS, "diagnosed")
+    said = _finish(fit, found, beside, tell)
+    tell(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
     return replace(said, remarks=[*said.remarks, *filter(None, [left_out, coarse])])
 
 
@@ -89,49 +101,49 @@ class _Search:
     start: Solution
     first: Round
     last: Round
-    found: list[Tried]
+    found: list[RefinedCandidate]
     again: list[np.random.Generator]
 
 
 def _search(
     fit: Fit,
     start: Solution,
-    known: tuple[Sequence[Effect], Beside | None],
+    known: tuple[Sequence[Effect], AuxiliarySignals | None],
     how: tuple[np.random.Generator, Progress],
 ) -> _Search:
     """Search from one law; `known` holds own effects and what else was seen, `how` what draws and who is informed."""
     (own, beside), (rng, tell) = known, how
     again = rng.spawn(2)
-    felt = None if fit.measured else sensed(start, fit.runs, beside or {})
-    first = last = one_round(start, own, rng, lambda what: tell(0, MOST_ROUNDS, what))
-    found: list[Tried] = []
-    for done in range(1, MOST_ROUNDS + 1):
+    felt = None if fit.measured else assess_accelerometer(start, fit.runs, beside or {})
+    first = last = run_round(start, own, rng, lambda what: tell(0, MAX_ROUNDS, what))
+    found: list[RefinedCandidate] = []
+    for done in range(1, MAX_ROUNDS + 1):
 
         def told(what: str, done: int = done) -> None:
-            tell(done, MOST_ROUNDS, what)
+            tell(done, MAX_ROUNDS, what)
 
-        if last.passing and len(found) < MOST_EFFECTS:
-            best = finished(_preferred(last, felt))
-            found.append(replace(best, indistinguishable_from=rivals(best, _possible(last.tried, felt))))
+        if last.passing and len(found) < MAX_EFFECTS:
+            best = refine_fully(_preferred(last, felt))
+            found.append(replace(best, indistinguishable_from=find_rivals(best, _possible(last.tried, felt))))
         elif fit.measured:
             break
         else:
             before = [t.effect.name for t in found]
-            found = reviewed(start, found, own, told)
+            found = review_found(start, found, own, told)
             if [t.effect.name for t in found] == before:
                 break
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = one_round(measured_friction.weighed(law)[0] if fit.measured else law, own, rng, told)
+        last = run_round(measured_friction.weighed(law)[0] if fit.measured else law, own, rng, told)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return _Search(start, first, last, found, again)
 
 
-def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress) -> Diagnosis:
+def _finish(fit: Fit, search: _Search, beside: AuxiliarySignals | None, tell: Progress) -> Diagnosis:
     """The verdict of a search, and where it fails."""
 
     def progress(what: str) -> None:
-        tell(MOST_ROUNDS, MOST_ROUNDS, what)
+        tell(MAX_ROUNDS, MAX_ROUNDS, what)
 
     progress("weighing what was found")
     start, first, last, found, again = search.start, search.first, search.last, search.found, search.again
@@ -139,20 +151,22 @@ def _concluded(fit: Fit, search: _Search, beside: Beside | None, tell: Progress)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
     progress("looking at where the law fails")
-    known = Known(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else Known()
-    seen = [] if fit.measured else evidence(start, fit.runs, again[0], beside, known)
-    where = where_it_fails(start, again[1])
-    figures = concluded.figures | where.figures | curves_of(seen)
+    known = (
+        KnownFindings(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else KnownFindings()
+    )
+    seen = [] if fit.measured else assess_auxiliary_signals(start, fit.runs, again[0], beside, known)
+    where = find_failure_pattern(start, again[1])
+    figures = concluded.figures | where.figures | evidence_curves(seen)
     concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
     if found and not fit.measured and not last.leaves_misfit:
-        concluded = _against_formulas(concluded, start, last.solution)
+        concluded = _compare_with_formulas(concluded, start, last.solution)
     progress("planning the next experiment")
     return replace(concluded, next_experiment=_next(concluded, first, last, found, progress))
 
 
-def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
+def _compare_with_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
     """The verdict after a look at forces of one variable, where effects were found that may only imitate one."""
-    plain = plainer(start, law, concluded.repeats)
+    plain = find_simpler_model(start, law, concluded.repeats)
     if plain is None or (concluded.verdict == "unexplained" and not plain["decisive"]):
         return concluded
     if not plain["decisive"]:
@@ -161,24 +175,24 @@ def _against_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> D
     return replace(concluded, verdict="unexplained", missing=[], unexplained=plain, repeats=along)
 
 
-def _possible(tried: Sequence[Tried], felt: Evidence | None) -> list[Tried]:
+def _possible(tried: Sequence[RefinedCandidate], felt: Evidence | None) -> list[RefinedCandidate]:
     """What an accelerometer leaves possible: it tells a mass that moves from a picture that does."""
     return [t for t in tried if felt is None or t.effect.acts_on == felt.acts_on]
 
 
-def _preferred(last: Round, felt: Evidence | None) -> Tried:
+def _preferred(last: Round, felt: Evidence | None) -> RefinedCandidate:
     """The simplest of the best of what passes; what an accelerometer feels goes first where it explains nearly as well.
 
     While much is missing, one of two plain effects goes before a flexible one that imitates their sum.
     """
     passing = last.passing
-    near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < NEAR]
-    best = simplest(near or passing)
-    return first_of_pair(last, best) or best
+    near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < MAX_CHI2_NEAR]
+    best = simplest_candidate(near or passing)
+    return stronger_of_smooth_pair(last, best) or best
 
 
-def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagnosis:
-    hold = _Held(first.solution)
+def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]) -> Diagnosis:
+    hold = _HeldOutErrors(first.solution)
     listed = _listed(first, found, hold)
     clean = not first.leaves_misfit and not first.passing
     if clean:
@@ -189,7 +203,7 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[Tried]) -> Diagno
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
     noise, misfit = _noise(fit)
-    gaps = undetermined(fit, first, curves)
+    gaps = find_undetermined(fit, first, curves)
     vague = misfit < 1 or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], gaps))
     if gaps and (clean or vague):
         verdict, found = "undetermined", []
@@ -216,29 +230,31 @@ def _is_decisive(best: Candidate, gaps: Sequence[Undetermined]) -> bool:
     """Whether an effect is worth naming although the law itself is not determined: the held-out error falls clearly."""
     if all(gap.uncertainty is None for gap in gaps) or best.heldout_after is None or best.heldout_before is None:
         return True
-    return best.heldout_after < DECISIVE * best.heldout_before
+    return best.heldout_after < MAX_ERROR_RATIO_DECISIVE * best.heldout_before
 
 
-def _importance(first: Round, found: Sequence[Tried], listed: Sequence[Candidate], hold: _Held) -> list[Importance]:
+def _importance(
+    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], hold: _HeldOutErrors
+) -> list[Importance]:
     """What every effect that was added, and the plausible others that passed, explain of the misfit."""
-    alone = explained_alone(first, first.tried)
+    alone = explained_shares(first, first.tried)
     unit = "um" if first.solution.problem.simulates else "N"
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
     out: list[Importance] = []
     chi2, error = first.solution.chi2, None
-    for t, law in zip(found, nested(found), strict=True):
+    for t, law in zip(found, nested_models(found), strict=True):
         share = held = None
         if law is not None:
             before, held, _ = hold(law)
             share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
-            worth = held < WORTH_ADDING * (before if error is None else error)
+            worth = held < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
             out, error = (_stopped(out) if worth else out), held
         out.append(
             Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=held is not None and worth)
         )
     names = {t.effect.name for t in found}
     others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
-    shown = [name for name in others if alone.get(name, 0.0) > WORTH_LISTING][:MAX_OTHERS]
+    shown = [name for name in others if alone.get(name, 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
     return out + [Importance(name, alone[name], None, None, unit) for name in shown]
 
 
@@ -257,10 +273,14 @@ def _noise(fit: Fit) -> tuple[float, float]:
     return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
 
-def _listed(first: Round, found: list[Tried], hold: _Held) -> list[Candidate]:
+def _listed(first: Round, found: list[RefinedCandidate], hold: _HeldOutErrors) -> list[Candidate]:
     """Every candidate with its evidence: those found first, then the others of the first round, best first."""
     chosen = {t.effect.name: t for t in found}
-    alike = {t.effect.name: rivals(t, first.tried) for t in first.passing[:LISTED] if t.effect.name not in chosen}
+    alike = {
+        t.effect.name: find_rivals(t, first.tried)
+        for t in first.passing[:N_CANDIDATES_HELD_OUT]
+        if t.effect.name not in chosen
+    }
     there = {t.effect.name: t for t in first.tried if t.solution is not None}
     out = []
     for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
@@ -269,30 +289,30 @@ def _listed(first: Round, found: list[Tried], hold: _Held) -> list[Candidate]:
         own = chosen.get(name, t)
         others = own.indistinguishable_from or alike.get(name, ())
         shown = replace(shown, indistinguishable_from=others, objection=own.objection)
-        out.append(_candidate(shown, hold if t.p < ALPHA / 2 and k < LISTED else None))
+        out.append(_candidate(shown, hold if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None))
     return out
 
 
 def _next(
-    concluded: Diagnosis, first: Round, last: Round, found: list[Tried], told: Callable[[str], None]
+    concluded: Diagnosis, first: Round, last: Round, found: list[RefinedCandidate], told: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """What to film or measure next, where something is unexplained, or candidates are not told apart well enough."""
     if concluded.verdict == "unexplained":
-        return for_unexplained(last.solution if concluded.missing or not found else first.solution, told)
+        return plan_for_unexplained(last.solution if concluded.missing or not found else first.solution, told)
     best = [t.effect.name for t in found[:1]]
     order = sorted(first.passing, key=lambda t: t.effect.name not in best)
     passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
-    return settling(first.solution, passing, found[0].indistinguishable_from if best else (), told)
+    return plan_for_candidates(first.solution, passing, found[0].indistinguishable_from if best else (), told)
 
 
-def _fails_at(fit: Fit, found: list[Tried]) -> list[dict[str, Any]]:
+def _fails_at(fit: Fit, found: list[RefinedCandidate]) -> list[dict[str, Any]]:
     """Where the model fails: where the missing force acts, or, if none is known, where the residual stands out."""
     if found and found[0].effect.acts_on == "force":
         return failing_spans(found[0].law, fit.runs, found[0].effect.name)
     return failing_spans(fit.solution, fit.runs)
 
 
-class _Held:
+class _HeldOutErrors:
     """Held-out errors beside those of the bare law, which are computed once for each way to hold out."""
 
     def __init__(self, bare: Solution) -> None:
@@ -308,7 +328,7 @@ class _Held:
         return self._known[how], after, how
 
 
-def _candidate(tried: Tried, hold: _Held | None) -> Candidate:
+def _candidate(tried: RefinedCandidate, hold: _HeldOutErrors | None) -> Candidate:
     effect, solution = tried.effect, tried.solution
     before = after = how = None
     parameters: dict[str, Any] = {}
@@ -332,7 +352,7 @@ def _candidate(tried: Tried, hold: _Held | None) -> Candidate:
         heldout=how,
         indistinguishable_from=tried.indistinguishable_from,
         implausible=tried.objection,
-        words=words(effect, None if measured else solution),
+        words=describe_effect(effect, None if measured else solution),
         unit="N" if measured else "um",
     )
 

@@ -12,23 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.compressed import reduced
-from frictrack.diagnose.formulas import EQUAL, LETTERS, SHAPES
-from frictrack.diagnose.model_selection import SAME, information
-from frictrack.diagnose.repeatability import Repeats
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
+from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
 from frictrack.words import AXES
 
 
-def plainer(start: Solution, found: Solution, repeats: Repeats) -> dict[str, Any] | None:
+def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability) -> dict[str, Any] | None:
     """A plain force that explains as much as the effects found beyond the law of `start`, or None.
 
     As `unexplained_force`, with `words`, and `decisive` where it explains more, its search paid for.
     """
-    worth = information(start) - information(found)
-    if not _asked(start, found, repeats, worth):
+    worth = information_criterion(start) - information_criterion(found)
+    if not _is_worth_searching(start, found, repeats, worth):
         return None
     told = unexplained_force(start)
     if not told["formulas"]:
@@ -36,24 +36,24 @@ def plainer(start: Solution, found: Solution, repeats: Repeats) -> dict[str, Any
     first = told["formulas"][0]
     ahead = first["delta_bic"] - worth
     added = len(found.problem.layout.slots) - len(start.problem.layout.slots)
-    if ahead < -EQUAL or first["unknowns"] >= added:
+    if ahead < -MAX_DELTA_BIC_EQUAL or first["unknowns"] >= added:
         return None
-    decisive = ahead > SAME + _sought(told["axes"])
+    decisive = ahead > MIN_CHI2_SEPARATED + _search_penalty(told["axes"])
     return told | {"decisive": decisive, "words": _words(first, added, decisive=decisive)}
 
 
-def _asked(start: Solution, found: Solution, repeats: Repeats, worth: float) -> bool:
+def _is_worth_searching(start: Solution, found: Solution, repeats: Repeatability, worth: float) -> bool:
     """Whether a formula is worth a search."""
     own = {s.effect for s in found.problem.layout.slots if s.run is not None}
     several = len({p.run for p in start.problem.pieces}) > 1
     imitated = several and any(name in own for name in found.problem.model.names if name not in start.problem.model)
     along = repeats.best
-    if imitated and along is not None and along.axis in LETTERS:
+    if imitated and along is not None and along.axis in AXIS_SYMBOLS:
         return True
-    return smooth_forces(reduced(start))[0].gain > worth + SAME
+    return smooth_forces(compress_residual(start))[0].gain > worth + MIN_CHI2_SEPARATED
 
 
-def _sought(axes: int) -> float:
+def _search_penalty(axes: int) -> float:
     """What the best of so many forms gains by having been sought."""
     return 2 * float(np.log(len(SHAPES) * max(axes, 1)))
 

@@ -12,16 +12,16 @@ from frictrack.fit.least_squares import Solution, refine, settle_scatter
 from frictrack.fit.parameters import Layout
 from frictrack.fit.segments import Piece, knows_its_past
 
-MOST = 32  # pieces that are looked at, unless there are more runs
-FASTEST = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
+MAX_PIECES = 32  # pieces that are looked at, unless there are more runs
+MAX_FREQUENCY_RATIO = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
 MAX_FRAMES = 12_000  # over all pieces, a dozen films of slides; the search takes time in proportion
 MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece: lines are tried at each of them
 
 
-def sampled(solution: Solution) -> tuple[Solution, str]:
+def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
     """The law refined on so many pieces as a search can look at, and in words what was left out; "" where nothing."""
     pieces = solution.problem.pieces
-    if len(pieces) <= MOST:
+    if len(pieces) <= MAX_PIECES:
         return solution, ""
     kept = _spread(pieces)
     problem = solution.problem.over(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
@@ -33,7 +33,7 @@ def sampled(solution: Solution) -> tuple[Solution, str]:
     )
 
 
-def thinned(solution: Solution) -> tuple[Solution, str]:
+def subsample_frames(solution: Solution) -> tuple[Solution, str]:
     """Return the law compared at every few frames of very many, and in words what that means; "" where all are kept.
 
     The law itself was fitted to all frames.
@@ -49,14 +49,14 @@ def thinned(solution: Solution) -> tuple[Solution, str]:
     some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
     return some, (
         f"a long record: the search looked at every {every}th of its frames, so a line above "
-        f"{FASTEST * layout.span.fps / every:.3g} Hz is not looked for; the fit uses all of them"
+        f"{MAX_FREQUENCY_RATIO * layout.span.fps / every:.3g} Hz is not looked for; the fit uses all of them"
     )
 
 
 def _stride(solution: Solution) -> int:
     """Every how manyth frame is looked at; longer records know more lines apart, which every frame is held against."""
     frames, longest = solution.problem.n_frames, max(len(p.t) for p in solution.problem.pieces)
-    return max(-(-frames // MAX_FRAMES), math.ceil(math.sqrt(frames * FASTEST * longest / MAX_WORK)))
+    return max(-(-frames // MAX_FRAMES), math.ceil(math.sqrt(frames * MAX_FREQUENCY_RATIO * longest / MAX_WORK)))
 
 
 def _every(piece: Piece, every: int) -> Piece:
@@ -86,6 +86,6 @@ def _spread(pieces: Sequence[Piece]) -> list[int]:
     for run in sorted({p.run for p in pieces}):
         own = [i for i, p in enumerate(pieces) if p.run == run]
         own = [i for i in own if knows_its_past(pieces[i])] or own
-        count = max(MOST * len(own) // len(pieces), 1)
+        count = max(MAX_PIECES * len(own) // len(pieces), 1)
         out += [own[int(k)] for k in np.linspace(0, len(own) - 1, count).round()]
     return out

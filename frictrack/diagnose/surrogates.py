@@ -15,15 +15,15 @@ from scipy.fft import dct
 
 from frictrack.records import Array
 
-DRAWS = 499
-WAVES = 127  # half periods over a run, most
-OWN = 1e-9  # share of a second column's square that is not the first's
+N_DRAWS = 499
+MAX_HALF_PERIODS = 127  # half periods over a run, most
+MIN_INDEPENDENT_SHARE = 1e-9  # share of a second column's square that is not the first's
 
 Columns = Callable[[Sequence[Array | None]], dict[str, Array]]  # (n_i, 3, D) per piece -> way -> (M, 2, D)
 
 
 @dataclass(frozen=True)
-class Moves:
+class SmoothedSignal:
     """A series along one piece: times and places (n,), the series with two derivatives in time (n, 3), no trend."""
 
     t: Array
@@ -31,7 +31,7 @@ class Moves:
     u: Array
 
 
-def untrended(t: Array, u: Array) -> Array:
+def detrend(t: Array, u: Array) -> Array:
     """A series with its derivatives (n, 3, ...) without its mean and its trend."""
     out = u.reshape(len(u), 3, -1).copy()
     line = np.stack([np.ones_like(t), t], axis=1)
@@ -41,28 +41,32 @@ def untrended(t: Array, u: Array) -> Array:
     return out.reshape(u.shape)
 
 
-def chance(
-    best: float, series: Sequence[Moves | None], columns: Columns, left: Array, rng: np.random.Generator
+def surrogate_p_value(
+    best: float, series: Sequence[SmoothedSignal | None], columns: Columns, left: Array, rng: np.random.Generator
 ) -> float:
     """Chance of a fall of chi-squared: the largest p over all ways to draw; `left` (M,) is what is to be explained."""
     return max(_p_value(best, columns(paths), left) for paths in _drawn(series, rng))
 
 
-def gains(columns: Array, left: Array) -> Array:
+def chi2_gains(columns: Array, left: Array) -> Array:
     """Fall of chi-squared with the best coefficients of pairs of columns (M, 2, D), (D,)."""
     size = np.linalg.norm(columns, axis=0)
     first, second = columns.transpose(1, 0, 2) / np.where(size > 0, size, np.inf)[:, None]
     a, b, alike = left @ first, left @ second, np.sum(first * second, axis=0)
     free = 1 - alike**2
-    return np.where(free > OWN, a**2 + (b - alike * a) ** 2 / np.maximum(free, OWN), np.maximum(a**2, b**2))
+    return np.where(
+        free > MIN_INDEPENDENT_SHARE,
+        a**2 + (b - alike * a) ** 2 / np.maximum(free, MIN_INDEPENDENT_SHARE),
+        np.maximum(a**2, b**2),
+    )
 
 
 def _p_value(best: float, columns: dict[str, Array], left: Array) -> float:
-    null = np.max([gains(c, left) for c in columns.values()], axis=0)
+    null = np.max([chi2_gains(c, left) for c in columns.values()], axis=0)
     return float((1 + np.sum(null >= best)) / (len(null) + 1))
 
 
-def _drawn(series: Sequence[Moves | None], rng: np.random.Generator) -> Iterator[list[Array | None]]:
+def _drawn(series: Sequence[SmoothedSignal | None], rng: np.random.Generator) -> Iterator[list[Array | None]]:
     """Random paths along every piece, (n, 3, DRAWS): for each anew, alike in time, alike in place."""
     there = [s for s in series if s is not None]
     yield [
@@ -83,20 +87,20 @@ def _share(along: Array, whole: Array) -> Array:
 def _sizes(at: Array, u: Array, rng: np.random.Generator) -> Array:
     """Sizes of cosines (WAVES, DRAWS), drawn with the power that a series has in every octave along an axis."""
     order = np.argsort(at)
-    even = np.interp(np.linspace(at.min(), at.max(), max(len(at), 2 * WAVES)), at[order], u[order])
-    power = dct(even - even.mean(), norm="ortho")[1 : WAVES + 1] ** 2
-    octave = np.log2(np.arange(1, WAVES + 1)).astype(int)
+    even = np.interp(np.linspace(at.min(), at.max(), max(len(at), 2 * MAX_HALF_PERIODS)), at[order], u[order])
+    power = dct(even - even.mean(), norm="ortho")[1 : MAX_HALF_PERIODS + 1] ** 2
+    octave = np.log2(np.arange(1, MAX_HALF_PERIODS + 1)).astype(int)
     mean = np.bincount(octave, power) / np.bincount(octave)
-    return np.sqrt(mean[octave])[:, None] * rng.standard_normal((WAVES, DRAWS))
+    return np.sqrt(mean[octave])[:, None] * rng.standard_normal((MAX_HALF_PERIODS, N_DRAWS))
 
 
 def _path(at: Array, t: Array, sizes: Array) -> Array:
     """Random paths (n, 3, DRAWS) along an axis that a piece goes along as `at` (n,), with derivatives in time."""
     speed = np.gradient(at, t)
     bend = np.gradient(speed, t)
-    wave = np.pi * np.arange(1, WAVES + 1)
+    wave = np.pi * np.arange(1, MAX_HALF_PERIODS + 1)
     cosine, sine = np.cos(np.outer(at, wave)), np.sin(np.outer(at, wave))
     first = -(sine * wave) @ sizes
     second = -(cosine * wave**2) @ sizes
     u = np.stack([cosine @ sizes, speed[:, None] * first, speed[:, None] ** 2 * second + bend[:, None] * first], axis=1)
-    return untrended(t, u)
+    return detrend(t, u)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.compressed import reduced
-from frictrack.diagnose.formulas import formulas
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.formulas import search_formulas
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import compact
@@ -21,7 +21,7 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
     """
     law = compact(solution)
     beside = law if beside is None or beside is solution else compact(beside)
-    smooth = smooth_forces(reduced(beside))
+    smooth = smooth_forces(compress_residual(beside))
     best = smooth[0]
     return {
         "axis": best.axis.name,
@@ -31,5 +31,5 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
         "share": best.share,
         "delta_bic": best.gain,
         "axes": len(smooth),
-        "formulas": formulas(law, beside),
+        "formulas": search_formulas(law, beside),
     }

@@ -8,10 +8,10 @@ from frictrack.fit.least_squares import Solution, settle_scatter
 from frictrack.fit.parameters import MASS
 from frictrack.fit.segments import sections_of
 
-WILD = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
+MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 
 
-def uncut(fit: Fit) -> Solution | None:
+def join_segments(fit: Fit) -> Solution | None:
     """The fitted law along whole stretches; None where none was cut, or where it cannot be followed that far.
 
     A fit forgets what nobody modelled by cutting runs whose drive is measured. A search for what that is must not. A
@@ -28,4 +28,4 @@ def uncut(fit: Fit) -> Solution | None:
         solution = settle_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
     except FrictrackError:
         return None
-    return solution if solution.objective < WILD * problem.n_frames else None
+    return solution if solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None

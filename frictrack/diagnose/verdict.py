@@ -7,10 +7,10 @@ from typing import Any
 
 from frictrack.diagnose.auxiliary_signals import Evidence
 from frictrack.diagnose.power import Undetermined
-from frictrack.diagnose.repeatability import Repeats
+from frictrack.diagnose.repeatability import Repeatability
 from frictrack.records import Array
 
-NO_WORSE = 1.002  # times the held-out error before: a change of that size is none
+MAX_ERROR_RATIO = 1.002  # times the held-out error before: a change of that size is none
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Candidate:
         """Whether the held-out error falls with it, or stays: a run's own level hides what only runs together show."""
         if self.heldout_after is None or self.heldout_before is None:
             return True
-        return self.heldout_after < NO_WORSE * self.heldout_before
+        return self.heldout_after < MAX_ERROR_RATIO * self.heldout_before
 
     def summary(self) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
@@ -100,7 +100,9 @@ class Diagnosis:
     evidence: list[Evidence] = field(default_factory=list)  # what moved in step with the residual, first evidence first
     undetermined: list[Undetermined] = field(default_factory=list)  # what the runs leave open
     importance: list[Importance] = field(default_factory=list)  # most important first
-    repeats: Repeats = field(default_factory=Repeats)  # whether the failure is common to the runs, and along which axis
+    repeats: Repeatability = field(
+        default_factory=Repeatability
+    )  # whether the failure is common to the runs, and along which axis
 
     @property
     def best(self) -> Candidate | None:

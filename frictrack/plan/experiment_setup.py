@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments.virtual_runs import Bench, Film
+from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign
 from frictrack.effects import Path
 from frictrack.models import Model
 from frictrack.records import GRAVITY
@@ -51,11 +51,11 @@ class Stand:
         return self.values.get("coulomb", {}).get("F_c", self.mass * BRAKING)
 
     @property
-    def bench(self) -> Bench:
+    def bench(self) -> RunConditions:
         """What holds for every planned run."""
         still = np.zeros(1)
         path = Path(t=still, x=still, v=still, s=still + 1, mass=self.mass, pixel_pitch=self.pitch, gravity=GRAVITY)
-        return Bench(self.fps, self.noise, self.mass, max(self.friction / self.mass, 0.1), path)
+        return RunConditions(self.fps, self.noise, self.mass, max(self.friction / self.mass, 0.1), path)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Entry:
 
     key: str
     words: str
-    film: Film
+    film: RunDesign
 
 
 def usual(mass: float, fps: float, pitch: float) -> Stand:
@@ -92,10 +92,10 @@ def menu(stand: Stand) -> list[Entry]:
     return [*_speeds(stand), *_changes(stand)]
 
 
-def film(stand: Stand, speed: float) -> Film:
+def film(stand: Stand, speed: float) -> RunDesign:
     """A plain run at a speed (m/s), negative the other way."""
     far = stand.start + stand.course
-    return Film((stand.start if speed > 0 else far, speed), (stand.start, far))
+    return RunDesign((stand.start if speed > 0 else far, speed), (stand.start, far))
 
 
 def _speeds(stand: Stand) -> Iterator[Entry]:

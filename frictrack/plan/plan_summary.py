@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.experiments.advice_text import MEANS
-from frictrack.diagnose.experiments.direct_checks import DIRECT
+from frictrack.diagnose.experiments.advice_text import OTHER_MEASUREMENTS
+from frictrack.diagnose.experiments.direct_checks import CHECK_BY_EFFECT
 from frictrack.effects import Effect
 from frictrack.plan.causes import FRAMES, PICTURE, SHARE
 from frictrack.plan.selection import PARTED, Chosen, Step, pairs, threshold
@@ -86,13 +86,13 @@ def _left(chosen: Chosen, a: int, b: int) -> dict[str, Any]:
     else:
         why = f"their best fits differ by an expected chi-squared of {e:.2g}; {PARTED:g} part them"
     kinds = frozenset({names[a], names[b]})
-    means = MEANS.get(kinds) or "; ".join(filter(None, (_settles(causes[k].effect) for k in (a, b))))
+    means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(filter(None, (_settles(causes[k].effect) for k in (a, b))))
     return {"effects": [names[a], names[b]], "expected_chi2": float(e), "why": why, "settle": means}
 
 
 def _settles(effect: Effect) -> str:
     """What beside a film shows a cause."""
-    check = DIRECT.get(effect.kind)
+    check = CHECK_BY_EFFECT.get(effect.kind)
     words = check.words if check else effect.confirm.split(":")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments.virtual_runs import Film
+from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.parameters import MIN_RUNS
@@ -71,5 +71,5 @@ def _done(fit: Fit, stand: Stand, index: int) -> Entry:
     far = stand.start, stand.start + stand.course
     place = float(np.clip(start[0], *far))
     mass = (run.mass or stand.mass) / stand.mass
-    film = Film((place, float(start[1])), far, mass=mass, tilt=run.incline)
+    film = RunDesign((place, float(start[1])), far, mass=mass, tilt=run.incline)
     return Entry(f"run {run.name}", f"{run.name}, at {start[1]:.2g} m/s", film)

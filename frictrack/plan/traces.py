@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.diagnose.experiments.virtual_runs import GOLDEN, NAME, blank, moved
+from frictrack.diagnose.experiments.virtual_runs import (
+    GOLDEN_ANGLE_RAD,
+    PLANNED_RUN_NAME,
+    blank_piece,
+    integrate_motion,
+)
 from frictrack.effects import Effect, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Problem, Response
@@ -56,10 +61,10 @@ def film_all(stand: Stand, entries: list[Entry]) -> list[Filmed]:
 
 def _filmed(stand: Stand, entry: Entry) -> Filmed:
     fine = 3  # panels per frame, as a blow needs them
-    piece = blank(stand.bench, entry.film, 0, fine)
+    piece = blank_piece(stand.bench, entry.film, 0, fine)
     wide = Span(1.0, stand.start, stand.start + stand.course, 0.01, 10.0, stand.fps)
     layout, p = _unknowns(stand, wide)
-    piece = moved(Problem(layout.model, layout, [piece]), p, entry.film)
+    piece = integrate_motion(Problem(layout.model, layout, [piece]), p, entry.film)
     layout, p = _unknowns(stand, spans_of([piece], 1, stand.fps)[0])
     problem = Problem(layout.model, layout, [piece])
     response = problem.evaluate(p, [np.array(entry.film.start)])[0]
@@ -71,7 +76,7 @@ def _filmed(stand: Stand, entry: Entry) -> Filmed:
 
 def _unknowns(stand: Stand, span: Span) -> tuple[Layout, Array]:
     """The law's unknowns with a level of the run's own: a second run, never filmed, is what gives it one."""
-    layout = Layout(stand.law, (NAME, "another"), (span, span))
+    layout = Layout(stand.law, (PLANNED_RUN_NAME, "another"), (span, span))
     p = [stand.values[s.effect][s.parameter] if s.effect in stand.values else 1.0 for s in layout.slots]
     return layout, np.array(p)
 
@@ -147,7 +152,7 @@ def trace(filmed: Filmed, cause: Cause, size: float, number: int) -> Array:
     """What a true cause of that size leaves in one run, (n,); phases of the runs spread evenly."""
     block = columns(filmed, cause, (_moment(cause, number),))[:, 0]
     if any(q.role == "phase" for q in cause.effect.nonlinear):
-        phase = GOLDEN * number if per_run_coefficients(cause.effect) else 0.5
+        phase = GOLDEN_ANGLE_RAD * number if per_run_coefficients(cause.effect) else 0.5
         return size * np.asarray(block[:, 0] * np.cos(phase) + block[:, 1] * np.sin(phase))
     return size * np.asarray(block[:, 0])
 

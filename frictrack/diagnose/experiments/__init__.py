@@ -11,42 +11,42 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 from typing import Any
 
-from frictrack.diagnose.experiments.advice_text import because, told_apart, unparted
-from frictrack.diagnose.experiments.direct_checks import checks
-from frictrack.diagnose.experiments.expected_separation import Duel, Explanation, explanation
+from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
+from frictrack.diagnose.experiments.direct_checks import direct_checks
+from frictrack.diagnose.experiments.expected_separation import Contest, Explanation, make_explanation
 from frictrack.diagnose.experiments.menu import Experiment, menu
-from frictrack.diagnose.experiments.unknown_cause import along_axes
+from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import is_series
 
 __all__ = [
-    "Duel",
+    "Contest",
     "Experiment",
     "Explanation",
-    "explanation",
-    "films",
-    "for_unexplained",
+    "make_explanation",
     "menu",
     "next_experiment",
-    "settling",
+    "plan_for_candidates",
+    "plan_for_unexplained",
+    "rate_runs",
 ]
 
-NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
-PARTED = 10.0  # expected difference of BIC from which two explanations are told apart
-MOST = 3  # explanations that are compared with each other
-SHOWN = 5  # experiments that are told
-AXES = 2  # along which what no effect explains is compared
-SIMPLE = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that tell axes apart
-EFFORT = ("accelerometer", "course sensor", "known weight")  # what has to be bought, fixed and brought in time
-DEAR = 10.0  # times as much evidence as a film must come from these to be preferred
+MAX_BIC_NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
+MIN_BIC_SEPARATED = 10.0  # expected difference of BIC from which two explanations are told apart
+MAX_EXPLANATIONS = 3  # explanations that are compared with each other
+MAX_EXPERIMENTS = 5  # experiments that are told
+MAX_AXES = 2  # along which what no effect explains is compared
+AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that tell axes apart
+COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # what has to be bought, fixed and brought in time
+COST_FACTOR = 10.0  # times as much evidence as a film must come from these to be preferred
 
 Progress = Callable[[str], None]
 Pair = tuple[str, str]  # true explanation, the other one
 
 
 @dataclass(frozen=True)
-class Offer:
+class RatedExperiment:
     """One experiment and the evidence expected of it, for every (true, other) pair of explanations."""
 
     key: str
@@ -59,7 +59,7 @@ class Offer:
         return [
             (a, b)
             for a, b in self.evidence
-            if a < b and min(self.evidence[a, b], self.evidence.get((b, a), 0.0)) >= PARTED
+            if a < b and min(self.evidence[a, b], self.evidence.get((b, a), 0.0)) >= MIN_BIC_SEPARATED
         ]
 
     def least(self) -> float:
@@ -68,7 +68,7 @@ class Offer:
 
     def worth(self) -> float:
         """Evidence against effort: a sensor has to be fixed and brought in time with the camera."""
-        return self.least() * (1.0 if self.kind == "film" or self.key not in EFFORT else 1 / DEAR)
+        return self.least() * (1.0 if self.kind == "film" or self.key not in COSTLY_CHECKS else 1 / COST_FACTOR)
 
     def summary(self, names: Sequence[str]) -> dict[str, Any]:
         """Entry of the JSON of `frictrack diagnose`."""
@@ -76,14 +76,14 @@ class Offer:
         among = {name for pair in pairs for name in pair}
         told = [name for name in names if name in among]
         each = {n: min(self.evidence[n, b] for b in told if tuple(sorted((n, b))) in pairs) for n in told}
-        why = because(told) if self.kind == "film" else ""
+        why = explain_separation(told) if self.kind == "film" else ""
         return {
             "what": f"{self.words}: {why}" if why else self.words,
             "separates": told,
             "expected_delta_bic": self.least(),
             "expected_if_true": each,
             "groups": _groups(told, pairs),
-            "tells": told_apart(_groups(told, pairs)),
+            "tells": describe_separation(_groups(told, pairs)),
             "kind": self.kind,
             "key": self.key,
         }
@@ -101,31 +101,33 @@ def _groups(names: Sequence[str], parted: Sequence[Pair]) -> list[list[str]]:
 def next_experiment(
     explanations: Sequence[Explanation], tell: Progress = lambda what: None, keys: Sequence[str] = ()
 ) -> list[dict[str, Any]]:
-    """What would part explanations of the same runs, best first: JSON; the first `MOST` of them are compared.
+    """What would part explanations of the same runs, best first: JSON; at most `MAX_EXPLANATIONS` are compared.
 
     `keys` may name the runs of the menu that are weighed. Where nothing of it can, one entry says so and names other
     means.
     """
-    among = list(explanations)[:MOST]
+    among = list(explanations)[:MAX_EXPLANATIONS]
     if len(among) < 2 or any(is_series(e.solution.problem) for e in among):
         return []
     names = [e.effect for e in among]
     offers = [
-        offer for offer in (*(films(among, tell, keys) if _coast(among) else ()), *beside(among)) if offer.parted()
+        offer
+        for offer in (*(rate_runs(among, tell, keys) if _coast(among) else ()), *rate_direct_checks(among))
+        if offer.parted()
     ]
-    out = [offer.summary(names) for offer in _ordered(offers)[:SHOWN]]
+    out = [offer.summary(names) for offer in _ordered(offers)[:MAX_EXPERIMENTS]]
     left = [pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.parted() for o in offers)]
     return out + [_hopeless(pair, among) for pair in left if _coast(among)]
 
 
-def for_unexplained(solution: Solution, tell: Progress = lambda what: None) -> list[dict[str, Any]]:
+def plan_for_unexplained(solution: Solution, tell: Progress = lambda what: None) -> list[dict[str, Any]]:
     """What would tell whether that which a law leaves belongs to the place, the time or the speed: JSON."""
     if is_series(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
-    return next_experiment(along_axes(solution)[:AXES], tell, SIMPLE)
+    return next_experiment(explain_by_axes(solution)[:MAX_AXES], tell, AXIS_RUN_KEYS)
 
 
-def settling(
+def plan_for_candidates(
     bare: Solution,
     passing: Sequence[tuple[str, Solution, float]],
     rivals: Sequence[str],
@@ -134,18 +136,18 @@ def settling(
     """The next experiment of a diagnosis: JSON.
 
     `passing` holds the candidates that pass, best first, each with its fit and its difference of BIC; those are
-    compared that the runs cannot tell from the best, and those that are `NEAR` it.
+    compared that the runs cannot tell from the best, and those that are `MAX_BIC_NEAR` it.
     """
     if not passing:
         return []
     best, _, most = passing[0]
-    near = [c for c in passing if c[0] == best or c[0] in rivals or most - c[2] < NEAR]
+    near = [c for c in passing if c[0] == best or c[0] in rivals or most - c[2] < MAX_BIC_NEAR]
     near.sort(key=lambda c: (c[0] != best, c[0] not in rivals, -c[2]))
-    near = near[:MOST]
-    return next_experiment([explanation(n, s, bare) for n, s, _ in near], tell)
+    near = near[:MAX_EXPLANATIONS]
+    return next_experiment([make_explanation(n, s, bare) for n, s, _ in near], tell)
 
 
-def _ordered(offers: Sequence[Offer]) -> list[Offer]:
+def _ordered(offers: Sequence[RatedExperiment]) -> list[RatedExperiment]:
     """Best first: the one that parts most pairs, then what parts those that are left, and so on."""
     left, out = list(offers), []
     open_pairs: set[Pair] = set()
@@ -160,26 +162,26 @@ def _ordered(offers: Sequence[Offer]) -> list[Offer]:
     return out
 
 
-def films(
+def rate_runs(
     among: Sequence[Explanation], tell: Progress = lambda what: None, keys: Sequence[str] = ()
-) -> Iterator[Offer]:
+) -> Iterator[RatedExperiment]:
     """Every run of the menu (or those of some `keys`) with the evidence expected of it."""
-    duels = {(a.effect, b.effect): Duel(a, b) for a, b in permutations(among, 2)}
+    duels = {(a.effect, b.effect): Contest(a, b) for a, b in permutations(among, 2)}
     for entry in (e for e in menu(among[0].solution) if not keys or e.key in keys):
         tell(f"weighing an experiment: {entry.key}")
-        yield Offer(entry.key, entry.words, "film", _both_ways(duels, entry))
+        yield RatedExperiment(entry.key, entry.words, "film", _both_ways(duels, entry))
 
 
-def _both_ways(duels: dict[Pair, Duel], entry: Experiment) -> dict[Pair, float]:
+def _both_ways(duels: dict[Pair, Contest], entry: Experiment) -> dict[Pair, float]:
     """Expected evidence of a run for every pair, whichever is true; once it is too little, the reverse is not asked."""
     out: dict[Pair, float] = {}
     for (true, other), duel in duels.items():
-        parted = out.get((other, true), PARTED) >= PARTED
+        parted = out.get((other, true), MIN_BIC_SEPARATED) >= MIN_BIC_SEPARATED
         out[true, other] = _after(duel, entry) if parted else 0.0
     return out
 
 
-def _after(duel: Duel, entry: Experiment) -> float:
+def _after(duel: Contest, entry: Experiment) -> float:
     """Expected evidence; none where the run cannot be made, or its motion not be followed."""
     try:
         return duel.after(entry.film)
@@ -187,12 +189,12 @@ def _after(duel: Duel, entry: Experiment) -> float:
         return 0.0
 
 
-def beside(among: Sequence[Explanation]) -> Iterator[Offer]:
+def rate_direct_checks(among: Sequence[Explanation]) -> Iterator[RatedExperiment]:
     """Measurements beside the film with the evidence expected of them."""
-    made: dict[str, Offer] = {}
+    made: dict[str, RatedExperiment] = {}
     for one, other in combinations(among, 2):
-        for check, if_one, if_other in checks(one, other):
-            offer = made.setdefault(check.key, Offer(check.key, check.words, "measurement", {}))
+        for check, if_one, if_other in direct_checks(one, other):
+            offer = made.setdefault(check.key, RatedExperiment(check.key, check.words, "measurement", {}))
             offer.evidence[one.effect, other.effect] = if_one
             offer.evidence[other.effect, one.effect] = if_other
     yield from made.values()
@@ -208,7 +210,7 @@ def _hopeless(pair: tuple[str, str], among: Sequence[Explanation]) -> dict[str, 
         e.confirm for told in among for e in told.solution.problem.model.effects if e.name == told.effect in pair
     ]
     return {
-        "what": unparted(pair, confirm),
+        "what": describe_unseparated(pair, confirm),
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_if_true": {},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-KEEPS = {
+INVARIANTS = {
     "stribeck": "the Stribeck effect is strong only where the mass is slow",
     "viscous": "viscous friction goes with the speed",
     "drag": "drag goes with the square of the speed",
@@ -38,8 +38,10 @@ KEEPS = {
     "time since release": "what is tied to the time comes again as long after release",
     "speed": "what is tied to the speed comes again at the same speed",
 }
-UNPARTED = "No run of this menu parts {0}: they bend the motion in the same way at every speed, mass and direction here"
-MEANS = {
+UNSEPARATED = (
+    "No run of this menu parts {0}: they bend the motion in the same way at every speed, mass and direction here"
+)
+OTHER_MEASUREMENTS = {
     frozenset({"slope", "spring"}): "lay a level on the course, and take the cable off",
     frozenset({"slope", "asymmetry"}): "lay a level on the course, and turn the mass round on it",
     frozenset({"slope", "drive_error"}): "lay a level on the course, and hang a known weight on the drive",
@@ -49,22 +51,22 @@ MEANS = {
 }  # what settles a pair that no film can part
 
 
-def because(names: Sequence[str]) -> str:
+def explain_separation(names: Sequence[str]) -> str:
     """The reason in words: what each of the parted causes keeps."""
-    kept = [KEEPS[kind] for kind in dict.fromkeys(n.split(":")[0] for n in names) if kind in KEEPS]
+    kept = [INVARIANTS[kind] for kind in dict.fromkeys(n.split(":")[0] for n in names) if kind in INVARIANTS]
     return ", ".join(kept)
 
 
-def unparted(names: Sequence[str], confirm: Sequence[str]) -> str:
+def describe_unseparated(names: Sequence[str], confirm: Sequence[str]) -> str:
     """What to say where no run can part some causes."""
     named = " and ".join(names)
     kinds = frozenset(n.split(":")[0] for n in names)
-    means = MEANS.get(kinds) or "; ".join(c.rstrip(".").replace("`", "") for c in confirm if c)
-    said = UNPARTED.format(named)
+    means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(c.rstrip(".").replace("`", "") for c in confirm if c)
+    said = UNSEPARATED.format(named)
     return f"{said}; {means}" if means else said
 
 
-def told_apart(groups: Sequence[Sequence[str]]) -> str:
+def describe_separation(groups: Sequence[Sequence[str]]) -> str:
     """Which causes are told from which: "a, b and c apart", or "a from b or c" where some stay together."""
     if all(len(group) == 1 for group in groups):
         *most, last = (group[0] for group in groups)

@@ -17,11 +17,11 @@ from frictrack.effects import Effect
 from frictrack.fit.least_squares import Response
 from frictrack.records import GRAVITY, Array
 
-MARKS = 20  # of a rule, or flashes of a diode, that are looked at
-FLASH = 0.1  # of a frame, to which a flash or a stamp tells the time
-LEVEL = np.deg2rad(0.05)  # to which a level tells a slope
-WEIGHT = 0.01  # relative, to which a known weight tells a drive
-ACCELEROMETER = 0.2  # m/s^2, noise of a frame
+N_MARKS = 20  # of a rule, or flashes of a diode, that are looked at
+FLASH_STD_FRAMES = 0.1  # of a frame, to which a flash or a stamp tells the time
+LEVEL_STD_RAD = np.deg2rad(0.05)  # to which a level tells a slope
+WEIGHT_RELATIVE_STD = 0.01  # relative, to which a known weight tells a drive
+ACCELEROMETER_STD = 0.2  # m/s^2, noise of a frame
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Check:
     signal: Callable[[Explanation], float]
 
 
-def checks(one: Explanation, other: Explanation) -> list[tuple[Check, float, float]]:
+def direct_checks(one: Explanation, other: Explanation) -> list[tuple[Check, float, float]]:
     """Checks that tell two explanations apart, each with the evidence expected if `one` and if `other` is true."""
     out = []
     for mine, theirs in ((one, other), (other, one)):
@@ -48,9 +48,9 @@ def _of(mine: Explanation, theirs: Explanation) -> list[Check]:
     effect, other = _effect(mine), _effect(theirs)
     if effect.kind == other.kind:
         return []
-    found = [DIRECT[effect.kind]] if effect.kind in DIRECT else []
+    found = [CHECK_BY_EFFECT[effect.kind]] if effect.kind in CHECK_BY_EFFECT else []
     if effect.acts_on == "force" and other.acts_on == "measurement":
-        found.append(SENSOR)
+        found.append(ACCELEROMETER_CHECK)
     return found
 
 
@@ -92,7 +92,7 @@ def _on_rule(told: Explanation) -> float:
     """Bend of a rule along the course: a line through its marks is its scale and place."""
     response = _longest(told)
     shift, x = _block(told, response), response.motion.x_edge[response.piece.at]
-    rows = np.linspace(0, len(x) - 1, MARKS).astype(int)
+    rows = np.linspace(0, len(x) - 1, N_MARKS).astype(int)
     line = np.polyfit(x[rows], shift[rows], 1)
     return float(np.sum(((shift - np.polyval(line, x)) / response.piece.noise)[rows] ** 2))
 
@@ -101,44 +101,44 @@ def _by_clock(told: Explanation) -> float:
     """Flashes of a clock in the picture: those of a drifting time base come earlier and earlier, or later."""
     response = _longest(told)
     piece, v = response.piece, response.motion.v_edge[response.piece.at]
-    rows = np.linspace(0, len(v) - 1, MARKS).astype(int)
+    rows = np.linspace(0, len(v) - 1, N_MARKS).astype(int)
     late = _block(told, response)[rows] / np.maximum(np.abs(v[rows]), 1e-3)
     late = late - np.polyval(np.polyfit(piece.t[rows], late, 1), piece.t[rows])
-    return float(np.sum((late / (FLASH * np.median(np.diff(piece.t)))) ** 2))
+    return float(np.sum((late / (FLASH_STD_FRAMES * np.median(np.diff(piece.t)))) ** 2))
 
 
 def _by_rate(told: Explanation) -> float:
     """Flashes of a counter of known rate at the first and the last frame."""
     piece = _longest(told).piece
-    return float((_value(told, "rate") * np.ptp(piece.t) / (FLASH * np.median(np.diff(piece.t)))) ** 2 / 2)
+    return float((_value(told, "rate") * np.ptp(piece.t) / (FLASH_STD_FRAMES * np.median(np.diff(piece.t)))) ** 2 / 2)
 
 
 def _by_stamps(told: Explanation) -> float:
-    return (_value(told, "frames") / FLASH) ** 2
+    return (_value(told, "frames") / FLASH_STD_FRAMES) ** 2
 
 
 def _by_level(told: Explanation) -> float:
     piece = told.solution.problem.pieces[0]
-    return (_value(told, "F") / (piece.mass / piece.path.mass_ratio * GRAVITY * LEVEL)) ** 2
+    return (_value(told, "F") / (piece.mass / piece.path.mass_ratio * GRAVITY * LEVEL_STD_RAD)) ** 2
 
 
 def _by_weight(told: Explanation) -> float:
-    return (_value(told, "e") / WEIGHT) ** 2
+    return (_value(told, "e") / WEIGHT_RELATIVE_STD) ** 2
 
 
 def _upward(told: Explanation) -> float:
     """Vertical acceleration of the course, whose weight on the mass makes the modulation."""
     response = _longest(told)
-    return 0.5 * len(response.piece.t) * (_value(told, "depth") * response.piece.path.gravity / ACCELEROMETER) ** 2
+    return 0.5 * len(response.piece.t) * (_value(told, "depth") * response.piece.path.gravity / ACCELEROMETER_STD) ** 2
 
 
 def _on_mass(told: Explanation) -> float:
     """Acceleration of the mass by the force: a fault of the picture has none."""
     response = _longest(told)
-    return float(np.sum((_block(told, response) / response.piece.mass / ACCELEROMETER) ** 2))
+    return float(np.sum((_block(told, response) / response.piece.mass / ACCELEROMETER_STD) ** 2))
 
 
-DIRECT = {
+CHECK_BY_EFFECT = {
     "camera_shake": Check(
         "reference",
         "Film a run with something in the picture that does not move, a mark on the frame, and give it as `reference`",
@@ -153,4 +153,4 @@ DIRECT = {
     "drive_error": Check("known weight", "Hang a known weight on the drive", _by_weight),
     "load_modulation": Check("course sensor", "Fix an accelerometer to the course, facing upward", _upward),
 }
-SENSOR = Check("accelerometer", "Fix an accelerometer to the mass and give it as `sensor`", _on_mass)
+ACCELEROMETER_CHECK = Check("accelerometer", "Fix an accelerometer to the mass and give it as `sensor`", _on_mass)

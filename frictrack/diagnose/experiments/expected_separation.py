@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from frictrack.diagnose.experiments.virtual_runs import Film, extended, filmed, spread
-from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scatter, extend_layout, simulate_run
+from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Problem, Response, Solution, continued, promising, refine
@@ -21,14 +21,14 @@ from frictrack.fit.segments import Piece, spans_of
 from frictrack.fit.stepwise import TIE_ALPHA, grow, is_loose
 from frictrack.records import Array
 
-PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
-MOMENTS = np.linspace(0.1, 0.9, 7)  # of the planned run, at which a rival's event is sought
-SIZES = ("amplitude", "depth")
-BELIEVED = 0.05  # of friction: size of a cause that the runs do not tell
-UNTOLD = 10.0  # rise of chi-squared below which the runs do not tell a size
-CLOSEST = 2  # of these starts that are refined
-FAR = 1000.0  # chi-squared beyond which a rival is too far away for the runs at hand to answer as they did
-OWN_STEPS, STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
+START_PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
+START_TIMES = np.linspace(0.1, 0.9, 7)  # of the planned run, at which a rival's event is sought
+SIZE_ROLES = ("amplitude", "depth")
+SMALL_FORCE_RATIO = 0.05  # of friction: size of a cause that the runs do not tell
+MAX_CHI2_UNDETERMINED = 10.0  # rise of chi-squared below which the runs do not tell a size
+N_STARTS_REFINED = 2  # of these starts that are refined
+MAX_CHI2_LINEAR = 1000.0  # chi-squared beyond which a rival is too far away for the runs at hand to answer as they did
+MAX_STEPS_OWN, MAX_STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, and on all runs
 
 
 @dataclass(frozen=True)
@@ -42,23 +42,23 @@ class Explanation:
     solution: Solution
     gain: float
     believed: Solution
-    _filmed: dict[tuple[Film, int], Piece] = field(default_factory=dict, repr=False, compare=False)
+    _simulated: dict[tuple[RunDesign, int], Piece] = field(default_factory=dict, repr=False, compare=False)
 
-    def filmed(self, film: Film, fine: int) -> Piece:
+    def simulated_run(self, film: RunDesign, fine: int) -> Piece:
         """What the camera would see of a planned run, with `fine` panels per frame at least; worked out once."""
         key = film, max([fine, *(e.fine for e in self.believed.problem.model.effects)])
-        if key not in self._filmed:
-            self._filmed[key] = filmed(self.believed, film, fine)
-        return self._filmed[key]
+        if key not in self._simulated:
+            self._simulated[key] = simulate_run(self.believed, film, fine)
+        return self._simulated[key]
 
 
-def explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
+def make_explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
     """An explanation beside the `bare` law, its cause small beside friction where the runs leave its size open.
 
     What runs do not tell (a cable's constant pull beside Coulomb friction) may have come out of the fit absurdly large,
     and would promise absurd evidence in a run of another kind.
     """
-    gain = max(information(bare) - information(solution), 0.0)
+    gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
     return Explanation(effect, solution, gain, _believed(effect, solution, bare))
 
 
@@ -74,10 +74,10 @@ def _believed(effect: str, solution: Solution, bare: Solution) -> Solution:
     if not absurd:
         return solution
     try:
-        held = grow(bare, old.adjusted(**{n: {"fixed": s * BELIEVED * sizes[n]} for n, s in absurd.items()}))
+        held = grow(bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()}))
     except FrictrackError:
         return solution
-    return held if held.objective - solution.objective < UNTOLD else solution
+    return held if held.objective - solution.objective < MAX_CHI2_UNDETERMINED else solution
 
 
 def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
@@ -95,7 +95,7 @@ def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Duel:
+class Contest:
     """Two explanations of the same runs, of which the first is taken to be true."""
 
     truth: Explanation
@@ -112,42 +112,42 @@ class Duel:
         """The rival fitted to what the truth predicts of the runs at hand."""
         rival = self.rival.solution
         problem = rival.problem.over(rival.problem.layout, self.ideal)
-        return refine(problem, rival.p, rival.starts, tau=max(self.truth.believed.tau, 1e-3), max_steps=STEPS)
+        return refine(problem, rival.p, rival.starts, tau=max(self.truth.believed.tau, 1e-3), max_steps=MAX_STEPS)
 
     @property
     def now(self) -> float:
         """Expected difference of BIC on the runs at hand, positive for the truth."""
         truth = self.truth.believed
         held = restraint(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
-        return self._bic(self.fitted, held, unknowns(truth.problem.layout))
+        return self._bic(self.fitted, held, count_unknowns(truth.problem.layout))
 
-    def after(self, film: Film) -> float:
+    def after(self, film: RunDesign) -> float:
         """Expected difference of BIC once the planned run is filmed too, positive for the truth.
 
         Raises FrictrackError where the run cannot be made, or its motion cannot be followed under the rival.
         """
         truth, rival = self.truth.believed, self.rival.solution
-        piece = self.truth.filmed(film, max(e.fine for e in rival.problem.model.effects))
+        piece = self.truth.simulated_run(film, max(e.fine for e in rival.problem.model.effects))
         span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * film.rate)[0]
-        tau = spread(truth, piece.run + 1)
-        layout, p = extended(self.fitted, span, film.phase, free=True)
+        tau = expected_scatter(truth, piece.run + 1)
+        layout, p = extend_layout(self.fitted, span, film.phase, free=True)
         p, start = _placed(rival, layout, piece, (p, np.array(film.start), tau))
         starts = [*self.fitted.starts, start]
-        found = refine(_Recalled(self.fitted, layout, piece), p, starts, tau=tau, max_steps=STEPS)
-        if found.objective > FAR:
-            found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=STEPS)
-        told, q = extended(truth, span, film.phase)
-        held, count = restraint(told, q, tau), unknowns(told)
+        found = refine(_LinearisedRuns(self.fitted, layout, piece), p, starts, tau=tau, max_steps=MAX_STEPS)
+        if found.objective > MAX_CHI2_LINEAR:
+            found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=MAX_STEPS)
+        told, q = extend_layout(truth, span, film.phase)
+        held, count = restraint(told, q, tau), count_unknowns(told)
         return min(self._bic(s, held, count) for s in (found, _loosened(found, self.rival.effect, tau)))
 
     def _bic(self, rival: Solution, held: Array, count: int) -> float:
         """Difference of BIC between a rival and a truth that explains all: its levels' restraint, its unknowns."""
-        fixed = unknowns(self.truth.solution.problem.layout) - unknowns(self.truth.believed.problem.layout)
-        price = unknowns(rival.problem.layout) - count - fixed
+        fixed = count_unknowns(self.truth.solution.problem.layout) - count_unknowns(self.truth.believed.problem.layout)
+        price = count_unknowns(rival.problem.layout) - count - fixed
         return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
 
 
-class _Recalled(Problem):
+class _LinearisedRuns(Problem):
     """A planned run beside the runs at hand, which answer as they do about a fitted law and are not followed again."""
 
     def __init__(self, fitted: Solution, layout: Layout, piece: Piece) -> None:
@@ -155,7 +155,7 @@ class _Recalled(Problem):
         self._fitted = fitted
         there = {name: i for i, name in enumerate(layout.names)}
         self._there = [there[name] for name in fitted.problem.layout.names]
-        self._recalled = [_few(r) for r in fitted.responses]
+        self._recalled = [_compress_response(r) for r in fitted.responses]
 
     def _respond(self, i: int, p: Array, start: Array) -> Response:
         if i == len(self._fitted.responses):
@@ -166,7 +166,7 @@ class _Recalled(Problem):
         return replace(about, active=active, r=left, r_full=left)
 
 
-def _few(response: Response) -> Response:
+def _compress_response(response: Response) -> Response:
     """The same linear answer in as few rows as it has unknowns: turned, and without those that are zero."""
     upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
     none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
@@ -177,7 +177,9 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
     """The rival with an amplitude per run, where one amplitude is significantly worse: what a fit would make of it."""
     layout = tied.problem.layout
     old = next(e for e in layout.model.effects if e.name == effect)
-    sizes = {p.name: {"per_run": True} for p in old.parameters if p.role in SIZES and is_loose(p) and not p.per_run}
+    sizes = {
+        p.name: {"per_run": True} for p in old.parameters if p.role in SIZE_ROLES and is_loose(p) and not p.per_run
+    }
     runs = len(layout.run_names)
     worse = float(chi2_distribution.isf(TIE_ALPHA, runs - 1))
     if not (sizes and per_run_coefficients(old)) or tied.objective < worse:
@@ -189,13 +191,13 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
         [there.get(n, there.get(f"{s.effect}.{s.parameter}", 0.0)) for n, s in zip(free.names, free.slots, strict=True)]
     )
     try:
-        loose = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=STEPS)
+        loose = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
     except FrictrackError:
         return tied
     return loose if tied.objective - loose.objective > worse else tied
 
 
-def unknowns(layout: Layout) -> int:
+def count_unknowns(layout: Layout) -> int:
     """Unknowns that are paid for: all but the levels."""
     return len(layout.slots) - len(layout.levels)
 
@@ -210,7 +212,7 @@ def _placed(rival: Solution, layout: Layout, piece: Piece, begin: tuple[Array, A
         with suppress(FrictrackError):  # a start too wild to be integrated
             tried.append(promising(problem, trial, [start], tau=tau, free=own))
     tried.sort(key=lambda t: t[0])
-    found = [continued(s, tau, free=own, max_steps=OWN_STEPS) for _, s in tried[:CLOSEST]]
+    found = [continued(s, tau, free=own, max_steps=MAX_STEPS_OWN) for _, s in tried[:N_STARTS_REFINED]]
     best = min(found, key=lambda s: s.objective, default=None)
     return (p, start) if best is None else (best.p, best.starts[0])
 
@@ -223,10 +225,10 @@ def _trials(rival: Solution, layout: Layout, p: Array, piece: Piece) -> Iterator
     moments = [i for i in own if not layout.slots[i].linear and layout.slots[i].unit == "s" and i not in phases]
     yield p
     for i in phases:
-        for phase in PHASES:
+        for phase in START_PHASES:
             yield _with(p, i, float(phase))
     for i in moments:
-        for share in MOMENTS:
+        for share in START_TIMES:
             yield _with(p, i, float(piece.t[0] + share * (piece.t[-1] - piece.t[0])))
 
 

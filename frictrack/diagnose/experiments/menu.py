@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.diagnose.experiments.virtual_runs import Film
+from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.fit.least_squares import Solution
 
-FASTEST = 8.0  # m/s, that the set-ups of this field reach
-SLOWEST = 0.3  # m/s
-SLOWER, FASTER = 0.5, 1.5  # times the slowest and the fastest run so far
-TILT = np.deg2rad(5.0)
-NEAR = 0.15  # relative, within which two speeds are the same one
-TO_A_STOP = 0.8  # of the course, within which a run is to stop
+MAX_SPEED = 8.0  # m/s, that the set-ups of this field reach
+MIN_SPEED = 0.3  # m/s
+SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run so far
+TILT_RAD = np.deg2rad(5.0)
+MIN_SPEED_DIFFERENCE = 0.15  # relative, within which two speeds are the same one
+STOP_WITHIN_SHARE = 0.8  # of the course, within which a run is to stop
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Experiment:
 
     key: str
     words: str
-    film: Film
+    film: RunDesign
 
 
 def menu(solution: Solution) -> list[Experiment]:
@@ -45,11 +45,11 @@ class _Setup:
     braking: float
     driven: bool
 
-    def film(self, speed: float, way: float | None = None) -> Film:
+    def film(self, speed: float, way: float | None = None) -> RunDesign:
         """A plain run at a speed."""
         way = way or self.way
         typical = float(np.median(self.speeds))
-        return Film((self.starts[way], way * speed), self.course, drive=way * self.way * speed / typical)
+        return RunDesign((self.starts[way], way * speed), self.course, drive=way * self.way * speed / typical)
 
 
 def _setup(solution: Solution) -> _Setup:
@@ -75,14 +75,14 @@ def _setup(solution: Solution) -> _Setup:
 def _speeds(setup: _Setup) -> Iterator[Experiment]:
     """Slower, faster, to a stop, and the other way."""
     typical, what = float(np.median(setup.speeds)), _verb(setup)
-    slow = max(SLOWER * setup.speeds[0], SLOWEST)
-    if slow < (1 - NEAR) * setup.speeds[0]:
+    slow = max(SLOWER_FACTOR * setup.speeds[0], MIN_SPEED)
+    if slow < (1 - MIN_SPEED_DIFFERENCE) * setup.speeds[0]:
         yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.film(slow))
-    fast = min(FASTER * setup.speeds[-1], FASTEST)
-    if fast > (1 + NEAR) * setup.speeds[-1]:
+    fast = min(FASTER_FACTOR * setup.speeds[-1], MAX_SPEED)
+    if fast > (1 + MIN_SPEED_DIFFERENCE) * setup.speeds[-1]:
         yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.film(fast))
-    stop = float(np.sqrt(2 * setup.braking * TO_A_STOP * (setup.course[1] - setup.course[0])))
-    if not setup.driven and SLOWEST < stop < FASTEST:
+    stop = float(np.sqrt(2 * setup.braking * STOP_WITHIN_SHARE * (setup.course[1] - setup.course[0])))
+    if not setup.driven and MIN_SPEED < stop < MAX_SPEED:
         words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
         yield Experiment("to a stop", words, setup.film(stop))
     back = "the other way" if setup.both else "in the other direction, which no run has had so far,"
@@ -100,7 +100,7 @@ def _changes(setup: _Setup) -> Iterator[Experiment]:
     yield Experiment("half mass", f"{what} a run with half the mass, {at}", replace(plain, mass=0.5))
     for sign, word in ((1.0, "raised"), (-1.0, "lowered")):
         words = f"{what} a run {at} with the far end of the course {word} by 5 degrees (give incline)"
-        yield Experiment(f"tilt {sign:+.0f}", words, replace(plain, tilt=sign * TILT))
+        yield Experiment(f"tilt {sign:+.0f}", words, replace(plain, tilt=sign * TILT_RAD))
     words = f"{what} a run {at} at twice the frame rate, as long as the light allows"
     yield Experiment("frame rate", words, replace(plain, rate=2.0))
     words = f"{what} a run {at} at another zoom, a pixel being 0.7 times as large"

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.diagnose.compressed import reduced
+from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.expected_separation import Explanation
-from frictrack.diagnose.formulas import LETTERS
-from frictrack.diagnose.smooth_forces import Axis, Smooth, smooth_forces
+from frictrack.diagnose.formulas import AXIS_SYMBOLS
+from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
@@ -21,19 +21,19 @@ from frictrack.fit.least_squares import Solution, refine
 from frictrack.records import Array
 from frictrack.words import AXES
 
-HATS = 14  # over an axis
-LOOSE = 0.5  # of friction: what is known of a height beside the runs
-STEPS = 8
+N_HATS = 14  # over an axis
+PRIOR_STD_RATIO = 0.5  # of friction: what is known of a height beside the runs
+MAX_STEPS = 8
 
 
-def along_axes(solution: Solution) -> list[Explanation]:
+def explain_by_axes(solution: Solution) -> list[Explanation]:
     """Explanations of what a law leaves by a curve over every axis, the likeliest first."""
     friction = float(np.median(np.abs(np.concatenate([r.piece.mass * r.motion.a for r in solution.responses]))))
     found = []
-    for smooth in smooth_forces(reduced(solution)):
-        if smooth.axis.name in LETTERS:
+    for smooth in smooth_forces(compress_residual(solution)):
+        if smooth.axis.name in AXIS_SYMBOLS:
             try:
-                made = _explained(solution, smooth, LOOSE * friction)
+                made = _explained(solution, smooth, PRIOR_STD_RATIO * friction)
             except FrictrackError:  # a curve under which no motion can be integrated
                 continue
             gain = max(solution.objective - made.objective, 0.0)
@@ -41,9 +41,9 @@ def along_axes(solution: Solution) -> list[Explanation]:
     return sorted(found, key=lambda e: -e.gain)
 
 
-def _explained(solution: Solution, smooth: Smooth, loose: float) -> Solution:
+def _explained(solution: Solution, smooth: SmoothForce, loose: float) -> Solution:
     """The law with any curve over one axis, from where the smooth one stands."""
-    knots = np.linspace(smooth.at[0], smooth.at[-1], HATS)
+    knots = np.linspace(smooth.at[0], smooth.at[-1], N_HATS)
     effect = _curve(AXES[smooth.axis.name].word, smooth.axis, knots, loose)
     old = solution.problem.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
@@ -51,7 +51,7 @@ def _explained(solution: Solution, smooth: Smooth, loose: float) -> Solution:
     there |= {f"{effect.name}.h{k}": float(h) for k, h in enumerate(np.interp(knots, smooth.at, smooth.force))}
     problem = solution.problem.over(layout, solution.problem.pieces)
     p = np.array([there[name] for name in layout.names])
-    return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=STEPS)
+    return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_STEPS)
 
 
 def _curve(name: str, axis: Axis, knots: Array, loose: float) -> Effect:

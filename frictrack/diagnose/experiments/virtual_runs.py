@@ -15,17 +15,17 @@ from frictrack.fit.segments import MIN_FRAMES, Piece
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import Panels
 
-NAME = "next run"
-STOPPED = 0.01  # m/s, below which a camera no longer sees the mass move
-MARGIN = 1.5  # times the time that the usual deceleration needs to stop the mass: long enough to see it stop
-LONGEST = 3000  # frames of a planned run
-LEAST = 3 * MIN_FRAMES  # frames of a run that is worth filming
+PLANNED_RUN_NAME = "next run"
+MIN_VISIBLE_SPEED = 0.01  # m/s, below which a camera no longer sees the mass move
+STOP_TIME_MARGIN = 1.5  # times the time that the usual deceleration needs to stop the mass: long enough to see it stop
+MAX_FRAMES = 3000  # frames of a planned run
+MIN_RUN_FRAMES = 3 * MIN_FRAMES  # frames of a run that is worth filming
 USUAL_SCATTER = 0.03  # of the friction level, before enough runs tell their own
-GOLDEN = 2.39996  # rad, so that phases of planned runs spread evenly
+GOLDEN_ANGLE_RAD = 2.39996  # rad, so that phases of planned runs spread evenly
 
 
 @dataclass(frozen=True)
-class Film:
+class RunDesign:
     """How one planned run is made: start place (m) and speed (m/s), and what differs from the runs that were filmed.
 
     `mass`, `rate` and `pitch` are factors on the mass, the frames per second and the metres per pixel; `tilt` (rad) is
@@ -40,15 +40,15 @@ class Film:
     rate: float = 1.0
     pitch: float = 1.0
     drive: float = 1.0
-    phase: float = GOLDEN
+    phase: float = GOLDEN_ANGLE_RAD
 
 
-def template(pieces: Sequence[Piece]) -> Piece:
+def template_piece(pieces: Sequence[Piece]) -> Piece:
     """The piece that a planned run is modelled on: the longest."""
     return max(pieces, key=lambda p: p.t[-1] - p.t[0])
 
 
-def extended(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[Layout, Array]:
+def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[Layout, Array]:
     """The unknowns of an explanation with one run more, (P',): what is the run's own is as in the other runs.
 
     A cause that most runs do not show stays away in the new run too, unless it is `free` to come.
@@ -57,12 +57,14 @@ def extended(solution: Solution, span: Span, phase: float, *, free: bool = False
     runs = len(old.run_names)
     rare = {e.name for e in old.model.effects if sum(a == e.name for a, _ in old.absent) > runs / 2}
     away = set() if free else {(name, runs) for name in rare}
-    layout = replace(old, run_names=(*old.run_names, NAME), spans=(*old.spans, span), absent=old.absent | away)
+    layout = replace(
+        old, run_names=(*old.run_names, PLANNED_RUN_NAME), spans=(*old.spans, span), absent=old.absent | away
+    )
     there = dict(zip(old.names, solution.p, strict=True))
     roles = {(e.name, p.name): p.role for e in old.model.effects for p in e.parameters}
     p = []
     for name, slot in zip(layout.names, layout.slots, strict=True):
-        others = [v for s, v in zip(old.slots, solution.p, strict=True) if _alike(s, slot)]
+        others = [v for s, v in zip(old.slots, solution.p, strict=True) if _is_same_parameter(s, slot)]
         if name in there:
             p.append(there[name])
         elif slot.effect == LEVEL:
@@ -74,42 +76,42 @@ def extended(solution: Solution, span: Span, phase: float, *, free: bool = False
     return layout, np.array(p)
 
 
-def _alike(a: Slot, b: Slot) -> bool:
+def _is_same_parameter(a: Slot, b: Slot) -> bool:
     return (a.effect, a.parameter) == (b.effect, b.parameter)
 
 
-def filmed(truth: Solution, film: Film, fine: int = 1) -> Piece:
+def simulate_run(truth: Solution, film: RunDesign, fine: int = 1) -> Piece:
     """What the camera would see of a planned run if this explanation were true: without noise, and its sigma.
 
     `fine` is the number of panels per frame that other explanations need. Raises FrictrackError where the mass does
     not get far enough to be judged.
     """
-    layout, p = extended(truth, truth.problem.layout.span, film.phase)
+    layout, p = extend_layout(truth, truth.problem.layout.span, film.phase)
     fine = max([fine, *(e.fine for e in truth.problem.model.effects)])
-    piece = blank(bench_of(truth), film, len(layout.run_names) - 1, fine)
-    return moved(Problem(layout.model, layout, [piece]), p, film)
+    piece = blank_piece(conditions_of(truth), film, len(layout.run_names) - 1, fine)
+    return integrate_motion(Problem(layout.model, layout, [piece]), p, film)
 
 
-def moved(problem: Problem, p: Array, film: Film) -> Piece:
+def integrate_motion(problem: Problem, p: Array, film: RunDesign) -> Piece:
     """The one piece of a problem with the motion that a law gives it, up to where the mass stops or is gone."""
     piece = problem.pieces[0]
     found = problem.evaluate(p, [np.array(film.start)])[0]
     x, v = found.motion.x_edge[piece.at], found.motion.v_edge[piece.at]
     n = _kept(x, np.sign(film.start[1]) * v, film.course)
-    if n < LEAST:
-        raise FrictrackError(f"expected a run of at least {LEAST} frames but the mass would be gone after {n}")
+    if n < MIN_RUN_FRAMES:
+        raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
     seen = replace(piece, x_hat=found.motion.x, v_hat=found.motion.v, a_hat=found.motion.a, y=found.model_y)
     return seen.first(n)
 
 
 def _kept(x: Array, speed: Array, course: tuple[float, float]) -> int:
     """Frames until the mass stops or leaves the course."""
-    over = np.flatnonzero((speed < STOPPED) | (x < course[0] - 1e-9) | (x > course[1] + 1e-9))
+    over = np.flatnonzero((speed < MIN_VISIBLE_SPEED) | (x < course[0] - 1e-9) | (x > course[1] + 1e-9))
     return int(over[0]) if len(over) else len(x)
 
 
 @dataclass(frozen=True)
-class Bench:
+class RunConditions:
     """What holds for every planned run: frames per second, noise (m), mass (kg), incline (rad), usual deceleration.
 
     `path` holds what is known of a run beside its motion; `like` is a run after whose drive, vertical motion and angle
@@ -125,10 +127,10 @@ class Bench:
     like: Piece | None = None
 
 
-def bench_of(solution: Solution) -> Bench:
+def conditions_of(solution: Solution) -> RunConditions:
     """The bench as the runs at hand show it."""
-    like = template(solution.problem.pieces)
-    return Bench(
+    like = template_piece(solution.problem.pieces)
+    return RunConditions(
         fps=solution.problem.layout.spans[0].fps,
         noise=float(np.median(np.concatenate([piece.noise for piece in solution.problem.pieces]))),
         mass=like.mass,
@@ -139,10 +141,10 @@ def bench_of(solution: Solution) -> Bench:
     )
 
 
-def blank(bench: Bench, film: Film, run: int, fine: int = 1) -> Piece:
+def blank_piece(bench: RunConditions, film: RunDesign, run: int, fine: int = 1) -> Piece:
     """A piece for a planned run, the `run`-th of its problem, whose motion is still to be simulated."""
     fps, s = bench.fps * film.rate, float(np.sign(film.start[1]))
-    n = int(np.clip(fps * _seconds(bench, film, s), LEAST, LONGEST)) + 1
+    n = int(np.clip(fps * _seconds(bench, film, s), MIN_RUN_FRAMES, MAX_FRAMES)) + 1
     panels = Panels(np.arange((n - 1) * fine + 1) / (fps * fine))
     path, known, mass = _circumstances(bench, film, panels.t, s)
     t = np.arange(n) / fps
@@ -166,12 +168,14 @@ def blank(bench: Bench, film: Film, run: int, fine: int = 1) -> Piece:
     )
 
 
-def _seconds(bench: Bench, film: Film, s: float) -> float:
+def _seconds(bench: RunConditions, film: RunDesign, s: float) -> float:
     """Time within which the mass has stopped or left the course."""
     if bench.like is not None and bench.like.path.drive is not None:
         return float(bench.like.t[-1] - bench.like.t[0])
     reach = (film.course[1] - film.start[0]) if s > 0 else (film.start[0] - film.course[0])
-    return MARGIN * min(abs(film.start[1]) / bench.slowing, reach / max(0.5 * abs(film.start[1]), STOPPED))
+    return STOP_TIME_MARGIN * min(
+        abs(film.start[1]) / bench.slowing, reach / max(0.5 * abs(film.start[1]), MIN_VISIBLE_SPEED)
+    )
 
 
 def _deceleration(solution: Solution) -> float:
@@ -180,7 +184,7 @@ def _deceleration(solution: Solution) -> float:
     return max(float(np.median(a)), 0.1)
 
 
-def _circumstances(bench: Bench, film: Film, nodes: Array, s: float) -> tuple[Path, Array, float]:
+def _circumstances(bench: RunConditions, film: RunDesign, nodes: Array, s: float) -> tuple[Path, Array, float]:
     """What is known of the planned run along its nodes, the acceleration by drive and incline there, and the mass."""
     old, like = bench.path, bench.like
     incline = bench.incline + film.tilt
@@ -238,7 +242,7 @@ def _again(like: Piece | None, series: Array | None, t: Array, *, at_frames: boo
     return np.interp(like.t[0] + (t % period), like.t if at_frames else like.path.t, series)
 
 
-def spread(solution: Solution, runs: int) -> float:
+def expected_scatter(solution: Solution, runs: int) -> float:
     """Scatter of the friction level to be expected when there are so many runs."""
     known = len(solution.problem.layout.levels) >= MIN_RUNS or runs < MIN_RUNS
     return max(solution.tau, 1e-3) if known else USUAL_SCATTER

@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from frictrack.diagnose.compressed import Reduced, reduced
-from frictrack.diagnose.formulas.formula_text import told
+from frictrack.diagnose.compressed import CompressedResidual, compress_residual
+from frictrack.diagnose.formulas.formula_text import describe_formula
 from frictrack.diagnose.formulas.shapes import SHAPES, Shape
 from frictrack.diagnose.formulas.terms import (
-    LETTERS,
-    NAME,
-    Formula,
+    AXIS_SYMBOLS,
+    EFFECT_NAME,
+    FittedFormula,
     Term,
-    bounds_of,
-    coefficients_of,
-    effect_of,
-    letters_of,
+    build_effect,
+    coefficient_names,
+    parameter_bounds,
+    parameter_names,
 )
-from frictrack.diagnose.model_selection import information
+from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, settle_scatter
@@ -49,36 +49,36 @@ REFINED, FIRST, FITTED, SECOND, SHOWN = (
     2,
     6,
 )  # forms refined, fitted in full at first, as rivals, as a second term, and told
-EQUAL = 6.0  # difference of the criterion within which formulas explain alike (Kass & Raftery 1995)
+MAX_DELTA_BIC_EQUAL = 6.0  # difference of the criterion within which formulas explain alike (Kass & Raftery 1995)
 NEAR = 15.0  # of the criterion beside the law of the best formula within which another one is fitted in full
 CLEAR = 5.0  # standard deviations of chi-squared that are no noise
 LIKELY = 0.5  # of the best gain of a smooth force that an axis must reach for formulas over it
 
 
-def formulas(solution: Solution, beside: Solution | None = None) -> list[dict[str, Any]]:
+def search_formulas(solution: Solution, beside: Solution | None = None) -> list[dict[str, Any]]:
     """The formulas that fit what a law leaves, simplest first among equals: entries of the JSON.
 
     Started from the law itself, and where more than noise remains from the law with what was found so far, `beside`.
     """
-    found = _found(solution, _Judge(information(solution), _excess(solution)), solution.problem.model)
+    found = _found(solution, _Judge(information_criterion(solution), _excess(solution)), solution.problem.model)
     if beside is not None and beside is not solution and not any(_is_noise(f.solution) for f in found):
-        found += _found(beside, _Judge(information(solution), _excess(solution)), None)
-    return [told(f, solution) for f in _ranked(found)[:SHOWN]]
+        found += _found(beside, _Judge(information_criterion(solution), _excess(solution)), None)
+    return [describe_formula(f, solution) for f in _ranked(found)[:SHOWN]]
 
 
-def _found(solution: Solution, judge: _Judge, law: Model | None) -> list[Formula]:
+def _found(solution: Solution, judge: _Judge, law: Model | None) -> list[FittedFormula]:
     """Formulas of one term, and of two where one leaves more than noise.
 
     `law` is what may move beside them, where it may have been bent by what it lacks.
     """
-    single = _rivals(judge, judge.added(solution, (), _terms(reduced(solution), FIRST)), law)
+    single = _rivals(judge, judge.added(solution, (), _terms(compress_residual(solution), FIRST)), law)
     if not single or _is_noise(single[0].solution):
         return single
-    left = reduced(single[0].solution)
+    left = compress_residual(single[0].solution)
     return single + judge.added(single[0].solution, single[0].terms, _terms(left, SECOND))
 
 
-def _rivals(judge: _Judge, tried: Sequence[Formula], law: Model | None) -> list[Formula]:
+def _rivals(judge: _Judge, tried: Sequence[FittedFormula], law: Model | None) -> list[FittedFormula]:
     """The best of what was tried, and what explains as well in its place, best first.
 
     Beside a law that lacks something the scan ranks but roughly; beside the law of the best formula it is right.
@@ -88,7 +88,7 @@ def _rivals(judge: _Judge, tried: Sequence[Formula], law: Model | None) -> list[
     best = max(tried, key=lambda f: f.delta_bic)
     if law is not None and not _is_noise(best.solution):
         best = judge.reseated(best, law)
-    left = reduced(best.solution, NAME)
+    left = compress_residual(best.solution, EFFECT_NAME)
     terms = _terms(left, FITTED, (best.terms[0].along.name,))
     near = [t for t in terms if _worth(terms[0], left) - _worth(t, left) < NEAR]
     found = [best, *(f for t in near if (f := judge.exchanged(best, t)) is not None)]
@@ -107,31 +107,31 @@ class _Judge:
     bare: float
     excess: float
 
-    def of(self, terms: tuple[Term, ...], solution: Solution) -> Formula:
+    def of(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """A formula that was fitted."""
         gone = self.excess - _excess(solution)
         share = float(np.clip(gone / max(self.excess, 1e-300), 0.0, 1.0))
-        return Formula(terms, solution, self.bare - information(solution), share)
+        return FittedFormula(terms, solution, self.bare - information_criterion(solution), share)
 
-    def added(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[Formula]:
+    def added(self, solution: Solution, first: tuple[Term, ...], terms: Sequence[Term]) -> list[FittedFormula]:
         """Each term added to a law and fitted in full, those that can be followed."""
-        name = NAME if not first else f"{NAME}_{len(first) + 1}"
+        name = EFFECT_NAME if not first else f"{EFFECT_NAME}_{len(first) + 1}"
         out = []
         for term in terms:
             with suppress(FrictrackError):
-                grown = grow(solution, effect_of(name, term))
+                grown = grow(solution, build_effect(name, term))
                 out.append(self.of((*first, term), grown if _is_noise(grown) else settled(grown)))
         return out
 
-    def exchanged(self, best: Formula, term: Term) -> Formula | None:
+    def exchanged(self, best: FittedFormula, term: Term) -> FittedFormula | None:
         """Another term in the place of the only one of a formula, from the law as it stands."""
         old = best.solution.problem.layout
-        layout = replace(old, model=old.model - NAME + effect_of(NAME, term))
+        layout = replace(old, model=old.model - EFFECT_NAME + build_effect(EFFECT_NAME, term))
         there = dict(zip(old.names, best.solution.p, strict=True))
-        here = dict(zip(letters_of(term), term.numbers, strict=True)) | dict(
-            zip(coefficients_of(term), term.coefficients, strict=True)
+        here = dict(zip(parameter_names(term), term.numbers, strict=True)) | dict(
+            zip(coefficient_names(term), term.coefficients, strict=True)
         )
-        own = {f"{NAME}.{name}": value for name, value in here.items()}
+        own = {f"{EFFECT_NAME}.{name}": value for name, value in here.items()}
         p = np.array([(there | own)[name] for name in layout.names])
         problem = best.solution.problem.over(layout, best.solution.problem.pieces)
         try:
@@ -139,7 +139,7 @@ class _Judge:
         except FrictrackError:
             return None
 
-    def reseated(self, best: Formula, law: Model) -> Formula:
+    def reseated(self, best: FittedFormula, law: Model) -> FittedFormula:
         """The same formula where an effect of the law stands better elsewhere now that the law is not bent any more."""
         solution = best.solution
         for effect in in_turn(law)[1]:
@@ -159,14 +159,14 @@ def _is_noise(solution: Solution) -> bool:
     return _excess(solution) < CLEAR * np.sqrt(2 * solution.problem.n_frames)
 
 
-def _ranked(found: Sequence[Formula]) -> list[Formula]:
+def _ranked(found: Sequence[FittedFormula]) -> list[FittedFormula]:
     """By criterion, those that explain as well as the best by simplicity; one of a kind."""
     order = sorted((f for f in found if f.delta_bic > 0), key=lambda f: -f.delta_bic)
-    equal = [f for f in order if order[0].delta_bic - f.delta_bic < EQUAL]
+    equal = [f for f in order if order[0].delta_bic - f.delta_bic < MAX_DELTA_BIC_EQUAL]
     return sorted(equal, key=lambda f: f.complexity) + order[len(equal) :]
 
 
-def _terms(left: Reduced, most: int, names: Sequence[str] = ()) -> list[Term]:
+def _terms(left: CompressedResidual, most: int, names: Sequence[str] = ()) -> list[Term]:
     """The best forms beside a law, refined there, one per shape and axis, best first; `names` of axes, or all."""
     seen = list(_scanned(left, names))
     if not seen:
@@ -178,13 +178,13 @@ def _terms(left: Reduced, most: int, names: Sequence[str] = ()) -> list[Term]:
     return sorted(unique.values(), key=lambda t: -_worth(t, left))[:most]
 
 
-def _worth(term: Term, left: Reduced) -> float:
+def _worth(term: Term, left: CompressedResidual) -> float:
     return term.gain - term.unknowns * float(np.log(left.n_frames))
 
 
-def _scanned(left: Reduced, names: Sequence[str] = ()) -> Iterator[Term]:
+def _scanned(left: CompressedResidual, names: Sequence[str] = ()) -> Iterator[Term]:
     """The best setting of every shape over every axis on which a smooth force explains something."""
-    smooth = [s for s in smooth_forces(left) if s.axis.name in (names or LETTERS)]
+    smooth = [s for s in smooth_forces(left) if s.axis.name in (names or AXIS_SYMBOLS)]
     for axis in (s.axis for s in smooth if s.gain > LIKELY * smooth[0].gain):
         u, factor = left.gathered(axis.of), left.gathered(axis.times)
         for shape in SHAPES:
@@ -195,7 +195,9 @@ def _scanned(left: Reduced, names: Sequence[str] = ()) -> Iterator[Term]:
                 yield Term(shape, axis, points[best], (float(u.min()), float(u.max())), float(gains[best]))
 
 
-def _gains(left: Reduced, shape: Shape, points: Sequence[tuple[float, ...]], along: tuple[Array, Array]) -> Array:
+def _gains(
+    left: CompressedResidual, shape: Shape, points: Sequence[tuple[float, ...]], along: tuple[Array, Array]
+) -> Array:
     """Fall of chi-squared with the best coefficients at every setting, (G,)."""
     u, factor = along
     made = shape.on_grid(u, points)
@@ -219,12 +221,12 @@ def _finite(columns: Array) -> Array:
     return np.where(np.abs(columns) < LARGEST, columns, 0.0)
 
 
-def _refined(left: Reduced, term: Term) -> Term:
+def _refined(left: CompressedResidual, term: Term) -> Term:
     """The same form at its best numbers, coefficients solved for every trial (variable projection)."""
     if not term.numbers:
         return replace(term, coefficients=_solved(left, term, term.numbers)[1])
-    limits = bounds_of(term, 30.0, 3.0)
-    low, high = np.array([limits[q] for q in letters_of(term)]).T
+    limits = parameter_bounds(term, 30.0, 3.0)
+    low, high = np.array([limits[q] for q in parameter_names(term)]).T
     scale = np.minimum(high - low, np.maximum(np.abs(np.array(term.numbers)), 1e-3 * (high - low)))
 
     start = np.clip(term.numbers, low, high) / scale
@@ -241,7 +243,7 @@ def _refined(left: Reduced, term: Term) -> Term:
     return replace(term, numbers=tuple(map(float, numbers)), gain=gain, coefficients=coefficients)
 
 
-def _solved(left: Reduced, term: Term, numbers: Sequence[float] | Array) -> tuple[Array, tuple[float, ...]]:
+def _solved(left: CompressedResidual, term: Term, numbers: Sequence[float] | Array) -> tuple[Array, tuple[float, ...]]:
     """What the best coefficients of a form leave, (M,), and these."""
     columns = left.trace([_finite(term.force(path, list(numbers))) for path in left.paths])
     solved = np.linalg.lstsq(columns, left.left, rcond=1e-9)[0]

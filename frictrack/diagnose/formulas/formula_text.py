@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from frictrack.diagnose.formulas.terms import (
-    LETTERS,
-    NAME,
-    Formula,
+    AXIS_SYMBOLS,
+    EFFECT_NAME,
+    FittedFormula,
     Term,
-    bounds_of,
-    coefficients_of,
-    letters_of,
-    text_of,
+    coefficient_names,
+    parameter_bounds,
+    parameter_names,
+    study_file_text,
 )
-from frictrack.diagnose.smooth_forces import OTHER
+from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
 from frictrack.words import AXES
 
@@ -42,21 +42,26 @@ def _coefficient_unit(column: str, axis: str) -> str:
     return "N" if power == 0 else f"N/{unit}" if power == 1 else f"N/{unit}^{power:g}"
 
 
-def told(found: Formula, solution: Solution) -> dict[str, Any]:
+def describe_formula(found: FittedFormula, solution: Solution) -> dict[str, Any]:
     """Entry of the JSON."""
     values = found.solution.problem.layout.values(found.solution.p, 0)[0]
     terms = []
     for i, term in enumerate(found.terms):
-        own = values[NAME if i == 0 else f"{NAME}_{i + 1}"]
+        own = values[EFFECT_NAME if i == 0 else f"{EFFECT_NAME}_{i + 1}"]
         terms.append(
-            (replace(term, numbers=tuple(own[q] for q in letters_of(term))), [own[c] for c in coefficients_of(term)])
+            (
+                replace(term, numbers=tuple(own[q] for q in parameter_names(term))),
+                [own[c] for c in coefficient_names(term)],
+            )
         )
     loads = [p.path.load for p in solution.problem.pieces]
     added = [
-        n for n in found.solution.problem.model.names if n not in solution.problem.model and not n.startswith(NAME)
+        n
+        for n in found.solution.problem.model.names
+        if n not in solution.problem.model and not n.startswith(EFFECT_NAME)
     ]
     return {
-        "formula": _words(terms, with_load=max(loads) > OTHER * min(loads)),
+        "formula": _words(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
         "axis": found.terms[0].axis,
         "share": found.share,
         "delta_bic": float(found.delta_bic),
@@ -93,7 +98,7 @@ def _sines(columns: Sequence[str], coefficients: Sequence[float]) -> Iterator[tu
 
 def _spelled(column: str, term: Term) -> str:
     """A column with its numbers and their units."""
-    text = "" if column == "1" else re.sub(r"\bu\b", LETTERS[term.axis][1], column)
+    text = "" if column == "1" else re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][1], column)
     for q, kind, number in zip(term.shape.numbers, term.shape.kinds, term.numbers, strict=True):
         digits = 3 if kind in ("width", "scale", "share") else 4
         text = re.sub(rf"\b{q}\b", f"{number:.{digits}g} {_unit(kind, term.axis)}".removesuffix(" 1"), text)
@@ -107,14 +112,16 @@ def _toml(terms: Sequence[Term]) -> str:
     units: dict[str, str] = {}
     bounds: dict[str, tuple[float, float]] = {}
     for term, suffix in pairs:
-        columns = zip(coefficients_of(term, suffix), term.shape.columns, strict=True)
+        columns = zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
         units |= {c: _coefficient_unit(column, term.axis) for c, column in columns}
-        units |= {q: _unit(kind, term.axis) for q, kind in zip(letters_of(term, suffix), term.shape.kinds, strict=True)}
-        bounds |= bounds_of(term, 3.0, 1.0, suffix)
+        units |= {
+            q: _unit(kind, term.axis) for q, kind in zip(parameter_names(term, suffix), term.shape.kinds, strict=True)
+        }
+        bounds |= parameter_bounds(term, 3.0, 1.0, suffix)
     lines = [
         "[[effect]]",
-        f'effect = "{NAME}"',
-        f'formula = "{" + ".join(text_of(*pair) for pair in pairs)}"',
+        f'effect = "{EFFECT_NAME}"',
+        f'formula = "{" + ".join(study_file_text(*pair) for pair in pairs)}"',
         "units = {" + ", ".join(f'{k} = "{u}"' for k, u in units.items()) + "}",
     ]
     if bounds:

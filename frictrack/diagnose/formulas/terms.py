@@ -17,9 +17,9 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array
 
-LETTERS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # axes of formulas: in a study file, to read
-NAME = "unexplained"  # of the effect in the study file
-LONGEST = 3.0  # times the axis: a width beyond it is no width
+AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # axes of formulas: in a study file, to read
+EFFECT_NAME = "unexplained"  # of the effect in the study file
+MAX_WIDTH_RATIO = 3.0  # times the axis: a width beyond it is no width
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Formula:
+class FittedFormula:
     """A sum of terms, added to a law and fitted."""
 
     terms: tuple[Term, ...]
@@ -69,10 +69,10 @@ class Formula:
         return sum(t.unknowns for t in self.terms), sum(SHAPES.index(t.shape) for t in self.terms)
 
 
-def effect_of(name: str, term: Term) -> Effect:
+def build_effect(name: str, term: Term) -> Effect:
     """The term as a user's effect, looked for only where it was found."""
-    made = effects.formula(name, text_of(term, ""), bounds=bounds_of(term, 10.0, 3.0))
-    here = {q: {"scan": _Here(value)} for q, value in zip(letters_of(term), term.numbers, strict=True)}
+    made = effects.formula(name, study_file_text(term, ""), bounds=parameter_bounds(term, 10.0, 3.0))
+    here = {q: {"scan": _SingleValueScan(value)} for q, value in zip(parameter_names(term), term.numbers, strict=True)}
     return replace(made, columns=_Columns(term)).adjusted(**here)
 
 
@@ -90,7 +90,7 @@ class _Columns:
 
 
 @dataclass(frozen=True)
-class _Here:
+class _SingleValueScan:
     """A scan of one value."""
 
     value: float
@@ -99,15 +99,15 @@ class _Here:
         return np.array([self.value])
 
 
-def bounds_of(term: Term, times: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
+def parameter_bounds(term: Term, times: float, cells: float, suffix: str = "") -> dict[str, tuple[float, float]]:
     """Where the numbers may go: a width by a factor, a place or a frequency by so many cells that look alike."""
     low, high = term.ends
     span = high - low
     out = {}
-    for letter, kind, value in zip(letters_of(term, suffix), term.shape.kinds, term.numbers, strict=True):
+    for letter, kind, value in zip(parameter_names(term, suffix), term.shape.kinds, term.numbers, strict=True):
         if kind in ("width", "scale"):
             near, far = sorted((value / times, value * times), key=abs)
-            ends = near, float(np.clip(far, -LONGEST * span, LONGEST * span))
+            ends = near, float(np.clip(far, -MAX_WIDTH_RATIO * span, MAX_WIDTH_RATIO * span))
         elif kind == "share":
             ends = 0.3, 0.995
         else:
@@ -120,30 +120,30 @@ def bounds_of(term: Term, times: float, cells: float, suffix: str = "") -> dict[
     return out
 
 
-def letters_of(term: Term, suffix: str = "") -> list[str]:
+def parameter_names(term: Term, suffix: str = "") -> list[str]:
     """Names of its numbers."""
     return [q + suffix for q in term.shape.numbers]
 
 
-def coefficients_of(term: Term, suffix: str = "") -> list[str]:
+def coefficient_names(term: Term, suffix: str = "") -> list[str]:
     """Names of its coefficients."""
     many = len(term.shape.columns) > 1
     return [f"F_{i}{suffix}" if many else f"F{suffix}" for i in range(1, len(term.shape.columns) + 1)]
 
 
-def text_of(term: Term, suffix: str) -> str:
+def study_file_text(term: Term, suffix: str) -> str:
     """The term as a study file has it."""
     return " + ".join(
-        " * ".join(part for part in (coefficient, term.factor, column_of(column, term, suffix)) if part)
-        for coefficient, column in zip(coefficients_of(term, suffix), term.shape.columns, strict=True)
+        " * ".join(part for part in (coefficient, term.factor, column_text(column, term, suffix)) if part)
+        for coefficient, column in zip(coefficient_names(term, suffix), term.shape.columns, strict=True)
     )
 
 
-def column_of(column: str, term: Term, suffix: str) -> str:
+def column_text(column: str, term: Term, suffix: str) -> str:
     """A column with the axis and its numbers under their own names; nothing for a constant."""
     if column == "1":
         return ""
-    text = re.sub(r"\bu\b", LETTERS[term.axis][0], column)
+    text = re.sub(r"\bu\b", AXIS_SYMBOLS[term.axis][0], column)
     for q in term.shape.numbers:
         text = re.sub(rf"\b{q}\b", q + suffix, text)
     return text

@@ -1,7 +1,7 @@
 """Test whether a misfit repeats from run to run: over place, time since release, speed, or with one frequency."""
 
-from frictrack.diagnose.repeatability.axis_result import Repeat
-from frictrack.diagnose.repeatability.common_curves import Repeats, repeats
-from frictrack.diagnose.repeatability.residual_curves import where_it_fails
+from frictrack.diagnose.repeatability.axis_result import AxisRepeatability
+from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
+from frictrack.diagnose.repeatability.residual_curves import find_failure_pattern
 
-__all__ = ["Repeat", "Repeats", "repeats", "where_it_fails"]
+__all__ = ["AxisRepeatability", "Repeatability", "assess_repeatability", "find_failure_pattern"]

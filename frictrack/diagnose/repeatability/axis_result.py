@@ -8,10 +8,10 @@ from typing import Any
 
 from frictrack.words import AXES
 
-MOSTLY, ALPHA = 0.5, 0.01  # share of the misfit that the other runs predict, and its chance, for a failure to repeat
-DECISIVE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
+MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs predict, and its chance, for a failure to repeat
+MIN_EVIDENCE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing
 
-WHERE = {
+AXIS_TEXTS = {
     "x": ("at the same place", "it belongs to the course"),
     "t": ("at the same time since release", "it belongs to what happens since release, not to the place"),
     "v": ("at the same speed", "it belongs to the law of friction itself"),
@@ -20,7 +20,7 @@ WHERE = {
 
 
 @dataclass(frozen=True)
-class Repeat:
+class AxisRepeatability:
     """How well the failure repeats along one axis: share of the misfit foretold, p, and in how many of the runs.
 
     `evidence` is that against a force that every run has for itself, twice the log of the likelihood ratio.
@@ -41,7 +41,7 @@ class Repeat:
         A strong and narrow force is followed closer by a curve of every run than by a common one, but what runs predict
         of each other is common to them.
         """
-        return self.evidence > DECISIVE or (self.share > MOSTLY and self.p < ALPHA)
+        return self.evidence > MIN_EVIDENCE or (self.share > MIN_SHARE and self.p < ALPHA)
 
     def summary(self) -> dict[str, Any]:
         """JSON of one axis."""
@@ -50,26 +50,26 @@ class Repeat:
         return found | ({} if self.frequency is None else {"frequency": self.frequency})
 
 
-def ordered(axes: Sequence[Repeat]) -> list[Repeat]:
+def sort_axes(axes: Sequence[AxisRepeatability]) -> list[AxisRepeatability]:
     """The likeliest first; of those between which the likelihood does not decide, the one that foretells most."""
     near = _near(axes)
     return sorted(axes, key=lambda a: (not a.holds, a not in near, -a.share if a in near else -a.evidence))
 
 
-def _near(axes: Sequence[Repeat]) -> list[Repeat]:
+def _near(axes: Sequence[AxisRepeatability]) -> list[AxisRepeatability]:
     """Those between which and the likeliest one the likelihood does not decide, itself among them."""
     top = max(a.evidence for a in axes)
-    return [a for a in axes if a.evidence > top - DECISIVE]
+    return [a for a in axes if a.evidence > top - MIN_EVIDENCE]
 
 
-def told(axes: Sequence[Repeat]) -> str:
+def describe_axes(axes: Sequence[AxisRepeatability]) -> str:
     """What it means, for a person."""
     best = axes[0]
     if not best.holds:
-        if best.evidence < -DECISIVE:
+        if best.evidence < -MIN_EVIDENCE:
             return "The failure does not repeat from run to run: no place, time, speed or frequency is common to it."
         return "Whether the failure repeats from run to run cannot be told: these runs show too little of it."
-    where, why = WHERE[best.axis]
+    where, why = AXIS_TEXTS[best.axis]
     if best.axis == "phase" and best.frequency is not None:
         where = f"{where} ({best.frequency:.3g} Hz)"
     how_often = f" in {best.runs} of {best.of} runs" if best.runs > 1 else ""

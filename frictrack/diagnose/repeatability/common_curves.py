@@ -25,32 +25,36 @@ from scipy.fft import dct, idct
 
 from frictrack.compare.bump_dictionary import Nodes, course, nodes
 from frictrack.compare.spectral_lines import wave_traces
-from frictrack.diagnose.compressed import reduced
-from frictrack.diagnose.repeatability.axis_result import Repeat, ordered, told
-from frictrack.diagnose.repeatability.common_frequency import FORETOLD, in_phase, surplus
-from frictrack.diagnose.smooth_forces import each_alone, smooth_forces
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.repeatability.axis_result import AxisRepeatability, describe_axes, sort_axes
+from frictrack.diagnose.repeatability.common_frequency import (
+    MIN_PREDICTED_SHARE,
+    assess_common_frequency,
+    restricted_likelihood_gain,
+)
+from frictrack.diagnose.smooth_forces import gain_of_separate_curves, smooth_forces
 from frictrack.effects.texture import periods
 from frictrack.fit.least_squares import Linearised, Solution, linearised, traces
 from frictrack.fit.smooth_functions import hats, matern
 from frictrack.records import Array
 
-DRAWS = 199
-KNOTS = {"x": 120, "t": 80, "v": 40}
-REACHES = (2.0, 6.0, 20.0)  # of a curve, in knots
-SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
-LAW = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
+N_DRAWS = 199
+N_KNOTS = {"x": 120, "t": 80, "v": 40}
+CORRELATION_LENGTHS_KNOTS = (2.0, 6.0, 20.0)  # of a curve, in knots
+PRIOR_SIZES = (0.3, 3.0, 30.0)  # of a curve, over what its runs just show
+MIN_LAW_WEIGHT = 0.03  # of what all runs tell of the law that stays when a run is foretold by the others
 
 
 @dataclass(frozen=True)
-class Repeats:
+class Repeatability:
     """The axes, best first, what is to be said, and the common curve over every axis: (k,) each."""
 
-    axes: list[Repeat] = field(default_factory=list)
+    axes: list[AxisRepeatability] = field(default_factory=list)
     words: str = ""
     curves: dict[str, dict[str, Array]] = field(default_factory=dict)
 
     @property
-    def best(self) -> Repeat | None:
+    def best(self) -> AxisRepeatability | None:
         """The axis along which the failure repeats, if it does along any."""
         return next((a for a in self.axes if a.holds), None)
 
@@ -123,35 +127,39 @@ class _Runs:
         return out
 
 
-def repeats(solution: Solution, rng: np.random.Generator, draws: int = DRAWS) -> Repeats:
+def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Repeatability:
     """Along which axis the failure of a fitted law repeats from run to run."""
     law = linearised(solution)
     runs = sorted({r.piece.run for r in law.responses})
     if len(runs) < 2:
-        return Repeats(words="One run cannot tell whether a failure repeats: film another one, best at another speed.")
+        return Repeatability(
+            words="One run cannot tell whether a failure repeats: film another one, best at another speed."
+        )
     apart = _apart(law, runs, _drawn(law, rng, draws))
     found, curves, excess = [], {}, _excess(apart)
     likely, own = _likelihoods(solution)
-    for axis in KNOTS:
+    for axis in N_KNOTS:
         made, curves[axis] = _smooth([_fold(apart, axis, dry) for dry in (True, False)])
         if axis == "x":
             wave, rise = _wave(apart)
             made, likely[axis] = _better(made, wave), max(likely[axis], rise)
         found.append(replace(_judged(axis, made, excess), evidence=likely[axis] - own))
-    phase = in_phase(law, runs, rng, draws)
-    found.append(Repeat("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own))
-    found = ordered(found)
-    return Repeats(found, told(found), curves)
+    phase = assess_common_frequency(law, runs, rng, draws)
+    found.append(
+        AxisRepeatability("phase", phase.share, phase.p, phase.runs, len(runs), phase.frequency, phase.evidence - own)
+    )
+    found = sort_axes(found)
+    return Repeatability(found, describe_axes(found), curves)
 
 
 def _likelihoods(solution: Solution) -> tuple[dict[str, float], float]:
     """Evidence for a smooth force over every axis, and for one of every run, over none at all."""
-    left = reduced(solution)
-    likely = dict.fromkeys(KNOTS, 0.0)
+    left = compress_residual(solution)
+    likely = dict.fromkeys(N_KNOTS, 0.0)
     for smooth in smooth_forces(left):
         name = smooth.axis.name
         likely[name] = max(likely.get(name, 0.0), smooth.gain)
-    return likely, max(each_alone(left), 0.0)
+    return likely, max(gain_of_separate_curves(left), 0.0)
 
 
 def _apart(law: Linearised, runs: Sequence[int], series: Array) -> _Runs:
@@ -206,7 +214,7 @@ def _knots(apart: _Runs, axis: str) -> Array:
     else:
         speeds = [np.abs(n.v) for n in apart.at]
         low, high = min(float(s.min()) for s in speeds), max(float(s.max()) for s in speeds)
-    return np.linspace(low, high, KNOTS[axis])
+    return np.linspace(low, high, N_KNOTS[axis])
 
 
 def _fold(apart: _Runs, axis: str, dry: bool) -> _Fold:
@@ -224,7 +232,7 @@ def _held(fold: _Fold) -> Array:
     """What holds the law of the other runs where they do not tell it: the law of all, (K + S, K + S)."""
     k = len(fold.knots)
     out = np.zeros(fold.gram.shape[1:])
-    out[k:, k:] = LAW * fold.gram.sum(axis=0)[k:, k:]
+    out[k:, k:] = MIN_LAW_WEIGHT * fold.gram.sum(axis=0)[k:, k:]
     out += 1e-12 * np.trace(out) * np.eye(len(out))
     return out
 
@@ -236,9 +244,9 @@ def _smooth(tried: Sequence[_Fold]) -> tuple[Array, dict[str, Array]]:
     for fold in tried:
         k = len(fold.knots)
         scale = float(np.trace(fold.gram.sum(axis=0)[:k, :k]) / k)
-        for reach in REACHES:
+        for reach in CORRELATION_LENGTHS_KNOTS:
             prior = np.linalg.inv(matern(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
-            for size in SIZES:
+            for size in PRIOR_SIZES:
                 held = _held(fold)
                 held[:k, :k] += prior * (scale / size**2)
                 gains = _gains(fold, held, k)
@@ -253,12 +261,12 @@ def _better(one: Array, other: Array) -> Array:
     return np.where(other.sum(axis=0) > one.sum(axis=0), other, one)
 
 
-def _judged(axis: str, gains: Array, excess: Array) -> Repeat:
+def _judged(axis: str, gains: Array, excess: Array) -> AxisRepeatability:
     """Share of the misfit that is foretold, its p among the draws, and in how many runs."""
     share = gains.sum(axis=0) / excess.sum(axis=0)
     p = float((1 + np.sum(share[1:] >= share[0])) / len(share))
-    runs = int(np.sum(gains[:, 0] > FORETOLD * excess[:, 0]))
-    return Repeat(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
+    runs = int(np.sum(gains[:, 0] > MIN_PREDICTED_SHARE * excess[:, 0]))
+    return AxisRepeatability(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(excess))
 
 
 def _wave(apart: _Runs) -> tuple[Array, float]:
@@ -283,7 +291,7 @@ def _wave(apart: _Runs) -> tuple[Array, float]:
         best = np.argmax(np.sum(size * left, axis=1), axis=0)
         mine = _Waved(runs.pairs[run], runs.cross[run], runs.data[run])
         out[run] = _told_by(mine, (gram[run], data[run]), (inverse @ seen, bent), size, best)
-    return out, surplus(_best_wave(whole, gram.sum(axis=0) + held, data.sum(axis=0)), 2, len(f))
+    return out, restricted_likelihood_gain(_best_wave(whole, gram.sum(axis=0) + held, data.sum(axis=0)), 2, len(f))
 
 
 def _best_wave(whole: _Waved, law: Array, seen: Array) -> float:

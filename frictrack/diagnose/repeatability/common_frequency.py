@@ -11,13 +11,13 @@ from frictrack.compare.spectral_lines import scanned, seen
 from frictrack.fit.least_squares import Linearised
 from frictrack.records import Array
 
-FORETOLD = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
+MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
 
 _Halves = tuple[Array, Array, Array, Array]  # even and odd: Gram (G, 2, 2), (G, 2, 2), data (G, 2), (G, 2)
 
 
 @dataclass(frozen=True)
-class InPhase:
+class CommonFrequency:
     """Share of the misfit that the other runs foretell, its p, in how many runs, the frequency, Hz; the evidence."""
 
     share: float
@@ -27,7 +27,7 @@ class InPhase:
     evidence: float
 
 
-def surplus(gain: float, numbers: int, tried: int) -> float:
+def restricted_likelihood_gain(gain: float, numbers: int, tried: int) -> float:
     """Twice the rise of the log restricted likelihood with waves that gain so much, at the size that is most likely.
 
     `numbers` are those of all waves together, as well known each; `tried` the periods among which this is the best.
@@ -36,7 +36,9 @@ def surplus(gain: float, numbers: int, tried: int) -> float:
     return numbers * (each - 1 - float(np.log(each))) - 2 * float(np.log(tried))
 
 
-def in_phase(law: Linearised, runs: Sequence[int], rng: np.random.Generator, draws: int) -> InPhase:
+def assess_common_frequency(
+    law: Linearised, runs: Sequence[int], rng: np.random.Generator, draws: int
+) -> CommonFrequency:
     """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
 
     Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
@@ -53,8 +55,10 @@ def in_phase(law: Linearised, runs: Sequence[int], rng: np.random.Generator, dra
     mine = float(gains[:, best].sum())
     p = float((1 + np.sum(np.array(null) >= mine)) / (1 + draws))
     share = float(np.clip(mine / excess.sum(), 0.0, 1.0))
-    told_in = int(np.sum(gains[:, best] > FORETOLD * excess))
-    return InPhase(share, p, told_in, float(f[best]), surplus(float(free[best]), 2 * len(told), len(f)))
+    told_in = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * excess))
+    return CommonFrequency(
+        share, p, told_in, float(f[best]), restricted_likelihood_gain(float(free[best]), 2 * len(told), len(f))
+    )
 
 
 def _beyond(law: Linearised, runs: Sequence[int]) -> Array:

@@ -8,33 +8,33 @@ import numpy as np
 
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.spectral_lines import Line
-from frictrack.diagnose.repeatability.common_curves import Repeats, repeats
+from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import compact
 from frictrack.records import Array
 from frictrack.words import AXES
 
-PLACES = 161  # of a common curve
-SMOOTH = 1 / 80  # of an axis: width of the smoothing
-ENOUGH = 0.2  # of the usual number of frames round a place for a run to have a say there
+N_POINTS = 161  # of a common curve
+SMOOTHING_WIDTH = 1 / 80  # of an axis: width of the smoothing
+MIN_WEIGHT_SHARE = 0.2  # of the usual number of frames round a place for a run to have a say there
 
 
 @dataclass(frozen=True)
-class Where:
-    """Whether the failure repeats, and the curves that show it: see `figures_of`."""
+class FailurePattern:
+    """Whether the failure repeats, and the curves that show it: see `residual_figures`."""
 
-    repeats: Repeats
+    repeats: Repeatability
     figures: dict[str, dict[str, Array]]
 
 
-def where_it_fails(solution: Solution, rng: np.random.Generator) -> Where:
+def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
     """What the failure of a fitted law has in common from run to run, in words, numbers and curves."""
     solution = compact(solution)
     pieces, line = deconvolved(solution)
-    return Where(repeats(solution, rng), figures_of(pieces, line))
+    return FailurePattern(assess_repeatability(solution, rng), residual_figures(pieces, line))
 
 
-def figures_of(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[str, Array]]:
+def residual_figures(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[str, Array]]:
     """Curves for plots and files.
 
     `residual_force`: run (its number among the fitted ones), t, x, phase (cycles), v and a (along the motion, so v is
@@ -48,7 +48,7 @@ def figures_of(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[s
     out = {"residual_force": whole}
     for axis in AXES:
         if axis in whole:
-            out[f"common_{axis}"] = common(whole["run"], whole[axis], whole["F"], whole["sigma_F"])
+            out[f"common_{axis}"] = mean_curve(whole["run"], whole[axis], whole["F"], whole["sigma_F"])
     return out
 
 
@@ -61,21 +61,21 @@ def _along(piece: Deconvolved, line: Line | None) -> dict[str, Array]:
     return out | {"F": against * piece.F, "sigma_F": piece.sigma_F}
 
 
-def common(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str, Array]:
+def mean_curve(run: Array, axis: Array, force: Array, sigma: Array) -> dict[str, Array]:
     """The mean of all runs over an axis (n,): places `at`, F and sigma_F (k,), NaN where no run has been.
 
     Every run is smoothed by itself; runs differ by their noise and by a scatter that is estimated at every place
     (DerSimonian & Laird 1986, Control. Clin. Trials 7), so the band says how far they agree.
     """
     low, high = float(axis.min()), float(axis.max())
-    at = np.linspace(low, high, PLACES)
-    width = max(high - low, 1e-12) * SMOOTH
+    at = np.linspace(low, high, N_POINTS)
+    width = max(high - low, 1e-12) * SMOOTHING_WIDTH
     means, variances = [], []
     for r in np.unique(run):
         mine = run == r
         kernel = np.exp(-(((axis[mine] - at[:, None]) / width) ** 2) / 2)
         weight = kernel.sum(axis=1)
-        here = weight > ENOUGH * np.median(weight[weight > 0])
+        here = weight > MIN_WEIGHT_SHARE * np.median(weight[weight > 0])
         share = kernel / np.maximum(weight, 1e-300)[:, None]
         means.append(np.where(here, share @ force[mine], np.nan))
         variances.append(np.where(here, share @ sigma[mine] ** 2, np.nan))
