@@ -411,6 +411,6 @@ def test_the_figure_and_the_table_tell_the_same(study):
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts[[part["source"] for part in row["budget"]].index("time base")] == "not known"
     run: RunResults = run_results(session.runs[0])
-    assert "v4" in budgets.told([run])[0]
-    assert len(budgets.sources([run]).rows) == len(row["budget"])
-    assert budgets.sources([replace(run, budget={})]).rows == ()
+    assert "v4" in budgets.budget_sentences([run])[0]
+    assert len(budgets.source_table([run]).rows) == len(row["budget"])
+    assert budgets.source_table([replace(run, budget={})]).rows == ()

@@ -16,7 +16,7 @@ from test_plots import results
 from frictrack import report
 from frictrack.errors import FrictrackError
 from frictrack.flow.stages import RunWork
-from frictrack.report import record, tables, words
+from frictrack.report import provenance, tables, verdict_text
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -130,12 +130,14 @@ def with_scale(relative, pitch=1e-4):
 def test_the_report_says_what_the_scale_does_to_forces(monkeypatch):
     monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
     known = with_scale(0.004)
-    assert "The scale is known to 0.40 %, and so is every force told from acceleration" in words.scale_line(known)
-    assert "common to all runs of one camera" in words.scale_line(known)
+    assert "The scale is known to 0.40 %, and so is every force told from acceleration" in verdict_text.scale_line(
+        known
+    )
+    assert "common to all runs of one camera" in verdict_text.scale_line(known)
     text = report.render(known)
     assert "± of the scale" in text
     assert "The scale is known to 0.40 %" in text
-    assert "How well the scale is known was not given" in words.scale_line(with_scale(0.0))
+    assert "How well the scale is known was not given" in verdict_text.scale_line(with_scale(0.0))
     assert "± of the scale" not in report.render(with_scale(0.0))
 
 
@@ -154,7 +156,7 @@ def test_parameters_that_go_with_the_scale():
 def test_measured_friction_does_not_go_with_the_scale():
     known = with_scale(0.004)
     sensors = type("S", (), {"drive": None, "friction_N": np.ones(3)})()
-    assert words.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
+    assert verdict_text.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -170,7 +172,7 @@ def test_measured_friction_does_not_go_with_the_scale():
 def test_the_record_says_how_the_scale_was_given(scale, said):
     found = results(film=True)
     runs = tuple(replace(r, settings=r.settings | {"scale": scale}) for r in found.runs)
-    assert said in [str(cell) for row in record.settings(replace(found, runs=runs)).rows for cell in row]
+    assert said in [str(cell) for row in provenance.settings(replace(found, runs=runs)).rows for cell in row]
 
 
 # ---- the whole way

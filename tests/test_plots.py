@@ -342,7 +342,7 @@ def test_scan_marks_the_best_setting_over_all_others():
     places, widths = np.meshgrid(np.linspace(0, 0.5, 11), np.geomspace(0.01, 0.1, 6))
     rise = np.exp(-(((places - 0.2) / 0.05) ** 2)) * np.exp(-(np.log(widths / 0.04) ** 2))
     curves = {"x_c": places.ravel(), "w": widths.ravel(), "rise": rise.ravel(), "limit": rise.ravel()}
-    assert plots.scanned(curves) == "x_c"
+    assert plots.has_scan(curves) == "x_c"
     figure = plots.scan("patch", curves)
     ax = figure.axes[0]
     marker = ax.lines[-1]
@@ -353,7 +353,7 @@ def test_scan_marks_the_best_setting_over_all_others():
 
 
 def test_nothing_scanned_is_said():
-    assert plots.scanned({"limit": np.ones(1), "rise": np.ones(1)}) is None
+    assert plots.has_scan({"limit": np.ones(1), "rise": np.ones(1)}) is None
     with pytest.raises(ValueError, match='expected the scan of an effect but "drag" has no setting'):
         plots.scan("drag", {"limit": np.ones(1), "rise": np.ones(1)})
 
@@ -369,7 +369,7 @@ def test_history_falls_to_the_noise():
 
 def test_limits_show_what_depends_on_a_setting():
     r = results()
-    assert plots.limited(r.diagnosis, r.figures) == ["texture"]
+    assert plots.has_limits(r.diagnosis, r.figures) == ["texture"]
     ax = plots.limits(r.diagnosis, r.figures).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "amplitude / mN")
     with pytest.raises(ValueError, match="expected the curve of a detection limit"):

@@ -14,8 +14,8 @@ from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
-from frictrack.report import measured as of_measurement
-from frictrack.report import numbers, tables, words
+from frictrack.report import measurement_quality as of_measurement
+from frictrack.report import numbers, tables, verdict_text
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -130,7 +130,7 @@ def with_diagnosis(found):
 
 def test_missing_says_what_it_is_and_how_to_confirm():
     found = diagnosis("missing", [candidate("texture", 0.001, 812.0)], ["texture"])
-    verdict = words.verdict(with_diagnosis(found))
+    verdict = verdict_text.verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
     assert verdict.headline == "Tustin lacks texture"
     assert "Missing is <b>texture</b> (what texture is; p = 0.001" in told
@@ -142,7 +142,7 @@ def test_ambiguous_names_the_group_and_what_would_settle_it(quick):
     best = candidate("vibration", 0.001, 300.0, ["camera_shake"])
     found = diagnosis("ambiguous", [best, candidate("camera_shake", 0.001, 299.0, ["vibration"])], ["vibration"])
     found["next_experiment"] = [{"what": "Film a fixed mark.", "separates": ["vibration", "camera_shake"]}]
-    verdict = words.verdict(with_diagnosis(found))
+    verdict = verdict_text.verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
     assert verdict.headline == "Tustin lacks vibration or camera_shake: these runs cannot tell which"
     assert "<b>camera_shake</b> would predict the same data" in told
@@ -161,7 +161,7 @@ def test_unexplained_shows_where_it_repeats(quick):
 
 
 def test_complete_at_once():
-    verdict = words.verdict(with_diagnosis(diagnosis("complete")))
+    verdict = verdict_text.verdict(with_diagnosis(diagnosis("complete")))
     assert verdict.headline == "Tustin is complete for these runs"
     assert "detection limits" in " ".join(verdict.sentences)
 

@@ -21,12 +21,12 @@ def plan(study: Study, progress: Progress = silent) -> dict[str, Any]:
 
     Raises FrictrackError where mass, frame rate or scale are not known, or the folder cannot be written.
     """
-    from frictrack.report import planned  # noqa: PLC0415 - loads matplotlib
+    from frictrack.report import plan_page  # noqa: PLC0415 - loads matplotlib
 
     stand = _fitted(study, progress) if study.runs else _bare(study)
     chosen = planning.choose(stand, progress)
     told = plain({**planning.summary(chosen), "name": study.name})
-    page = planned.write(told, study.output / "plan.html")
+    page = plan_page.write(told, study.output / "plan.html")
     return {**told, "page": str(page), "output": str(study.output)}
 
 

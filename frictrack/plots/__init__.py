@@ -5,35 +5,37 @@ plots.motion(run).savefig("v3.pdf")
 
 from frictrack.plots.budget import budget
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import candidates, gain, history, limited, limits, passes, scan, scanned
+from frictrack.plots.evidence import candidates, format_gain, has_limits, has_scan, history, limits, passes, scan
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
+from frictrack.plots.missing_force import has_missing_force, missing_force
 from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
+from frictrack.plots.next_experiments import next_experiments
 from frictrack.plots.profiles import profiles
-from frictrack.plots.settle import settle
 from frictrack.plots.style import number, numbered_name, plain_name, png, svg, unit
 from frictrack.plots.unexplained import in_step, unexplained
-from frictrack.plots.where import drawable, missing_force
 
 __all__ = [
     "budget",
     "candidates",
     "cutoff",
-    "drawable",
     "failing",
     "film",
     "fit",
+    "format_gain",
     "friction",
-    "gain",
+    "has_limits",
+    "has_missing_force",
+    "has_scan",
     "history",
     "in_step",
-    "limited",
     "limits",
     "loops",
     "missing_force",
     "modelled",
     "motion",
+    "next_experiments",
     "noise_um",
     "number",
     "numbered_name",
@@ -43,8 +45,6 @@ __all__ = [
     "profiles",
     "routes",
     "scan",
-    "scanned",
-    "settle",
     "svg",
     "unexplained",
     "unit",

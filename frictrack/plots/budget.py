@@ -44,14 +44,14 @@ def _bars(ax: Axes, rows: Sequence[Mapping[str, Any]], key: str) -> None:
         ax.barh(i, value or 0.0, height=0.7, **(TOTAL if row["source"] == "total" else SOURCE))
         slant = "italic" if value is None else "normal"
         ax.annotate(
-            _said(value, longest), (value or 0.0, i), xytext=(4, 0), textcoords="offset points",
+            _bar_label(value, longest), (value or 0.0, i), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=8.5, style=slant,
         )  # fmt: skip
     ax.set_xlim(0, ROOM * longest)
     ax.tick_params(axis="y", length=0)
 
 
-def _said(value: float | None, longest: float) -> str:
+def _bar_label(value: float | None, longest: float) -> str:
     """What stands at the end of a bar."""
     if value is None:
         return "not known"

@@ -47,7 +47,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
         good = passes(c)
         look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
         ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
-        told = f" {gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
+        told = f" {format_gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
         ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
     if logarithmic:
         ax.set_xscale("log")
@@ -65,7 +65,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def gain(delta_bic: float) -> str:
+def format_gain(delta_bic: float) -> str:
     """Evidence with its sign, thousands apart."""
     return f"{delta_bic:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}")
 
@@ -118,7 +118,7 @@ def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozense
     return frozenset((place, *named)) if passes(c) else frozenset()
 
 
-def scanned(curves: Mapping[str, Array]) -> str | None:
+def has_scan(curves: Mapping[str, Array]) -> str | None:
     """The setting along which a candidate's rise can be drawn; None where there is nothing to draw."""
     if "rise" not in curves:
         return None
@@ -132,7 +132,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.WIDTH) -
 
     Raises ValueError for an effect without a setting that was scanned.
     """
-    name = scanned(curves)
+    name = has_scan(curves)
     if name is None:
         raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
     at, rise = envelope(curves[name], curves["rise"], np.maximum)
@@ -241,12 +241,12 @@ def _wrapped(name: str) -> str:
     return name.replace(" + ", "\n+ ")
 
 
-def limited(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
+def has_limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
     """Effects whose detection limit depends on a setting, so that a curve says more than the table."""
-    return [e for e in diagnosis["detection_limits"] if e in figures and len(_along(figures[e])[1]) > 4]
+    return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) > 4]
 
 
-def _along(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
+def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
     """The setting on which a limit depends most, its values (n,), and the limit where it is worst otherwise (n,).
 
     Values at which no size could be seen are left out.
@@ -266,7 +266,7 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
 
     Raises ValueError when no limit depends on a setting.
     """
-    shown = limited(diagnosis, figures)
+    shown = has_limits(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")
     columns = style.across(len(shown))
@@ -281,7 +281,7 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
 
 
 def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
-    name, at, limit = _along(curves)
+    name, at, limit = _scan_axis(curves)
     factor, shown = style.scaled(at, _unit(effect, name))
     size, size_unit = style.scaled(limit, written)
     ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)

@@ -15,7 +15,7 @@ from frictrack.plots.style import axis, blank, number, plain_name, styled
 from frictrack.records import Array, Curve, Mask
 from frictrack.results import ModelResults, RunResults
 
-MOST_PANELS = 4  # runs drawn; of more, those that fit worst
+MAX_PANELS = 4  # runs drawn; of more, those that fit worst
 GAP = 1.5  # usual steps of time beyond which a line is broken
 
 
@@ -26,7 +26,7 @@ def loops(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
     Raises ValueError where no friction was measured.
     """
     by_name = {run.name: run for run in runs}
-    shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MOST_PANELS]
+    shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MAX_PANELS]
     if not shown:
         raise ValueError("expected a run with a friction force but got none")
     figure = blank(3.1 * len(shown) + 0.6, _title(model))

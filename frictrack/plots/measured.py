@@ -18,7 +18,7 @@ from frictrack.results import RunResults
 
 MARK, PATH = style.ORANGE, style.SKY
 DWARFED = 4.0  # times the reach of the free section: beyond it, the push is cut off
-MOST_NAMED, NAME_WIDTH = 8, 0.12  # events that are named, and the share of the width that a name takes
+MAX_NAMED, NAME_WIDTH = 8, 0.12  # events that are named, and the share of the width that a name takes
 RESTS = 0.02  # of the highest speed: below it a motion has as good as stopped
 
 
@@ -96,7 +96,7 @@ def _marked(panels: Sequence[Axes], run: RunResults) -> None:
             ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)
         named.append((at, kind))
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
-    for k, (at, kind) in enumerate(named[:MOST_NAMED]):
+    for k, (at, kind) in enumerate(named[:MAX_NAMED]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
         panels[0].annotate(
             kind, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9 - 10 * (crowded and k % 2)),
@@ -113,11 +113,13 @@ def _motion_title(run: RunResults) -> str:
     start, end = abs(float(v[0])), abs(float(v[-1]))
     change = "slows" if end < start else "speeds up"
     if min(start, end) < RESTS * max(start, end):
-        return f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_most(start, end)}"
+        return (
+            f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_extreme_speed(start, end)}"
+        )
     return f"{run.name} {change} from {number(start)} to {number(end)} m/s"
 
 
-def _most(start: float, end: float) -> str:
+def _extreme_speed(start: float, end: float) -> str:
     return f"{number(start)} m/s to a stop" if end < start else f"{number(end)} m/s"
 
 

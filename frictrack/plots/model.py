@@ -24,7 +24,7 @@ from frictrack.results import ModelResults, RunResults
 
 GAP = 1.5  # usual steps of time beyond which a line is broken
 CLOSE = 0.12  # of a panel, within which two labels would touch
-MOST_PANELS = 12  # runs drawn; of more, those that fit worst
+MAX_PANELS = 12  # runs drawn; of more, those that fit worst
 AFTER: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
@@ -133,7 +133,7 @@ def fit_title(model: ModelResults) -> str:
     return f"{name} {word}: {figures}"
 
 
-def _left_over(model: ModelResults, runs: Sequence[RunResults]) -> str:
+def _residual_words(model: ModelResults, runs: Sequence[RunResults]) -> str:
     most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
     noise = noise_um(model)
     against = "" if noise is None else f"; the noise is {number(noise)} µm"
@@ -142,7 +142,7 @@ def _left_over(model: ModelResults, runs: Sequence[RunResults]) -> str:
 
 def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
     if not spans:
-        return _left_over(model, runs)
+        return _residual_words(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
     t0, t1 = (number(1e3 * t) for t in worst["t"])
     share = f"{100 * worst['share_of_error']:.0f} % of the error"
@@ -159,16 +159,16 @@ def noise_um(model: ModelResults) -> float | None:
 
 
 def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
-    """Runs in their order; of more than `MOST_PANELS`, those with the largest residual over its noise."""
+    """Runs in their order; of more than `MAX_PANELS`, those with the largest residual over its noise."""
     names = list(dict.fromkeys(curve.run for curve in model.curves))
-    if len(names) <= MOST_PANELS:
+    if len(names) <= MAX_PANELS:
         return names
     size = {
         run.name: float(np.mean(np.concatenate([p.values / p.sigma for p in residuals(model, run)]) ** 2))
         for run in runs
         if run.name in names
     }
-    kept = set(sorted(size, key=lambda n: -size[n])[:MOST_PANELS])
+    kept = set(sorted(size, key=lambda n: -size[n])[:MAX_PANELS])
     return [n for n in names if n in kept]
 
 

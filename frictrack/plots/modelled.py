@@ -17,7 +17,7 @@ from frictrack.plots.style import axis, band, blank, number, plain_name, styled
 from frictrack.records import Array, Mask, Modelled, stretches
 from frictrack.results import ModelResults, RunResults
 
-MOST_PANELS = 6  # runs drawn; of more, those that fit worst
+MAX_PANELS = 6  # runs drawn; of more, those that fit worst
 SMOOTHED: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
 BAND: dict[str, Any] = {"facecolor": style.ORANGE, "edgecolor": style.MODEL, "alpha": 0.4, "hatch": "////"}
 LINE: dict[str, Any] = {"color": style.MODEL, "lw": 1.6, "ls": (0, (4, 1.2))}
@@ -30,8 +30,8 @@ def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
     Frames of a blow that is too short to be resolved are hatched and left out of the model's lines: its impulse stands
     there instead. Raises ValueError for a model without a motion of its own.
     """
-    own = {told.run: told for told in model.motion}
-    shown = [name for name in worst_runs(model, runs) if name in own][:MOST_PANELS]
+    own = {motion.run: motion for motion in model.motion}
+    shown = [name for name in worst_runs(model, runs) if name in own][:MAX_PANELS]
     if not shown:
         raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
     by_name = {run.name: run for run in runs}
@@ -49,7 +49,9 @@ def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
         if k % columns == 0:
             _label(cell)
     figure.align_ylabels(panels[:, 0])
-    figure.legend(handles=_handles(any(np.any(told.blow) for told in own.values())), loc="outside lower left", ncols=5)
+    figure.legend(
+        handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
+    )
     return figure
 
 
@@ -59,8 +61,8 @@ def modelled_title(model: ModelResults) -> str:
     if not rows:
         return f"{plain_name(model.name)}: its own motion on the smoothed one"
     own, smooth = (_rms([row[key] for row in rows]) for key in ("sigma_a", "sigma_a_smoothed"))
-    told = f"{plain_name(model.name)} tells a to {number(own, 2)} m/s², smoothing to {number(smooth, 2)} m/s²"
-    return f"{told}; it misses something" if any(row["notes"] for row in rows) else told
+    motion = f"{plain_name(model.name)} tells a to {number(own, 2)} m/s², smoothing to {number(smooth, 2)} m/s²"
+    return f"{motion}; it misses something" if any(row["notes"] for row in rows) else motion
 
 
 def _rms(values: Sequence[float | None]) -> float | None:
@@ -68,35 +70,35 @@ def _rms(values: Sequence[float | None]) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
-def _run(cell: Sequence[Axes], told: Modelled, run: RunResults, impulses: str) -> None:
+def _run(cell: Sequence[Axes], motion: Modelled, run: RunResults, impulses: str) -> None:
     """One run in its three panels."""
     a, left, force = cell
-    m, rows = run.motion, np.searchsorted(run.motion.t, told.t - 1e-9)
-    t, at = 1e3 * told.t, 1e3 * m.t[rows]
+    m, rows = run.motion, np.searchsorted(run.motion.t, motion.t - 1e-9)
+    t, at = 1e3 * motion.t, 1e3 * m.t[rows]
     judged = _judged(run, rows)
     band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED)
     a.plot(at, m.a[rows], color=style.MEASURED, lw=1.0)
-    _own(a, told, told.a, told.sigma_a)
-    band(left, at, m.a[rows] - told.a, m.sigma_a[rows], **SMOOTHED)
-    left.plot(at, m.a[rows] - told.a, color=style.MEASURED, lw=1.0)
-    _own(left, told, np.zeros(len(told)), told.sigma_a)
+    _draw_model(a, motion, motion.a, motion.sigma_a)
+    band(left, at, m.a[rows] - motion.a, m.sigma_a[rows], **SMOOTHED)
+    left.plot(at, m.a[rows] - motion.a, color=style.MEASURED, lw=1.0)
+    _draw_model(left, motion, np.zeros(len(motion)), motion.sigma_a)
     if run.friction is not None:
         f = run.friction
         band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED)
         force.plot(at, f.F[rows], color=style.MEASURED, lw=1.0)
-    _own(force, told, told.F, told.sigma_F)
+    _draw_model(force, motion, motion.F, motion.sigma_F)
     for ax, smooth, own, sigma in (
-        (a, m.a[rows], told.a, told.sigma_a),
-        (left, m.a[rows] - told.a, np.zeros(len(told)), np.hypot(told.sigma_a, np.median(m.sigma_a[rows]))),
-        (force, told.F, told.F, told.sigma_F),
+        (a, m.a[rows], motion.a, motion.sigma_a),
+        (left, m.a[rows] - motion.a, np.zeros(len(motion)), np.hypot(motion.sigma_a, np.median(m.sigma_a[rows]))),
+        (force, motion.F, motion.F, motion.sigma_F),
     ):
-        _limit(ax, smooth[judged & ~told.blow], (own[~told.blow], sigma[~told.blow]))
+        _limit(ax, smooth[judged & ~motion.blow], (own[~motion.blow], sigma[~motion.blow]))
     for ax in cell:
-        _hatch(ax, t, told.blow)
+        _hatch(ax, t, motion.blow)
         ax.set_xlim(t[0], t[-1])
-    a.set_title(told.run + (", not fitted" if told.role == "validation" else ""), fontweight="normal")
-    if impulses and np.any(told.blow):
-        middle = float(np.mean(t[told.blow]))
+    a.set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
+    if impulses and np.any(motion.blow):
+        middle = float(np.mean(t[motion.blow]))
         a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
             {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
         )
@@ -118,13 +120,13 @@ def _judged(run: RunResults, rows: Any) -> Mask:
     return kept if np.any(kept) else ~kept
 
 
-def _own(ax: Axes, told: Modelled, values: Array, sigma: Array) -> None:
+def _draw_model(ax: Axes, motion: Modelled, values: Array, sigma: Array) -> None:
     """The model's line with its band, stretch by stretch, open where a blow is not resolved."""
-    for k in np.unique(told.segment):
-        at = told.segment == k
-        shown = style.broken(values, ~told.blow)[at]
-        band(ax, 1e3 * told.t[at], shown, sigma[at], **BAND, zorder=2.5)
-        ax.plot(1e3 * told.t[at], shown, zorder=3, **LINE)
+    for k in np.unique(motion.segment):
+        at = motion.segment == k
+        shown = style.broken(values, ~motion.blow)[at]
+        band(ax, 1e3 * motion.t[at], shown, sigma[at], **BAND, zorder=2.5)
+        ax.plot(1e3 * motion.t[at], shown, zorder=3, **LINE)
 
 
 def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
@@ -134,8 +136,8 @@ def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
 
 def _impulses(model: ModelResults, run: str) -> str:
     """Impulses of a run's collisions in a few words."""
-    told = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
-    return ", ".join(f"J = {number(1e3 * c['impulse_N_s'])} ± {number(1e3 * c['std'], 1)} mN s" for c in told)
+    motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
+    return ", ".join(f"J = {number(1e3 * c['impulse_N_s'])} ± {number(1e3 * c['std'], 1)} mN s" for c in motion)
 
 
 def _label(cell: Sequence[Axes]) -> None:

@@ -17,7 +17,7 @@ from frictrack.plots import style
 from frictrack.plots.style import blank, number, scaled, styled
 from frictrack.records import Array
 
-TOP = 1.7  # of the limit: how high a panel goes
+MAX_SHOWN_RISE = 1.7  # of the limit: how high a panel goes
 DRAWN = 200  # points of a curve
 COLUMNS = 4
 WIDE = 30.0  # ratio of the ends of an interval from which the axis is logarithmic
@@ -31,8 +31,8 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     rows = -(-len(found) // columns)
     figure = blank(2.3 * rows + 0.8, _title(found))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for ax, (name, told) in zip(panels.flat, found.items(), strict=False):
-        _panel(ax, name, told, summary["parameters"].get(name, {}))
+    for ax, (name, profile) in zip(panels.flat, found.items(), strict=False):
+        _panel(ax, name, profile, summary["parameters"].get(name, {}))
     for ax in panels.flat[len(found) :]:
         ax.set_axis_off()
     for ax in panels[:, 0]:
@@ -55,25 +55,25 @@ def _level(found: Mapping[str, Any]) -> float:
 
 
 def _title(found: Mapping[str, Any]) -> str:
-    unclosed = [name for name, told in found.items() if told["low"] is None or told["high"] is None]
+    unclosed = [name for name, profile in found.items() if profile["low"] is None or profile["high"] is None]
     if not unclosed:
         return "Every parameter is bounded on both sides"
     return f"Not bounded on both sides: {', '.join(unclosed)}"
 
 
-def _panel(ax: Axes, name: str, told: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
-    limit = float(norm.ppf(0.5 + told["level"] / 2)) ** 2
-    values, rise = np.array(told["values"]), np.array(told["rise"])
-    factor, unit = scaled(values, told["unit"])
-    low, high = _reach(values, rise, told, limit)
-    ends = [end if told[key] is None else told[key] for key, end in (("low", low), ("high", high))]
+def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
+    limit = float(norm.ppf(0.5 + profile["level"] / 2)) ** 2
+    values, rise = np.array(profile["values"]), np.array(profile["rise"])
+    factor, unit = scaled(values, profile["unit"])
+    low, high = _reach(values, rise, profile, limit)
+    ends = [end if profile[key] is None else profile[key] for key, end in (("low", low), ("high", high))]
     ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE, lw=0, zorder=0)
     for key, colour, dashes in (("std", style.MODEL, (4, 1.5)), ("std_misfit", style.MEASURED, (4, 1, 1, 1))):
         if quoted.get(key):
             along = np.linspace(low, high, DRAWN)
-            curve = ((along - told["value"]) / quoted[key]) ** 2
+            curve = ((along - profile["value"]) / quoted[key]) ** 2
             ax.plot(factor * along, curve, color=colour, lw=1.2, ls=(0, dashes))
-    along, curve = _smooth(values, rise, told["value"])
+    along, curve = _smooth(values, rise, profile["value"])
     ax.plot(factor * along, curve, color=style.BLUE, lw=1.5)
     ax.plot(factor * values, rise, color=style.BLUE, **(style.DOTS | {"markersize": 5.0}))
     ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
@@ -83,16 +83,16 @@ def _panel(ax: Axes, name: str, told: Mapping[str, Any], quoted: Mapping[str, An
     else:
         ax.locator_params(axis="x", nbins=4)
     ax.set_xlim(factor * low, factor * high)
-    ax.set_ylim(-0.06 * limit, TOP * limit)
+    ax.set_ylim(-0.06 * limit, MAX_SHOWN_RISE * limit)
     ax.set_title(name, fontweight="normal")
-    ax.set_xlabel(f"{_interval(told, factor)} {style.unit(unit)}".strip())
+    ax.set_xlabel(f"{_interval(profile, factor)} {style.unit(unit)}".strip())
 
 
-def _reach(values: Array, rise: Array, told: Mapping[str, Any], limit: float) -> tuple[float, float]:
+def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:
     """What a panel shows: the interval and a little more; an open side as far as it was followed."""
     seen = values[rise < 4 * limit]
-    low = seen.min() if told["low"] is None else told["low"]
-    high = seen.max() if told["high"] is None else told["high"]
+    low = seen.min() if profile["low"] is None else profile["low"]
+    high = seen.max() if profile["high"] is None else profile["high"]
     room = 0.16 * ((high - low) or abs(high) or 1.0)
     return float(low - room), float(high + room)
 
@@ -109,8 +109,8 @@ def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
     return (np.exp(along) if wide else along), curve
 
 
-def _interval(told: Mapping[str, Any], factor: float) -> str:
-    low, high = (None if told[key] is None else factor * told[key] for key in ("low", "high"))
+def _interval(profile: Mapping[str, Any], factor: float) -> str:
+    low, high = (None if profile[key] is None else factor * profile[key] for key in ("low", "high"))
     if low is None and high is None:
         return "any"
     if low is None:

@@ -32,7 +32,7 @@ RUNS: list[dict[str, Any]] = [
 ]  # one per run, then again dashed and dotted
 SIGMAS = 2.0  # half width of every band, standard deviations
 WIDTH = 10.0  # inches of a figure over the whole page
-MOST_POINTS = 1500  # of a band; more than a page can show
+MAX_POINTS = 1500  # of a band; more than a page can show
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
 
 STYLE: Any = {
@@ -124,7 +124,7 @@ def axis(quantity: str, written: str) -> str:
 
 def band(ax: Axes, x: Array, middle: Array, sigma: Array, **look: Any) -> None:
     """A shaded band of `SIGMAS` standard deviations round a line."""
-    step = max(1, len(x) // MOST_POINTS)
+    step = max(1, len(x) // MAX_POINTS)
     x, middle, sigma = x[::step], middle[::step], SIGMAS * sigma[::step]
     ax.fill_between(x, middle - sigma, middle + sigma, linewidth=0, **look)
 

@@ -6,6 +6,6 @@ report.printed(page)  # report.pdf
 """
 
 from frictrack.report.page import render, write
-from frictrack.report.paper import printed
+from frictrack.report.pdf import printed
 
 __all__ = ["printed", "render", "write"]

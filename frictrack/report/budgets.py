@@ -8,18 +8,18 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.report.numbers import number
-from frictrack.report.tables import Cell, Table, table
+from frictrack.report.tables import Cell, TextTable, table
 from frictrack.results import RunResults
 
 HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "a frame / N", "common to")
 
 
-def told(runs: Sequence[RunResults]) -> list[Markup]:
+def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
     """What each run's force is worth, because of what, and what would halve the error."""
     return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
 
 
-def sources(runs: Sequence[RunResults]) -> Table:
+def source_table(runs: Sequence[RunResults]) -> TextTable:
     """All sources of all runs."""
     rows: list[Sequence[Cell]] = []
     for run in runs:

@@ -13,10 +13,10 @@ from frictrack.files import replace_text
 from frictrack.plots.campaign import series
 from frictrack.report.numbers import number, quantity
 from frictrack.report.page import Draw
-from frictrack.report.tables import Cell, Table, code, table
+from frictrack.report.tables import Cell, TextTable, code, table
 from frictrack.report.templates import now, template
 
-MOST = 1000  # studies in the page's table; the others stand in the files
+MAX_STUDIES_SHOWN = 1000  # studies in the page's table; the others stand in the files
 PANELS = 12  # drawn; the clearest trends first
 ORDER = ("complete", "undetermined", "missing", "ambiguous", "unexplained")
 
@@ -38,7 +38,7 @@ def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links
         result=result,
         headline=headline(result),
         kind=_kind(result),
-        says=_says(result),
+        says=_sentences(result),
         trends=_trends(trends),
         changing=sum(bool(one["holds"]) for one in trends),
         series=Draw()(series(clearest)) if clearest else Markup(""),
@@ -46,8 +46,8 @@ def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links
         verdicts=_verdicts(result),
         lacking=_lacking(result),
         failed=_failed(result, links),
-        studies=_studies(result["studies"][:MOST], links),
-        more=max(0, len(result["studies"]) - MOST),
+        studies=_studies(result["studies"][:MAX_STUDIES_SHOWN], links),
+        more=max(0, len(result["studies"]) - MAX_STUDIES_SHOWN),
         written=now(),
     )
 
@@ -73,7 +73,7 @@ def _kind(result: Mapping[str, Any]) -> str:
     return "complete" if set(result["verdicts"]) <= {"complete"} and not result["failed"] else "missing"
 
 
-def _says(result: Mapping[str, Any]) -> str:
+def _sentences(result: Mapping[str, Any]) -> str:
     runs = sum(one["runs"] for one in result["studies"])
     text = f"{_count(runs, 'run', 'runs')} in {_count(len(result['studies']), 'study', 'studies')}"
     worked = len(result["studies"]) - result["kept"]
@@ -88,7 +88,7 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
-def _trends(trends: Sequence[Mapping[str, Any]]) -> Table:
+def _trends(trends: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             code(one["name"]) if "." in one["name"] else one["name"],
@@ -103,24 +103,24 @@ def _trends(trends: Sequence[Mapping[str, Any]]) -> Table:
     return table(("quantity", "values", "from first to last", "scatter beside it", "p", "verdict"), rows, (1,))
 
 
-def _verdicts(result: Mapping[str, Any]) -> Table:
+def _verdicts(result: Mapping[str, Any]) -> TextTable:
     names = [*ORDER, *(name for name in result["verdicts"] if name not in ORDER)]
     rows = [(name, str(result["verdicts"][name])) for name in names if name in result["verdicts"]]
     return table(("verdict", "studies"), rows, (1,))
 
 
-def _lacking(result: Mapping[str, Any]) -> Table:
+def _lacking(result: Mapping[str, Any]) -> TextTable:
     """How often each effect was found missing."""
     counts = Counter(name for one in result["studies"] if not one["reason"] for name in one["missing"])
     return table(("missing effect", "studies"), [(code(name), str(n)) for name, n in counts.most_common()], (1,))
 
 
-def _failed(result: Mapping[str, Any], links: Mapping[str, str]) -> Table:
+def _failed(result: Mapping[str, Any], links: Mapping[str, str]) -> TextTable:
     rows = [(_linked(one["study"], links), one["run"], one["reason"]) for one in result["failed"]]
     return table(("study", "run", "failed because"), rows)
 
 
-def _studies(studies: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> Table:
+def _studies(studies: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> TextTable:
     rows = [
         (
             str(k),

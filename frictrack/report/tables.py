@@ -12,16 +12,16 @@ from markupsafe import Markup
 from frictrack.plots import passes, plain_name
 from frictrack.plots import unit as written_unit
 from frictrack.report.numbers import number, quantity, size, span, typed
-from frictrack.report.words import before_after
+from frictrack.report.verdict_text import held_out_change
 from frictrack.results import ModelResults, RunResults
 
-PER_RUN = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
-SCALED = ("N", "N s", "m", "m/s")  # units of what is as wrong as the scale is; in N s/m and N/m it cancels
+PER_RUN_NAME = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
+UNITS_OF_SCALE = ("N", "N s", "m", "m/s")  # units of what is as wrong as the scale is; in N s/m and N/m it cancels
 Cell = str | Markup
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Heads and rows; columns in `numeric` are set flush right."""
 
     heads: tuple[str, ...]
@@ -29,11 +29,11 @@ class Table:
     numeric: frozenset[int] = frozenset()
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> Table:
+def table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> TextTable:
     """A table whose empty columns are left out."""
     kept = [k for k in range(len(heads)) if not rows or any(row[k] not in ("", "\N{EN DASH}") for row in rows)]
     new = {old: k for k, old in enumerate(kept)}
-    return Table(
+    return TextTable(
         tuple(heads[k] for k in kept),
         tuple(tuple(row[k] for k in kept) for row in rows),
         frozenset(new[k] for k in numeric if k in new),
@@ -45,7 +45,7 @@ def code(text: str) -> Markup:
     return Markup("<code>{}</code>").format(text)
 
 
-def parameters(model: ModelResults, scale_error: float = 0.0) -> Table:
+def parameters(model: ModelResults, scale_error: float = 0.0) -> TextTable:
     """Shared parameters: value ± standard deviation, what the scale's relative error adds, and what is to be said.
 
     Where the model is rejected, the deviation with the misfit stands beside, marked with a dagger.
@@ -57,20 +57,20 @@ def parameters(model: ModelResults, scale_error: float = 0.0) -> Table:
             code(name),
             quantity(p["value"], p["std"], p["unit"]),
             *([size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
-            _of_scale(p, scale_error),
+            _scale_part(p, scale_error),
             _remark(p, unresolved=name in blows),
         )
         for name, p in model.summary["parameters"].items()
-        if not PER_RUN.match(name)
+        if not PER_RUN_NAME.match(name)
     ]
     heads = ("parameter", "value", *(["† ± with the misfit"] if rejected else []), "± of the scale", "")
     return table(heads, rows, (1, 2, 3) if rejected else (1, 2))
 
 
-def _of_scale(p: Mapping[str, Any], scale_error: float) -> str:
+def _scale_part(p: Mapping[str, Any], scale_error: float) -> str:
     """What a common error of the scale does to a parameter that grows with it."""
     value = p["value"]
-    if not (scale_error and value) or p["unit"] not in SCALED or p.get("reason") == "fixed":
+    if not (scale_error and value) or p["unit"] not in UNITS_OF_SCALE or p.get("reason") == "fixed":
         return ""
     return size(abs(value) * scale_error, p["unit"])
 
@@ -86,7 +86,7 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
     return "" if mu is None else f"µ = {quantity(mu['value'], mu['std'], '1')}"
 
 
-def certainty(model: ModelResults) -> Table:
+def uncertainty(model: ModelResults) -> TextTable:
     """Standard deviation, profile and bootstrap of every parameter, side by side."""
     summary = model.summary
     profiles, drawn = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
@@ -94,19 +94,19 @@ def certainty(model: ModelResults) -> Table:
         (
             code(name),
             quantity(p["value"], p["std"], p["unit"]),
-            _ends(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
-            _ends(drawn[name]["interval"][0], drawn[name]["interval"][1], p["unit"]) if name in drawn else "",
+            _interval(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
+            _interval(drawn[name]["interval"][0], drawn[name]["interval"][1], p["unit"]) if name in drawn else "",
             size(drawn[name]["std"], p["unit"]) if name in drawn else "",
             "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
         )
         for name, p in summary["parameters"].items()
-        if (name in profiles or name in drawn) and not PER_RUN.match(name)
+        if (name in profiles or name in drawn) and not PER_RUN_NAME.match(name)
     ]
     heads = ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws", "")
     return table(heads, rows, (1, 2, 3, 4))
 
 
-def _ends(low: float | None, high: float | None, unit: str) -> str:
+def _interval(low: float | None, high: float | None, unit: str) -> str:
     """An interval whose ends may be open."""
     if low is None and high is None:
         return "any"
@@ -115,13 +115,17 @@ def _ends(low: float | None, high: float | None, unit: str) -> str:
     return f"{number(low, 4)} to {number(high, 4)} {written_unit(unit)}".strip()
 
 
-def routes(default: ModelResults, papers: ModelResults) -> Table:
+def routes(default: ModelResults, papers: ModelResults) -> TextTable:
     """Parameters and errors of the default beside the papers' route."""
     theirs = papers.summary["parameters"]
     rows: list[Sequence[Cell]] = [
-        (code(name), quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]), _beside(theirs.get(name)))
+        (
+            code(name),
+            quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]),
+            _quantity_or_dash(theirs.get(name)),
+        )
         for name, p in default.summary["parameters"].items()
-        if not PER_RUN.match(name)
+        if not PER_RUN_NAME.match(name)
     ]
     for key, words, unit, factor in ERRORS:
         cells = [m.summary["errors"].get(key) for m in (default, papers)]
@@ -131,7 +135,7 @@ def routes(default: ModelResults, papers: ModelResults) -> Table:
     return table(heads, rows, (1, 2))
 
 
-def _beside(p: Mapping[str, Any] | None) -> str:
+def _quantity_or_dash(p: Mapping[str, Any] | None) -> str:
     return "\N{EN DASH}" if p is None else quantity(p["value"], p["std"], p["unit"])
 
 
@@ -150,10 +154,14 @@ ERRORS = (
 )  # key, words, unit, factor
 
 
-def history(models: Sequence[ModelResults]) -> Table:
+def history(models: Sequence[ModelResults]) -> TextTable:
     """Every model tried, in order, with its errors."""
     used = [e for e in ERRORS if any(m.summary["errors"].get(e[0]) is not None for m in models)]
-    heads = ("model", *(f"{words} / {_over(unit)}" if unit else words for _, words, unit, _ in used), "verdict")
+    heads = (
+        "model",
+        *(f"{words} / {_unit_in_brackets(unit)}" if unit else words for _, words, unit, _ in used),
+        "verdict",
+    )
     rows = []
     for k, m in enumerate(models, 1):
         errors = m.summary["errors"]
@@ -163,11 +171,11 @@ def history(models: Sequence[ModelResults]) -> Table:
     return table(heads, rows, range(1, len(used) + 1))
 
 
-def _over(unit: str) -> str:
+def _unit_in_brackets(unit: str) -> str:
     return f"({unit})" if "/" in unit else unit
 
 
-def spans(found: Sequence[Mapping[str, Any]]) -> Table:
+def spans(found: Sequence[Mapping[str, Any]]) -> TextTable:
     """Where a model fails."""
     rows = [
         (
@@ -217,7 +225,7 @@ def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
     ]
 
 
-def importance(diagnosis: Mapping[str, Any]) -> Table:
+def importance(diagnosis: Mapping[str, Any]) -> TextTable:
     """What every effect explains of the misfit: alone, and after those above it; the last one that is worth adding."""
     rows = []
     for row in diagnosis.get("importance") or []:
@@ -248,23 +256,23 @@ def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
 
 def _numbers(c: Mapping[str, Any]) -> list[Cell]:
     """Shared parameters, then the evidence."""
-    shared = {name: p for name, p in c["parameters"].items() if not PER_RUN.match(name)}
-    own = sorted({m["name"] for name in c["parameters"] if (m := PER_RUN.match(name))})
+    shared = {name: p for name, p in c["parameters"].items() if not PER_RUN_NAME.match(name)}
+    own = sorted({m["name"] for name in c["parameters"] if (m := PER_RUN_NAME.match(name))})
     out: list[Cell] = [f"{name} {quantity(p['value'], p['std'], p['unit'])}" for name, p in shared.items()]
     if own:
         out.append(f"one {' and one '.join(own)} per run")
     out.append(f"p = {number(c['p'], 1)}, delta BIC {number(c['delta_bic'])}")
-    change = before_after(c)
+    change = held_out_change(c)
     if change:
         out.append(f"held out {change} ({'whole runs' if c['heldout'] == 'run' else 'every other frame'})")
     return out
 
 
-def runs(model: ModelResults) -> Table:
+def runs(model: ModelResults) -> TextTable:
     """One row per run: level, noise, errors, and the parameters of its own."""
     own: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
-        m = PER_RUN.match(name)
+        m = PER_RUN_NAME.match(name)
         if m:
             own.setdefault(m["name"], {})[m["run"]] = quantity(p["value"], p["std"], p["unit"])
     rows = [
@@ -290,7 +298,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100 * share
 
 
-def limits(diagnosis: Mapping[str, Any]) -> Table:
+def limits(diagnosis: Mapping[str, Any]) -> TextTable:
     """What would have been found in 95 of 100 repeats."""
     rows = [
         (code(name), _limit(limit), limit.get("reason") or _at(name, limit))
@@ -311,7 +319,7 @@ def _at(effect: str, limit: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
 
 
-def tracks(runs: Sequence[RunResults]) -> Table:
+def tracks(runs: Sequence[RunResults]) -> TextTable:
     """Which films were tracked, and on what scale."""
     rows = []
     for run in runs:
@@ -328,7 +336,7 @@ def tracks(runs: Sequence[RunResults]) -> Table:
     return table(heads, rows, (2, 3, 5, 6))
 
 
-def measurement(runs: Sequence[RunResults]) -> Table:
+def measurement(runs: Sequence[RunResults]) -> TextTable:
     """What each film says of its own measurement."""
     rows = []
     for run in runs:
@@ -347,6 +355,6 @@ def measurement(runs: Sequence[RunResults]) -> Table:
     return table(heads, rows, range(1, len(heads)))
 
 
-def validation(model: ModelResults) -> bool:
+def has_validation_runs(model: ModelResults) -> bool:
     """Whether runs were predicted rather than fitted."""
     return any(row["role"] == "validation" for row in model.summary["per_run"])

@@ -12,11 +12,11 @@ from frictrack import plots
 from frictrack.records import Array
 from frictrack.report.numbers import number
 
-Draw = Callable[[Figure], Markup]
+Embed = Callable[[Figure], Markup]
 
 
-def evidence(
-    diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]], draw: Draw
+def first_evidence(
+    diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]], draw: Embed
 ) -> list[dict[str, Any]]:
     """What moved in step with the residual, first evidence first: words, and a picture where there is a curve."""
     out = []
@@ -27,7 +27,7 @@ def evidence(
     return out
 
 
-def unexplained(diagnosis: Mapping[str, Any], draw: Draw) -> dict[str, Any] | None:
+def unexplained(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, Any] | None:
     """The curve, the formulas as rows of a table, and the snippet of the first; None where nothing is unexplained."""
     left = diagnosis.get("unexplained")
     if not left:

@@ -10,8 +10,8 @@ import panel as pn
 from markupsafe import Markup, escape
 
 from frictrack import plots
-from frictrack.plots import gain, number
-from frictrack.report import settle
+from frictrack.plots import format_gain, number
+from frictrack.report import next_experiments
 from frictrack.report.numbers import typed
 from frictrack.report.tables import Card, cards
 from frictrack.words import verdict
@@ -78,7 +78,7 @@ class MissingTab:
             return []
         parts: list[Any] = [figure(plots.unexplained(left))]
         for formula in left["formulas"][:MAX_FORMULAS]:
-            share = f"{100 * formula['share']:.1f} % of what is left, evidence {gain(formula['delta_bic'])}"
+            share = f"{100 * formula['share']:.1f} % of what is left, evidence {format_gain(formula['delta_bic'])}"
             also_needed = formula.get("beside", [])
             after = note(f"beside {', '.join(also_needed)}: add that first") if also_needed else ""
             take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(also_needed))
@@ -112,7 +112,7 @@ class MissingTab:
         weak = "" if card.passes else " weak"
         words = Markup("<br>").join(filter(None, lines))
         parts: list[Any] = [html(f"<div class='ft-card{weak}'><h3>{escape(card.name)}</h3>{words}</div>")]
-        if card.passes and plots.scanned(curves):
+        if card.passes and plots.has_scan(curves):
             parts.append(figure(plots.scan(card.name, curves, width=5.0)))
         name, kind = card.name, "primary" if card.passes else "default"
         parts.append(
@@ -136,6 +136,9 @@ def _verdict_html(diagnosis: dict[str, Any]) -> str:
 
 def _next_experiment_html(diagnosis: dict[str, Any]) -> str:
     """The runs that would settle what these cannot, and what no run can."""
-    steps, words = settle.shown(diagnosis), "".join(note(typed(line)) for line in settle.hopeless(diagnosis))
-    menu = grid(settle.experiments(steps)) if steps else ""
+    steps, words = (
+        next_experiments.separating_experiments(diagnosis),
+        "".join(note(typed(line)) for line in next_experiments.inseparable(diagnosis)),
+    )
+    menu = grid(next_experiments.experiment_table(steps)) if steps else ""
     return heading("The next experiment") + menu + words if menu or words else ""

@@ -10,7 +10,7 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 
 from frictrack import plots
-from frictrack.report.tables import Table
+from frictrack.report.tables import TextTable
 
 CSS = """
 :host, body { font-family: system-ui, sans-serif; font-size: 14px; color: #1a1a1a; }
@@ -34,7 +34,7 @@ def html(text: str, **more: Any) -> pn.pane.HTML:
     return pn.pane.HTML(text, stylesheets=[CSS], **wide, **more)
 
 
-def grid(table: Table) -> str:
+def grid(table: TextTable) -> str:
     """A table of the report."""
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.heads)
     kinds = [" class=n" if i in table.numeric else "" for i in range(len(table.heads))]

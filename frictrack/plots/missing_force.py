@@ -16,12 +16,12 @@ from frictrack.plots.style import axis, band, blank, styled
 from frictrack.records import Array, Mask
 from frictrack.words import AXES
 
-JUMP = 20.0  # usual steps along an axis beyond which a line is broken
-RUG = 0.03  # of a panel's height between the marks of two runs
+MAX_GAP_STEPS = 20.0  # usual steps along an axis beyond which a line is broken
+MARK_HEIGHT = 0.03  # of a panel's height between the marks of two runs
 BELOW = 0.05  # of a panel's height, free at its foot
 
 
-def drawable(figures: Mapping[str, Mapping[str, Array]]) -> bool:
+def has_missing_force(figures: Mapping[str, Mapping[str, Array]]) -> bool:
     """Whether a diagnosis kept the missing force."""
     return "residual_force" in figures
 
@@ -50,10 +50,10 @@ def missing_force(
         _common(ax, figures.get(f"common_{name}"), factor)
         _rug(ax, whole, name, spans, looks)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-        foot = (BELOW + RUG * len(looks)) * (high - low) if spans else 0.0
+        foot = (BELOW + MARK_HEIGHT * len(looks)) * (high - low) if spans else 0.0
         ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
         ax.set_xlabel(_label(name, whole))
-        ax.set_title(_told(shares.get(name)), fontweight="normal", fontsize=9.5)
+        ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
     for ax in panels[:, 0]:
         ax.set_ylabel(axis("missing force", unit))
     for ax in np.ravel(panels)[len(shown) :]:
@@ -68,7 +68,7 @@ def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
     return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].word}"
 
 
-def _told(found: Mapping[str, Any] | None) -> str:
+def _repeat_note(found: Mapping[str, Any] | None) -> str:
     """What the other runs foretell along this axis."""
     if found is None:
         return ""
@@ -97,7 +97,7 @@ def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, looks:
         mine = whole["run"] == k
         along, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
         steps = np.abs(np.diff(along, prepend=along[0]))
-        usual = 0.5 if name == "phase" else JUMP * max(float(np.median(steps)), 1e-12)
+        usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
         force = style.broken(force, steps <= usual)
         look = looks[k]
         band(ax, along, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
@@ -129,7 +129,7 @@ def _rug(
         k = names.index(s["run"])
         inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
         if inside.any():
-            reach, y = whole[name][inside], BELOW / 2 + RUG * k
+            reach, y = whole[name][inside], BELOW / 2 + MARK_HEIGHT * k
             ends = [float(reach.min()), float(reach.max())]
             ax.plot(
                 ends, [y, y], transform=foot, color=looks[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5

@@ -11,14 +11,14 @@ import numpy as np
 from markupsafe import Markup
 
 from frictrack.report.numbers import quantity
-from frictrack.report.tables import Cell, Table, table
+from frictrack.report.tables import Cell, TextTable, table
 from frictrack.results import Results
 
 LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
 SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")  # keys with a column of their own
 
 
-def settings(results: Results) -> Table:
+def settings(results: Results) -> TextTable:
     """What each run was made with."""
     rows = []
     for run in results.runs:
@@ -55,7 +55,7 @@ def _scale(written: Any) -> str:
     return f"ruler of {written['length']}"
 
 
-def findings(results: Results) -> Table:
+def findings(results: Results) -> TextTable:
     """What was decided and found on the way, run by run."""
     rows: list[Sequence[Cell]] = []
     for run in results.runs:
@@ -68,7 +68,7 @@ def findings(results: Results) -> Table:
     return table(("", "finding"), rows)
 
 
-def hashes(results: Results) -> Table:
+def hashes(results: Results) -> TextTable:
     """Films and stages, each by the first digits of its hash."""
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
     rows = [

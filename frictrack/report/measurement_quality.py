@@ -11,7 +11,11 @@ from markupsafe import Markup
 from frictrack.report.numbers import low_to_high, number
 from frictrack.results import Results, RunResults
 
-LOCKED, DEPENDS, BLURRED = 0.2, 0.5, 1.0  # of sigma, of sigma, px: below that nothing is said
+MIN_LOCKING_SIGMAS, MIN_BACKWARD_SIGMAS, MIN_BLUR_PX = (
+    0.2,
+    0.5,
+    1.0,
+)  # of sigma, of sigma, px: below that nothing is said
 
 
 def measurement(runs: Sequence[RunResults]) -> list[Markup]:
@@ -19,29 +23,31 @@ def measurement(runs: Sequence[RunResults]) -> list[Markup]:
     known = [run for run in runs if run.quality]
     if not known:
         return []
-    said = [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in known if (found := _doubts(run))]
+    sentences = [
+        Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in known if (found := _self_checks(run))
+    ]
     calm = Markup("No film speaks against its own measurement.")
-    return [_precision([run.quality for run in known]), *(said or [calm])]
+    return [_precision([run.quality for run in known]), *(sentences or [calm])]
 
 
 def _precision(found: Sequence[Mapping[str, Any]]) -> Markup:
     """Noise of the target and of something fixed, over all films."""
     px, um, floor = ([q[k] for q in found if q[k] is not None] for k in ("sigma_px", "sigma_um", "noise_floor_px"))
-    told = (
+    sentence = (
         Markup("One frame tells the position to {} px").format(low_to_high(px))
         if px
         else Markup("No position is known")
     )
-    told += Markup(" ({} µm)").format(low_to_high(um)) if um else Markup("")
-    told += (
+    sentence += Markup(" ({} µm)").format(low_to_high(um)) if um else Markup("")
+    sentence += (
         Markup("; something fixed in the same pictures is seen to rest within {} px").format(low_to_high(floor))
         if (floor)
         else Markup("; no picture shows something fixed to compare with")
     )
-    return told + Markup(".")
+    return sentence + Markup(".")
 
 
-def _doubts(run: RunResults) -> list[str]:
+def _self_checks(run: RunResults) -> list[str]:
     """What one film has against its own measurement."""
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
@@ -49,21 +55,21 @@ def _doubts(run: RunResults) -> list[str]:
         (lost, f"the target is lost in {lost} of {q['frames']} frames"),
         (q["shake_px"], f"the camera shook by {_px(q['shake_px'])} at {number(q['shake_Hz'])} Hz, subtracted"),
         (
-            locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > LOCKED * sigma,
+            locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,
             f"positions are drawn toward a place between the pixels by {_px(locking)}",
         ),
         (
-            q["forward_backward_sigmas"] and q["forward_backward_sigmas"] > DEPENDS,
+            q["forward_backward_sigmas"] and q["forward_backward_sigmas"] > MIN_BACKWARD_SIGMAS,
             f"tracked backward, positions differ by {_px(q['forward_backward_px'])}",
         ),
-        (q["blur_px"] and q["blur_px"] > BLURRED, f"it moves {_px(q['blur_px'])} while a frame is exposed"),
+        (q["blur_px"] and q["blur_px"] > MIN_BLUR_PX, f"it moves {_px(q['blur_px'])} while a frame is exposed"),
     )
-    timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not _good(r["verdict"])]
-    told = [note for note in run.displacement.notes if "told by the motion" in note]
-    return [said for wrong, said in judged if wrong] + timing + told
+    timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not _is_good(r["verdict"])]
+    sentence = [note for note in run.displacement.notes if "told by the motion" in note]
+    return [sentences for wrong, sentences in judged if wrong] + timing + sentence
 
 
-def _good(verdict: str) -> bool:
+def _is_good(verdict: str) -> bool:
     return verdict in ("used", "agrees", "none", "speed of showing") or "of the frame interval" in verdict
 
 
@@ -73,16 +79,16 @@ def _px(value: float | None) -> str:
 
 def smoothing(results: Results) -> list[Markup]:
     """How each displacement was smoothed, what lies above a plain cut-off, and the noise that rests show."""
-    said = [Markup("{}: {}.").format(run.name, run.filtered.reason) for run in results.runs]
+    sentences = [Markup("{}: {}.").format(run.name, run.filtered.reason) for run in results.runs]
     for run in results.runs:
         warnings = run.cutoff.warnings if run.cutoff else ()
         if warnings:
-            said.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
+            sentences.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
         if run.happenings.noise_at_rest > 0:
             rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
-            told = "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
-            said.append(Markup(told).format(run.name, number(rest, 2), number(moving, 2)))
-    return said
+            sentence = "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
+            sentences.append(Markup(sentence).format(run.name, number(rest, 2), number(moving, 2)))
+    return sentences
 
 
 def _consequence(run: RunResults) -> str:

@@ -15,13 +15,13 @@ from frictrack.report.numbers import low_to_high, number, quantity, typed
 from frictrack.results import ModelResults, Results
 from frictrack.words import AXES, group, open_question
 
-NAMES = {
+EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
     "stribeck": "Stribeck friction",
     "viscous": "viscous friction",
     "drag": "drag",
 }
-COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 SCALE_LINE = (
     "Forces go with the mass and the scale, and with the square of the frame rate: a constant error in any of them "
     "fits perfectly and shows nowhere else."
@@ -47,9 +47,9 @@ def verdict(results: Results) -> Verdict:
     if model is None:
         return Verdict("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
     kind = diagnosis["verdict"] if diagnosis else ""
-    sentences = [_law(results, model), *_added(results.models)]
+    sentences = [_runs_and_law(results, model), *_added(results.models)]
     if diagnosis:
-        sentences += [*_STATES[kind](model, diagnosis), *_settle(diagnosis)]
+        sentences += [*_VERDICT_SENTENCES[kind](model, diagnosis), *_next_step(diagnosis)]
     return Verdict(_headline(results, model, kind), tuple(sentences), kind)
 
 
@@ -83,16 +83,16 @@ def scale_line(results: Results) -> str:
     return f"{SCALE_LINE} {NO_SCALE_ERROR}" if filmed else SCALE_LINE
 
 
-def own_motion(model: ModelResults) -> list[Markup]:
+def model_motion_sentences(model: ModelResults) -> list[Markup]:
     """How well the model itself tells the motion, where it misses something, and what it says of collisions."""
     rows = [row for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
         return []
     told = [Markup("<b>{}</b>: {}.").format(row["run"], typed(note)) for row in rows for note in row["motion"]["notes"]]
-    return [_how_well([row["motion"] for row in rows], held=not told), *told, *_blows(model)]
+    return [_motion_precision([row["motion"] for row in rows], held=not told), *told, *_collision_sentences(model)]
 
 
-def _how_well(bands: Sequence[Mapping[str, Any]], *, held: bool) -> Markup:
+def _motion_precision(bands: Sequence[Mapping[str, Any]], *, held: bool) -> Markup:
     own, smooth = ([band[key] for band in bands if band[key] is not None] for key in ("sigma_a", "sigma_a_smoothed"))
     if not (own and smooth):
         return Markup("This law is too far off for a band on its motion.")
@@ -104,7 +104,7 @@ def _how_well(bands: Sequence[Mapping[str, Any]], *, held: bool) -> Markup:
     ).format(low_to_high(own), low_to_high(force), low_to_high(smooth), why)
 
 
-def _blows(model: ModelResults) -> Iterator[Markup]:
+def _collision_sentences(model: ModelResults) -> Iterator[Markup]:
     """Collisions by their impulse; a peak force is never told."""
     for c in model.summary.get("collisions", []):
         if c["impulse_N_s"] is not None and c["relative_std"] is not None:
@@ -118,30 +118,30 @@ def _blows(model: ModelResults) -> Iterator[Markup]:
             )
 
 
-def listed(words: Sequence[str], last: str = "and") -> str:
+def join_words(words: Sequence[str], last: str = "and") -> str:
     """Words joined as in a sentence: ``a, b and c``."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
 
 
-def law(names: Sequence[str]) -> str:
+def effect_names(names: Sequence[str]) -> str:
     """The effects of a model in words."""
-    return listed([NAMES.get(name, name) for name in names])
+    return join_words([EFFECT_NAMES.get(name, name) for name in names])
 
 
-def lacks(diagnosis: Mapping[str, Any]) -> str:
+def model_status(diagnosis: Mapping[str, Any]) -> str:
     """What a diagnosis says of its model, after the model's name."""
     if diagnosis["verdict"] == "complete":
         return "is complete"
     if diagnosis["verdict"] == "undetermined":
         return "is neither confirmed nor refuted"
     if diagnosis["verdict"] == "ambiguous":
-        return f"lacks {listed(group(diagnosis), 'or')}"
+        return f"lacks {join_words(group(diagnosis), 'or')}"
     if diagnosis["verdict"] == "missing":
-        return f"lacks {listed(diagnosis['missing'])}"
+        return f"lacks {join_words(diagnosis['missing'])}"
     return "fails, and not all of it is explained"
 
 
-def steps(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
+def single_additions(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
     """Model before, model after, and the one effect that was added between them."""
     for before, after in pairwise(models):
         new = [name for name in after.summary["model"] if name not in before.summary["model"]]
@@ -149,19 +149,19 @@ def steps(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelR
             yield before, after, new[0]
 
 
-def candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:
+def find_candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:
     """The candidate of that name."""
     return next((c for c in (diagnosis or {}).get("candidates", []) if c["effect"] == effect), None)
 
 
-def held_out(errors: Mapping[str, Any]) -> tuple[float | None, str]:
+def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
     """Held-out error and its unit: um of displacement, or N where forces were measured."""
     if errors.get("heldout_rms_um") is not None:
         return errors["heldout_rms_um"], "µm"
     return errors.get("heldout_rms_N"), "N"
 
 
-def before_after(found: Mapping[str, Any]) -> str:
+def held_out_change(found: Mapping[str, Any]) -> str:
     """Held-out error of a candidate, ``21.2 to 10.2 µm``; empty where nothing was held out."""
     for key, unit in (("um", "µm"), ("N", "N")):
         before, after = (found.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
@@ -174,52 +174,52 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
     name = plain_name(model.name)
     diagnosis = results.diagnosis or {}
     if kind == "complete":
-        added = [effect for *_, effect in steps(results.models) if effect in model.summary["model"]]
-        return f"Complete with {listed(added)}" if added else f"{name} is complete for these runs"
+        added = [effect for *_, effect in single_additions(results.models) if effect in model.summary["model"]]
+        return f"Complete with {join_words(added)}" if added else f"{name} is complete for these runs"
     if kind == "undetermined":
         return f"Undetermined: {open_question(diagnosis)}"
     if kind == "ambiguous":
-        return f"{name} {lacks(diagnosis)}: these runs cannot tell which"
-    return f"{name} {lacks(diagnosis)}" if kind else f"{name}, not yet diagnosed"
+        return f"{name} {model_status(diagnosis)}: these runs cannot tell which"
+    return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
 
 
-def _law(results: Results, model: ModelResults) -> Markup:
+def _runs_and_law(results: Results, model: ModelResults) -> Markup:
     fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
     n = len(fitted)
-    runs = "One run was" if n == 1 else f"{COUNTS[n].capitalize() if n < len(COUNTS) else n} runs were"
-    return Markup("{} fitted with {}.").format(runs, law(model.summary["model"]))
+    runs = "One run was" if n == 1 else f"{NUMBER_WORDS[n].capitalize() if n < len(NUMBER_WORDS) else n} runs were"
+    return Markup("{} fitted with {}.").format(runs, effect_names(model.summary["model"]))
 
 
 def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
-    for before, after, effect in steps(models):
-        found = candidate(before.diagnosis, effect)
-        (old, unit), (new, _) = held_out(before.summary["errors"]), held_out(after.summary["errors"])
+    for before, after, effect in single_additions(models):
+        found = find_candidate(before.diagnosis, effect)
+        (old, unit), (new, _) = held_out_error(before.summary["errors"]), held_out_error(after.summary["errors"])
         why = Markup("")
         if found is not None:
-            why = Markup(" ({}; {})").format(_lower(found["words"].get("what", "")), evidence(found))
+            why = Markup(" ({}; {})").format(_as_clause(found["words"].get("what", "")), evidence(found))
         yield Markup("{} failed; it lacked <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>.").format(
-            plain_name(before.name), effect, why, _falls(old, new), number(old), number(new), unit
+            plain_name(before.name), effect, why, _falls_or_rises(old, new), number(old), number(new), unit
         )
-        yield _size(after, effect)
+        yield _added_parameters(after, effect)
 
 
-def _lower(sentence: str) -> str:
+def _as_clause(sentence: str) -> str:
     """A sentence as part of another one."""
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
-def _falls(old: float | None, new: float | None) -> str:
+def _falls_or_rises(old: float | None, new: float | None) -> str:
     return "rises" if old is not None and new is not None and new > old else "falls"
 
 
-def _size(model: ModelResults, effect: str) -> Markup:
+def _added_parameters(model: ModelResults, effect: str) -> Markup:
     """What the added effect came to: its shared parameters."""
     known = {
         name.removeprefix(f"{effect}."): quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
         for name, p in model.summary["parameters"].items()
         if name.startswith(f"{effect}.") and "[" not in name and p["std"]
     }
-    told = listed([f"{name} {value}" for name, value in known.items()])
+    told = join_words([f"{name} {value}" for name, value in known.items()])
     return Markup("It has {}.").format(told.replace("_", " ")) if told else Markup("")
 
 
@@ -251,7 +251,7 @@ def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator
         _residual(model), number(diagnosis["p_lack_of_fit"], 2)
     )
     for gap in diagnosis["undetermined"]:
-        advice = f"; to settle it: {_lower(gap['settled_by'])}" if gap["settled_by"] else ""
+        advice = f"; to settle it: {_as_clause(gap['settled_by'])}" if gap["settled_by"] else ""
         yield Markup("Open is <b>{}</b>: {}{}.").format(gap["what"], typed(gap["why"]), typed(advice))
 
 
@@ -260,12 +260,12 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
         _residual(model), number(diagnosis["reduced_chi2"])
     )
     for effect in diagnosis["missing"]:
-        found = candidate(diagnosis, effect)
+        found = find_candidate(diagnosis, effect)
         if found is not None:
-            change = before_after(found)
+            change = held_out_change(found)
             yield Markup("Missing is <b>{}</b> ({}; {}{}).").format(
                 effect,
-                _lower(found["words"].get("what", "")),
+                _as_clause(found["words"].get("what", "")),
                 evidence(found),
                 f"; adding it brings the held-out error from {change}" if change else "",
             )
@@ -276,7 +276,7 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
 def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield from _missing(model, diagnosis)
     others = group(diagnosis)[1:]
-    yield Markup("But <b>{}</b> would predict the same data within the noise.").format(listed(others, "or"))
+    yield Markup("But <b>{}</b> would predict the same data within the noise.").format(join_words(others, "or"))
 
 
 def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
@@ -288,14 +288,14 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
         yield Markup("It is none of the library's effects: {}.").format(left["words"])
         return
     if diagnosis["missing"]:
-        yield Markup("Adding <b>{}</b> helps, but structure remains.").format(listed(diagnosis["missing"]))
+        yield Markup("Adding <b>{}</b> helps, but structure remains.").format(join_words(diagnosis["missing"]))
     elif not any(passes(c) for c in diagnosis["candidates"]):
         yield Markup("No effect of the library passes.")
     if left:
         yield Markup("What is left repeats best along {}.").format(AXES[left["axis"]].word)
 
 
-_STATES = {
+_VERDICT_SENTENCES = {
     "complete": _complete,
     "undetermined": _undetermined,
     "missing": _missing,
@@ -304,7 +304,7 @@ _STATES = {
 }
 
 
-def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
+def _next_step(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     """What to film next."""
     for step in (diagnosis.get("next_experiment") or [])[:1]:
         yield Markup('To settle it: {}. More stands under <a href="#settle">what would settle it</a>.').format(
@@ -312,15 +312,15 @@ def _settle(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
         )
     if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
         for effect in group(diagnosis):
-            found = candidate(diagnosis, effect)
+            found = find_candidate(diagnosis, effect)
             if found is not None and found["words"].get("confirm"):
-                yield Markup("To confirm <b>{}</b>: {}.").format(effect, typed(_lower(found["words"]["confirm"])))
+                yield Markup("To confirm <b>{}</b>: {}.").format(effect, typed(_as_clause(found["words"]["confirm"])))
 
 
 ADDRESS = re.compile(r"\b[a-z][a-z_0-9]*(?::\d+)?\.[A-Za-z][A-Za-z_0-9]*")  # of a parameter: stribeck.v_s
 
 
-def remark(line: str) -> Markup:
+def mark_addresses(line: str) -> Markup:
     """What a fit says of its parameters, their addresses set as code."""
     out, at = Markup(""), 0
     for found in ADDRESS.finditer(line):
@@ -329,7 +329,7 @@ def remark(line: str) -> Markup:
     return out + escape(line[at:])
 
 
-def drawn(model: ModelResults) -> str:
+def bootstrap_sentence(model: ModelResults) -> str:
     """What a bootstrap rests on; empty where there was none."""
     told = model.summary.get("bootstrap")
     if not told:
@@ -337,7 +337,7 @@ def drawn(model: ModelResults) -> str:
     failed = f"; {told['failed']} more gave no law" if told["failed"] else ""
     how = "white noise"
     if told["correlated"]:
-        how = f"blocks of the residual, which is correlated in {listed(told['correlated'])}"
+        how = f"blocks of the residual, which is correlated in {join_words(told['correlated'])}"
     return f"Bootstrap of {told['draws']} draws from the fitted model, with {how}{failed}."
 
 

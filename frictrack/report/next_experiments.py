@@ -6,31 +6,31 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from frictrack.report.numbers import number, typed
-from frictrack.report.tables import Table, table
+from frictrack.report.tables import TextTable, table
 
-LITTLE: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
+DEFAULTS: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
 
 
-def shown(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
+def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     """Experiments that would part something, best first; none before a diagnosis.
 
     One that was stored with less than is told today is filled up.
     """
     steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
-    return [LITTLE | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
+    return [DEFAULTS | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
 
 
-def drawn(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def drawable(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Those whose evidence can be drawn."""
     return [step for step in steps if step["expected_if_true"]]
 
 
-def hopeless(diagnosis: Mapping[str, Any] | None) -> list[str]:
+def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
     """What no run can part, and what else does, in words."""
     return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
 
 
-def experiments(steps: Sequence[Mapping[str, Any]]) -> Table:
+def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
     """One row per experiment, best first."""
     rows = [
         (

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.plots.style import run_looks
 from frictrack.report.numbers import number
-from frictrack.report.tables import Table, spans, table
+from frictrack.report.tables import TextTable, spans, table
 from frictrack.results import ModelResults, Results
 from frictrack.words import AXES
 
@@ -26,8 +26,8 @@ class Failure:
     residual: Markup
     force: Markup
     words: str
-    repeats: Table
-    spans: Table
+    repeats: TextTable
+    spans: TextTable
 
 
 def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> Failure:
@@ -37,7 +37,9 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
     found, repeated = diagnosis.get("fails_at", []), diagnosis.get("repeats", [])
     fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
     looks = {name: look for name, look in run_looks(results.runs).items() if name in fitted}
-    pictured = plots.missing_force(model.figures, found, looks, repeated) if plots.drawable(model.figures) else None
+    pictured = (
+        plots.missing_force(model.figures, found, looks, repeated) if plots.has_missing_force(model.figures) else None
+    )
     return Failure(
         headline=headline,
         fit=_fit(diagnosis),
@@ -61,13 +63,13 @@ def _fit(diagnosis: Mapping[str, Any]) -> str:
     )
 
 
-def _repeats(found: Sequence[Mapping[str, Any]]) -> Table:
+def _repeats(found: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             AXES[r["axis"]].word + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
-            plots.gain(r["evidence"]),
+            plots.format_gain(r["evidence"]),
             "yes" if r["holds"] else "no",
         )
         for r in found

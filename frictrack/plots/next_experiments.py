@@ -10,29 +10,31 @@ from matplotlib.figure import Figure
 from frictrack.plots import style
 from frictrack.plots.style import blank, styled
 
-ENOUGH = 10.0  # expected difference of BIC from which two effects are told apart
+CLEAR_BIC = 10.0  # expected difference of BIC from which two effects are told apart
 MARKS = ("o", "s", "^", "D", "v", "P")
-LEAST = 2.0  # where the axis begins
+MIN_SHOWN_BIC = 2.0  # where the axis begins
 
 
 @styled
-def settle(steps: Sequence[Mapping[str, Any]]) -> Figure:
+def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
     """One row per experiment, one mark per effect: how surely it is told from the others if it is the true one."""
     figure = blank(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
     ax = figure.subplots()
     names = list(dict.fromkeys(name for step in steps for name in step["expected_if_true"]))
     for row, step in enumerate(steps):
-        ends = [max(e, LEAST) for e in step["expected_if_true"].values()]
+        ends = [max(e, MIN_SHOWN_BIC) for e in step["expected_if_true"].values()]
         ax.plot([min(ends), max(ends)], [row, row], color="#999999", lw=1.0, zorder=1)
     for k, name in enumerate(names):
-        told = [
-            (max(s["expected_if_true"][name], LEAST), r) for r, s in enumerate(steps) if name in s["expected_if_true"]
+        points = [
+            (max(s["expected_if_true"][name], MIN_SHOWN_BIC), r)
+            for r, s in enumerate(steps)
+            if name in s["expected_if_true"]
         ]
         look = style.RUNS[k % len(style.RUNS)]["color"]
-        x, y = zip(*told, strict=True)
+        x, y = zip(*points, strict=True)
         ax.plot(x, y, linestyle="none", marker=MARKS[k % len(MARKS)], color=look, ms=8, label=f"if {name} is true")
-    ax.axvline(ENOUGH, color=style.MEASURED, lw=1.0, linestyle="--")
-    ax.annotate("told apart", (ENOUGH, -0.62), xytext=(4, 0), textcoords="offset points", fontsize=9, va="center")
+    ax.axvline(CLEAR_BIC, color=style.MEASURED, lw=1.0, linestyle="--")
+    ax.annotate("told apart", (CLEAR_BIC, -0.62), xytext=(4, 0), textcoords="offset points", fontsize=9, va="center")
     ax.set_xscale("log")
     ax.set_ylim(len(steps) - 0.5, -0.85)
     ax.set_yticks(range(len(steps)), [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)])

@@ -9,8 +9,8 @@ from typing import Any
 from frictrack.files import replace_text
 from frictrack.plots.plan import apart, falling
 from frictrack.report.numbers import size, typed
-from frictrack.report.page import Draw
-from frictrack.report.tables import Table, code, table
+from frictrack.report.page import SvgEmbedder
+from frictrack.report.tables import TextTable, code, table
 from frictrack.report.templates import now, template
 
 
@@ -25,7 +25,7 @@ def write(plan: Mapping[str, Any], path: Path) -> Path:
 def render(plan: Mapping[str, Any]) -> str:
     """The page as HTML."""
     page = template("plan.html.j2")
-    draw = Draw()
+    draw = SvgEmbedder()
     return page.render(
         plan=plan,
         headline=headline(plan),
@@ -51,7 +51,7 @@ def headline(plan: Mapping[str, Any]) -> str:
     return f"{count}{more} run{'s' if count > 1 else ''}: {plan['pairs'] - after} of {plan['pairs']} pairs told apart"
 
 
-def _runs(runs: Sequence[Mapping[str, Any]]) -> Table:
+def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             str(k),
@@ -72,17 +72,17 @@ def _some(pairs: Sequence[Sequence[str]], most: int = 3) -> str:
     return "; ".join(" from ".join(pair) for pair in pairs[::step][:most])
 
 
-def _left(left: Sequence[Mapping[str, Any]]) -> Table:
+def _left(left: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [(" and ".join(one["effects"]), one["why"], typed(one["settle"])) for one in left]
     return table(("pair", "why", "what settles it"), rows)
 
 
-def _unseen(unseen: Sequence[Mapping[str, Any]]) -> Table:
+def _unseen(unseen: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [(code(one["effect"]), one["why"], typed(one["settle"])) for one in unseen]
     return table(("effect", "why", "what shows it"), rows)
 
 
-def _limits(limits: Mapping[str, Mapping[str, Any]]) -> Table:
+def _limits(limits: Mapping[str, Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             code(name),
