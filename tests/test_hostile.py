@@ -516,7 +516,7 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
     path.write_bytes(with_header(held[HEADER_BYTES:], __version__))
     with pytest.raises(FrictrackError, match="damaged or is not HDF5"):
         store.read(path, "track")
-    path.write_bytes(with_header(held[HEADER_BYTES:], __version__, mark))  # not even where it is ours
+    path.write_bytes(with_header(held[HEADER_BYTES:], __version__, sign))  # not even where it is ours
     assert set(store.read(path, "track")) == {"x"}
     for look in (store.read, store.attributes, store.names):
         for group in ("models", "models/1_a", "soft"):

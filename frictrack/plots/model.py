@@ -190,7 +190,7 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
 
 def _dots(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
     """Residual over its noise band; a picture where the points are too many for a drawing."""
-    many = sum(len(part.t) for part in parts) > 4 * style.MOST_POINTS
+    many = sum(len(part.t) for part in parts) > 4 * style.MAX_POINTS
     for part in parts:
         if with_band:
             band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE, zorder=0)

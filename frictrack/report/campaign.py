@@ -12,7 +12,7 @@ from markupsafe import Markup
 from frictrack.files import replace_text
 from frictrack.plots.campaign import series
 from frictrack.report.numbers import number, quantity
-from frictrack.report.page import Draw
+from frictrack.report.page import SvgEmbedder
 from frictrack.report.tables import Cell, TextTable, code, table
 from frictrack.report.templates import now, template
 
@@ -41,7 +41,7 @@ def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links
         says=_sentences(result),
         trends=_trends(trends),
         changing=sum(bool(one["holds"]) for one in trends),
-        series=Draw()(series(clearest)) if clearest else Markup(""),
+        series=SvgEmbedder()(series(clearest)) if clearest else Markup(""),
         left_out=len(trends) - len(clearest),
         verdicts=_verdicts(result),
         lacking=_lacking(result),

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.errors import FrictrackError
-from frictrack.report.page import IDS
+from frictrack.report.page import ID_ATTRIBUTES
 from frictrack.report.templates import template
 from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
 
@@ -81,7 +81,7 @@ def render(done: Reproduction) -> str:
 
     def draw(figure: Figure) -> Markup:
         """A figure within the page, with ids of its own."""
-        return Markup(IDS.sub(rf"\g<1>f{next(marks)}-", plots.svg(figure)))
+        return Markup(ID_ATTRIBUTES.sub(rf"\g<1>f{next(marks)}-", plots.svg(figure)))
 
     return template("page.html.j2", "reproduce").render(
         parts=done.parts,
