@@ -7,20 +7,20 @@ from scipy.optimize import least_squares
 from frictrack import effects, models
 from frictrack.effects import Path, Span
 from frictrack.fit import fit
-from frictrack.fit.parameters import Layout
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.separable import (
-    Along,
-    Misfit,
-    Projected,
-    Reduced,
-    Search,
+    PopulationMisfit,
+    ProjectedProblem,
+    ReducedPopulationMisfit,
+    SeparableModel,
+    VariableProjection,
     displacement_block,
     force_block,
-    search_of,
+    variable_projection,
 )
 from frictrack.fit.separable.blocks import double_integral
-from frictrack.fit.separable.newton import bounded
-from frictrack.fit.separable.scan_tables import Grid, Table
+from frictrack.fit.separable.newton import bounded_coefficients
+from frictrack.fit.separable.scan_tables import ScanGrid, ScanTable
 from frictrack.simulate import Conditions, simulate
 from tests.runs import MASS, measured
 
@@ -42,11 +42,11 @@ def line(amplitude, frequency, phase):
 
 def layout(model, **bounds):
     law = models.parse(model) if isinstance(model, str) else model
-    return Layout(law, ("run",), (SPAN,))
+    return ParameterLayout(law, ("run",), (SPAN,))
 
 
 def along(model, data, sigma=1.0):
-    return Along(layout(model), [force_block(0, PATH, data, sigma)])
+    return SeparableModel(layout(model), [force_block(0, PATH, data, sigma)])
 
 
 def numbers(made, state):
@@ -79,8 +79,8 @@ class TestBlocks:
 
         problem = fit("tustin", [one_slide()]).solution.problem
         block = displacement_block(problem.pieces[0])
-        made = Along(problem.layout, [block])
-        state = Search(made)()
+        made = SeparableModel(problem.layout, [block])
+        state = VariableProjection(made)()
         assert state.misfit < 1.2 * len(block.data)
 
 
@@ -90,7 +90,7 @@ class TestBounded:
         for _ in range(20):
             a, y = rng.normal(size=(20, 4)), rng.normal(size=20)
             low, high = np.array([0.0, -np.inf, 0.0, -0.1]), np.array([np.inf, 0.1, np.inf, 0.1])
-            c, moving = bounded(a.T @ a, a.T @ y, low, high)
+            c, moving = bounded_coefficients(a.T @ a, a.T @ y, low, high)
             exact = least_squares(lambda q, a=a, y=y: a @ q - y, np.full(4, 0.05), bounds=(low, high), xtol=1e-14).x
             assert c == pytest.approx(exact, abs=2e-4)
             assert np.all((c >= low) & (c <= high))
@@ -102,7 +102,7 @@ class TestSearch:
         rng = np.random.default_rng(3)
         data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.37, 0.3) + line(0.4, 66.9, -1.0) + rng.normal(0, 1, N)
         made = along("atm1:2", data)
-        state = Search(made)()
+        state = VariableProjection(made)()
         truth = [8, 14, 1.2, 0.4, 2.0, 60.37, 0.3, 0.4, 66.9, -1.0]
         least = best(lambda p: tustin(*p[:4]) + line(*p[4:7]) + line(*p[7:]), data, truth)
         assert state.misfit <= 1.0005 * least
@@ -111,7 +111,7 @@ class TestSearch:
         for seed in range(6):
             rng = np.random.default_rng(seed)
             data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.0, 0.3) + line(1.5, 63.0, 1.0) + rng.normal(0, 1, N)
-            state = Search(along("atm1:2", data))()
+            state = VariableProjection(along("atm1:2", data))()
             truth = [8, 14, 1.2, 0.4, 2.0, 60.0, 0.3, 1.5, 63.0, 1.0]
             least = best(lambda p: tustin(*p[:4]) + line(*p[4:7]) + line(*p[7:]), data, truth)
             assert state.misfit <= 1.001 * least
@@ -123,7 +123,7 @@ class TestSearch:
         found = []
         for order in (["vibration", "collision"], ["collision", "vibration"]):
             made = along(models.of(["coulomb", "stribeck", "viscous", *order]), data, 0.5)
-            found.append(numbers(made, Search(made)()))
+            found.append(numbers(made, VariableProjection(made)()))
         for law in found:
             assert law["vibration.frequency"] == pytest.approx(77.0, abs=0.5)
             assert law["collision.time[run]"] == pytest.approx(0.06, abs=2e-4)
@@ -131,7 +131,7 @@ class TestSearch:
     def test_coefficients_keep_their_bounds(self):
         data = tustin(8, 6, 1.2, 0.4) + np.random.default_rng(5).normal(0, 0.1, N)  # a hook the wrong way round
         made = along("tustin", data, 0.1)
-        assert numbers(made, Search(made)())["stribeck.F_s"] == 0.0
+        assert numbers(made, VariableProjection(made)())["stribeck.F_s"] == 0.0
 
     def test_fixed_values_and_ties_are_kept(self):
         rng = np.random.default_rng(6)
@@ -140,7 +140,7 @@ class TestSearch:
         changes = {"viscous": {"F_v": {"fixed": 1.0}}, "vibration:2": {"frequency": {"tie": "2*vibration.frequency"}}}
         law = models.Model(tuple(e.adjusted(**changes.get(e.name, {})) for e in law.effects))
         made = along(law, data)
-        state = Search(made)()
+        state = VariableProjection(made)()
         p = made.law(state.numbers, state.coefficients)
         values, _ = made.layout.values(p, 0)
         assert values["viscous"]["F_v"] == 1.0
@@ -151,7 +151,7 @@ class TestSearch:
     def test_tables_serve_other_data_along_the_same_motion(self):
         rng = np.random.default_rng(7)
         made = along("atm1:1", np.zeros(N))
-        search = Search(made)
+        search = VariableProjection(made)
         for frequency in (31.7, 250.3):
             state = search(tustin(8, 14, 1.2, 0.4) + line(1.0, frequency, 0.5) + rng.normal(0, 1, N))
             assert numbers(made, state)["vibration.frequency"] == pytest.approx(frequency, abs=1.0)
@@ -178,7 +178,7 @@ class TestTied:
     def test_atm2_as_printed_comes_to_the_least_squares_optimum_from_nothing(self):
         rng = np.random.default_rng(11)
         made = along("atm2:2", np.zeros(N))
-        search = search_of(made)
+        search = variable_projection(made)
         for _ in range(10):
             truth = drawn(rng)
             data = printed(truth) + rng.normal(0, 1, N)
@@ -192,7 +192,7 @@ class TestTied:
         rng = np.random.default_rng(12)
         truth = drawn(rng, order)
         data = printed(truth) + rng.normal(0, 1, N)
-        assert search_of(along(f"atm2:{order}", data))().misfit <= 1.001 * best(printed, data, truth)
+        assert variable_projection(along(f"atm2:{order}", data))().misfit <= 1.001 * best(printed, data, truth)
 
     def test_bounds_and_fixed_values_are_kept(self):
         rng = np.random.default_rng(13)
@@ -201,7 +201,7 @@ class TestTied:
         changes = {"v_s": {"fixed": 0.5}, "viscous_frequency_2": {"bounds": (20.0, 60.0)}}
         law = models.Model((effects.atm2(2).adjusted(**changes),))
         made = along(law, data)
-        state = search_of(made)()
+        state = variable_projection(made)()
         values = made.layout.values(made.law(state.numbers, state.coefficients), 0)[0]["atm2:2"]
         assert values["v_s"] == 0.5
         assert 20 <= values["viscous_frequency_2"] <= 60
@@ -232,7 +232,7 @@ class TestPopulations:
         data = tustin(8, 14, 1.2, 0.4) + rng.normal(0, 1, N)
         made = layout(model)
         block = force_block(0, PATH, data, 1.0)
-        full, reduced = Misfit(made, [block]), Reduced(made, [block])
+        full, reduced = PopulationMisfit(made, [block]), ReducedPopulationMisfit(made, [block])
         low, high = (np.where(np.isfinite(b), b, d) for b, d in zip(made.bounds, (-3.0, 15.0), strict=True))
         points = (low + (high - low) * rng.random((50, len(low))))[:, full.searched]
         assert full(points) == pytest.approx(_one_by_one(made, points, data), rel=1e-9)
@@ -242,7 +242,7 @@ class TestPopulations:
         assert np.all(reduced(some) <= full(points) * (1 + 1e-9))
 
     def test_phases_are_not_searched(self):
-        made = Reduced(layout("atm1:2"), [force_block(0, PATH, np.zeros(N), 1.0)])
+        made = ReducedPopulationMisfit(layout("atm1:2"), [force_block(0, PATH, np.zeros(N), 1.0)])
         assert [made.layout.names[i] for i in made.searched] == [
             "stribeck.v_s",
             "vibration.frequency",
@@ -251,7 +251,7 @@ class TestPopulations:
 
     def test_reduced_coefficients_keep_their_bounds(self):
         data = tustin(8, 6, 1.2, 0.4)
-        made = Reduced(layout("tustin"), [force_block(0, PATH, data, 1.0)])
+        made = ReducedPopulationMisfit(layout("tustin"), [force_block(0, PATH, data, 1.0)])
         c = made.coefficients(np.linspace(0.1, 2.0, 30)[:, None])
         assert np.all(c[:, :2] >= 0)
 
@@ -265,7 +265,7 @@ class TestRefinement:
         rng = np.random.default_rng(9)
         data = tustin(8, 14, 1.2, 0.4) + line(2.0, 60.0, 0.3) + rng.normal(0, 1, N)
         made = along("atm1:1", data)
-        problem = Projected(made, made.data)
+        problem = ProjectedProblem(made, made.data)
         p = np.ones(len(made.layout.slots))
         p[made.free] = 0.7, 60.5
         state = problem.at(p)
@@ -278,7 +278,7 @@ class TestRefinement:
 
     def test_a_number_at_the_side_of_its_box_does_not_stop_the_others(self):
         made = along("atm1:1", tustin(8, 14, 1.2, 0.4))
-        problem = Projected(made, made.data)
+        problem = ProjectedProblem(made, made.data)
         state = problem.at(np.where(np.isin(np.arange(len(made.layout.slots)), made.free), 50.0, 1.0))
         free = made.free[:2]
         low = problem.low[free]
@@ -292,8 +292,8 @@ class TestRefinement:
 def test_neighbours_of_what_one_run_alone_has_are_those_of_its_own_rows():
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((3, 5)).astype(np.float32)  # three forms of one column
-    table = Table(
-        Grid((), np.zeros((3, 0)), np.zeros((3, 0), int)),
+    table = ScanTable(
+        ScanGrid((), np.zeros((3, 0)), np.zeros((3, 0), int)),
         [rows, np.zeros((0, 4), np.float32)],
         [np.array([0]), np.array([], int)],
         np.sum(rows**2, axis=1)[:, None, None],

@@ -15,12 +15,19 @@ from runs import BASE, FPS, HIDDEN, Spec, measured, study
 from frictrack import effects, models
 from frictrack.fit import fit
 from frictrack.fit.least_squares import HIDDEN_SIGMA_FACTOR, heldout_rms, refine
-from frictrack.fit.linearised import beside, families, one_series, scan
-from frictrack.fit.linearised.measured_motion import traced
-from frictrack.fit.parameters import basis_of
+from frictrack.fit.linearised import candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.linearised.measured_motion import linearise_about_measurement
+from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.segments import reference_of
 from frictrack.fit.segments.pieces import pieces_of
-from frictrack.fit.stepwise import bare, deepened, grow, shortfall, simulated, tried
+from frictrack.fit.stepwise import (
+    add_effect,
+    baseline_misfit,
+    deepen_trials,
+    misfit_left_by_other,
+    simulate_trial,
+    try_effect,
+)
 from frictrack.friction import free_section
 from frictrack.simulate.rows import Rows
 from frictrack.simulate.slide import Conditions, simulate
@@ -67,16 +74,16 @@ class TestRows:
 
 class TestTraced:
     def test_a_law_that_lacks_nothing_is_seen_as_it_is(self, complete):
-        for a, b in zip(complete.responses, traced(complete).responses, strict=True):
+        for a, b in zip(complete.responses, linearise_about_measurement(complete).responses, strict=True):
             np.testing.assert_allclose(b.r, a.r, atol=1e-5)
 
     def test_the_law_along_the_measured_motion_has_the_misfit_of_the_simulated_one(self, lacks_texture):
-        law = beside(lacks_texture)
-        assert bare(law) == pytest.approx(lacks_texture.objective, rel=0.01)
-        series, texture = one_series(law), effects.get("texture")
-        scans = [scan(law, f, series) for f in families(law, texture)]
-        trial = tried(law, texture, scans, series.own[:, 0])
-        grown = simulated(law, trial)
+        law = linearise(lacks_texture)
+        assert baseline_misfit(law) == pytest.approx(lacks_texture.objective, rel=0.01)
+        series, texture = measured_series(law), effects.get("texture")
+        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, texture)]
+        trial = try_effect(law, texture, scans, series.own[:, 0])
+        grown = simulate_trial(law, trial)
         assert lacks_texture.objective > 3 * grown.objective
         assert trial.misfit == pytest.approx(grown.objective, abs=2.0)
         there = dict(zip(trial.layout.names, trial.p, strict=True))
@@ -87,17 +94,19 @@ class TestTraced:
 class TestScan:
     @pytest.mark.parametrize("name", ["drag", "vibration", "patch", "camera_shake", "friction_lag"])
     def test_gains_are_those_of_least_squares_with_the_columns_written_out(self, complete, name):
-        law = beside(complete)
-        family = families(law, effects.get(name))[0]
-        found = scan(law, family, one_series(law))
+        law = linearise(complete)
+        family = candidate_grids(law, effects.get(name))[0]
+        found = scan_candidate(law, family, measured_series(law))
         g = len(found.rises) // 3
         rows = np.zeros((len(law.basis.u), family.size))
         for i, block in zip(family.members, family.block, strict=True):
-            strip = law.strips[i]
+            strip = law.pieces[i]
             raw = family.raw(strip, family.values[g : g + 1])[0]
             mine = slice(block * family.k, (block + 1) * family.k)
-            rows[law.rows[i], mine] = strip.unstarted(strip.weighed(raw, family.effect.acts_on == "measurement")).T
-        data, u = law.solution.unlevelled(), law.basis.u
+            rows[law.rows[i], mine] = strip.without_start(
+                strip.whitened_rows(raw, family.effect.acts_on == "measurement")
+            ).T
+        data, u = law.solution.random_effect_data(), law.basis.u
         shrink = law.basis.shrink(law.solution.tau)
         metric = np.eye(len(u)) - u @ shrink @ u.T  # what the law, its levels held, leaves of data
         gain = data @ metric @ rows @ np.linalg.pinv(rows.T @ metric @ rows, rcond=1e-9) @ rows.T @ metric @ data
@@ -106,7 +115,7 @@ class TestScan:
 
 class TestHeldOut:
     def test_one_step_says_what_a_refit_would(self, lacks_texture):
-        grown = grow(lacks_texture, effects.get("texture"))
+        grown = add_effect(lacks_texture, effects.get("texture"))
         for solution, accuracy in ((grown, 0.002), (lacks_texture, 0.02)):
             problem, odd = solution.problem, []
             pieces = []
@@ -119,7 +128,7 @@ class TestHeldOut:
 
     def test_the_right_effect_brings_it_down_to_the_noise(self, lacks_texture):
         before, how = heldout_rms(lacks_texture)
-        after, _ = heldout_rms(grow(lacks_texture, effects.get("texture")), how)
+        after, _ = heldout_rms(add_effect(lacks_texture, effects.get("texture")), how)
         assert how in ("run", "frames")
         assert before > 1.5 * after
         assert after == pytest.approx(2e-6, rel=0.1)
@@ -134,12 +143,12 @@ def test_a_common_level_follows_what_no_data_see() -> None:
     deep = rng.uniform(0.5, 2.0, runs)[member]  # runs are not equally telling
     levels = (member[:, None] == np.arange(runs)) * deep[:, None] * 50.0
     jac = np.column_stack([levels.sum(axis=1), levels])
-    basis = basis_of(jac, list(range(1, runs + 1)))
+    basis = jacobian_basis(jac, list(range(1, runs + 1)))
     assert basis.n_levels == runs - 1
     slope = levels @ ways
     data = shift * slope + levels @ (tau * rng.standard_normal(runs)) + rng.standard_normal(len(member))
-    beside = np.eye(len(member)) - basis.u @ basis.shrink(tau) @ basis.u.T
-    found = (slope @ beside @ data) / (slope @ beside @ slope)
+    rest = np.eye(len(member)) - basis.u @ basis.shrink(tau) @ basis.u.T
+    found = (slope @ rest @ data) / (slope @ rest @ slope)
     covariance = np.eye(len(member)) + tau**2 * levels @ levels.T  # generalised least squares, written out
     both, inverse = np.column_stack([jac[:, 0], slope]), np.linalg.inv(covariance)
     assert found == pytest.approx(np.linalg.solve(both.T @ inverse @ both, both.T @ inverse @ data)[1], rel=1e-6)
@@ -147,14 +156,16 @@ def test_a_common_level_follows_what_no_data_see() -> None:
 
 class TestShortfall:
     def test_what_is_true_falls_short_of_itself_by_nothing_and_another_cause_by_what_it_cannot_be(self, lacks_texture):
-        law = beside(lacks_texture)
-        series = one_series(law)
+        law = linearise(lacks_texture)
+        series = measured_series(law)
         made = {}
         for name in ("texture", "patch"):
             effect = effects.get(name)
-            made[name] = tried(law, effect, [scan(law, f, series) for f in families(law, effect)], series.own[:, 0])
-        own = shortfall(law, made["texture"], made["texture"])
-        other = shortfall(law, made["texture"], made["patch"])
+            made[name] = try_effect(
+                law, effect, [scan_candidate(law, f, series) for f in candidate_grids(law, effect)], series.own[:, 0]
+            )
+        own = misfit_left_by_other(law, made["texture"], made["texture"])
+        other = misfit_left_by_other(law, made["texture"], made["patch"])
         assert abs(own) < 1.0
         assert other > 0.5 * (made["patch"].misfit - made["texture"].misfit) > 100
 
@@ -201,9 +212,9 @@ def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
         held = Conditions(mass, ratio * (1 + 0.03 * rng.standard_normal()), ratio)
         slide = simulate(models.of(law | struck), law | struck, held, t, (0.0 if speed > 0 else 0.8, speed))
         runs.append(measured(t, slide.x, sigma=2.7e-5, mass=mass, name=f"r{i}", rng=rng, valid=np.ones(frames, bool)))
-    beside_law = beside(fit(["coulomb", "drag"], runs).solution)
-    collision, series = effects.get("collision"), one_series(beside_law)
-    scans = [scan(beside_law, family, series) for family in families(beside_law, collision)]
-    (found,) = deepened(beside_law, [tried(beside_law, collision, scans, series.own[:, 0])])
+    beside_law = linearise(fit(["coulomb", "drag"], runs).solution)
+    collision, series = effects.get("collision"), measured_series(beside_law)
+    scans = [scan_candidate(beside_law, family, series) for family in candidate_grids(beside_law, collision)]
+    (found,) = deepen_trials(beside_law, [try_effect(beside_law, collision, scans, series.own[:, 0])])
     times = {n[len("collision.time") :]: p for n, p in zip(found.layout.names, found.p, strict=True) if ".time" in n}
     assert times == {f"[r{i}]": pytest.approx(b[1], abs=4e-3) for i, b in enumerate(BLOWS.values()) if b}

@@ -29,7 +29,7 @@ from frictrack.blind.write import table, write_study
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
-from frictrack.fit.stepwise import without
+from frictrack.fit.stepwise import remove_effect
 from frictrack.flow import Session, open_study
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
@@ -284,7 +284,7 @@ def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path
     whole = exact(truth, session.tried.fit(session.tried.current()[0]).solution)
     for name, size, rise in zip(truth.hidden, truth.size, truth.rise, strict=True):
         assert size >= SIZES[0]
-        assert without(whole, name).objective - whole.objective == pytest.approx(rise, rel=0.1)
+        assert remove_effect(whole, name).objective - whole.objective == pytest.approx(rise, rel=0.1)
 
 
 @pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends

@@ -14,7 +14,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, restore, state
-from frictrack.fit.prediction import predicted
+from frictrack.fit.prediction import predict_run
 from frictrack.fit.segments import reference_of
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.flow.doubts import doubted
@@ -67,7 +67,7 @@ def test_a_run_that_is_foretold_has_a_right_clock():
     runs = recorded({2: 1.05})
     foretold = replace(runs[3], name="later", role="validation")
     found = fit("coulomb,viscous,clock_rate", [*runs[:3], *runs[4:], foretold])
-    told = predicted(found.solution, foretold, reference_of(runs))
+    told = predict_run(found.solution, foretold, reference_of(runs))
     assert np.sqrt(np.mean(told.residual**2)) == pytest.approx(1.0, abs=0.2)
     assert not any(name.startswith("clock_rate") for name in told.problem.layout.names)
 

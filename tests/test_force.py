@@ -11,9 +11,9 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, global_search, restore, state
-from frictrack.fit.global_search import bounds_of, misfit_of, scaffold, searched
-from frictrack.fit.segments.acceleration_chain import chain_of
-from frictrack.fit.separable import Misfit, displacement_block
+from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters, unfitted_problem
+from frictrack.fit.segments.acceleration_chain import acceleration_chain
+from frictrack.fit.separable import PopulationMisfit, displacement_block
 from frictrack.motion import differentiate, low_pass
 from frictrack.simulate.slide import Conditions, simulate
 
@@ -51,14 +51,14 @@ class TestChain:
     def test_is_the_stages_low_pass_and_derivative(self):
         run = one_slide()
         piece = fit("tustin", [run]).solution.problem.pieces[0]
-        chain = chain_of(run, piece)
+        chain = acceleration_chain(run, piece)
         expected = exact_chain(run, piece, piece.y)[chain.kept]
         assert chain.apply(piece.y[:, None])[:, 0] == pytest.approx(expected, abs=1e-3)
 
     def test_passes_the_dot_test_also_with_missing_frames(self):
         (run,), _ = study(specs=SLIDE, sigma=NOISE, gap=slice(200, 207))
         piece = fit("tustin", [run]).solution.problem.pieces[0]
-        chain = chain_of(run, piece)
+        chain = acceleration_chain(run, piece)
         rng = np.random.default_rng(0)
         u, w = rng.standard_normal((len(piece.t), 3)), rng.standard_normal((len(chain.kept), 2))
         assert w.T @ chain.apply(u) == pytest.approx(chain.transposed(w).T @ u, rel=1e-9)
@@ -66,7 +66,7 @@ class TestChain:
     def test_states_the_noise_that_comes_out(self):
         run = one_slide()
         piece = fit("tustin", [run]).solution.problem.pieces[0]
-        chain = chain_of(run, piece)
+        chain = acceleration_chain(run, piece)
         noise = piece.sigma[:, None] * np.random.default_rng(1).standard_normal((len(piece.t), 2000))
         assert chain.apply(noise).std(axis=1) == pytest.approx(chain.sigma_a, rel=0.1)
 
@@ -117,10 +117,10 @@ class TestSearch:
                         specs=(Spec(4.0), Spec(-4.0)), sigma=NOISE)  # fmt: skip
         pieces = fit("tustin", made).solution.problem.pieces
         law = models.atm1(1) + "load_modulation"
-        problem = scaffold(law, pieces, ("r0", "r1"), FPS)
+        problem = unfitted_problem(law, pieces, ("r0", "r1"), FPS)
         blocks = [displacement_block(p) for p in problem.pieces]
-        misfit = Misfit(problem.layout, blocks, tau=1e-9)
-        box = bounds_of(misfit)
+        misfit = PopulationMisfit(problem.layout, blocks, tau=1e-9)
+        box = search_bounds(misfit)
         points = box[:, 0] + np.random.default_rng(0).random((5, len(box))) * (box[:, 1] - box[:, 0])
         p = np.ones((5, len(problem.layout.slots)))
         p[:, misfit.searched] = points
@@ -137,7 +137,7 @@ class TestSearch:
         problem = result.solution.problem
         seen = result.found.force or result.solution
         chains = seen.problem.chains if domain == "force" else None
-        misfit = misfit_of(problem, chains)
+        misfit = population_misfit(problem, chains)
         assert misfit(seen.p[None])[0] == pytest.approx(seen.chi2 * misfit.unit, rel=0.01)
 
     @pytest.mark.parametrize(
@@ -153,9 +153,11 @@ class TestSearch:
         # Binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do;
         # the chain of fourth order leaves so little noise that the same distance from the best counts for more.
         best = fit("tustin", [one_slide()], domain="force").found.force
-        misfit = misfit_of(best.problem, best.problem.chains)
+        misfit = population_misfit(best.problem, best.problem.chains)
         at_best = misfit(best.p[None])[0]
-        found = [searched(misfit, search, np.random.default_rng(seed), best.p)[1][0] / at_best for seed in range(5)]
+        found = [
+            search_parameters(misfit, search, np.random.default_rng(seed), best.p)[1][0] / at_best for seed in range(5)
+        ]
         assert min(found) > 0.999
         assert np.median(found) < close
 
@@ -170,10 +172,13 @@ class TestSearch:
         run = one_slide(base=BASE | ATM1, model=models.atm1(2))
         without = fit("tustin", [run], domain="force").found.force
         best = fit("atm1:2", [run], domain="force").found.force
-        misfit = misfit_of(best.problem, best.problem.chains)
+        misfit = population_misfit(best.problem, best.problem.chains)
 
         def found(search):
-            return min(searched(misfit, search, np.random.default_rng(s), best.p)[1][0] for s in range(3)) / misfit.unit
+            return (
+                min(search_parameters(misfit, search, np.random.default_rng(s), best.p)[1][0] for s in range(3))
+                / misfit.unit
+            )
 
         for search in (
             "de",

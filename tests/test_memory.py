@@ -165,7 +165,7 @@ def test_a_run_that_rested_as_its_push_set_in_begins_unbent(flicker):
     assert began[2] == 0.0
     assert began[0] + run.motion.t[0] <= 4 / 4000
     assert bending(replace(piece.path, x=piece.x_hat, v=piece.v_hat), 1e-3, 1.0)[0] < 0.05
-    (same,) = pieces_of(run, 0, free_section(run)[0], reference_of([run]), turning=True)
+    (same,) = pieces_of(run, 0, free_section(run)[0], reference_of([run]), through_reversals=True)
     assert not same.turns  # it goes one way: nothing is to be followed through a stop
 
 

@@ -34,7 +34,7 @@ from frictrack.diagnose.experiments.direct_checks import ACCELEROMETER_STD, LEVE
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, simulate_run
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.fit import fit
-from frictrack.fit.stepwise import grow, settled
+from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
 from frictrack.report import next_experiments
 from frictrack.results import plain
@@ -59,7 +59,7 @@ def runs_with(name, values, speeds, *, seed=1, duration=0.12):
 def explained(runs, *names):
     """The bare law, and what each effect makes of it."""
     bare = fit(LAW, runs).solution
-    return bare, {n: settled(grow(bare, effects.get(n))) for n in names}
+    return bare, {n: refine_to_end(add_effect(bare, effects.get(n))) for n in names}
 
 
 def explanations(runs, *names):

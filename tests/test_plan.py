@@ -23,7 +23,7 @@ from frictrack.cli import main, show
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.fit.stepwise import grow, settled
+from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
 from frictrack.plan import Stand, choose, menu, of_fit, summary, usual
@@ -131,7 +131,7 @@ def test_films_of_the_planned_runs_keep_what_the_plan_promised(chosen, name, riv
     a, b = (chosen.tables.names.index(n) for n in (name, rival))
     assert chosen.evidence[a, b] > 10
     bare = fit(LAW, film_planned(chosen, name)).solution
-    true, other = (settled(grow(bare, effects.get(n))) for n in (name, rival))
+    true, other = (refine_to_end(add_effect(bare, effects.get(n))) for n in (name, rival))
     assert information_criterion(other) - information_criterion(true) > 10
     assert information_criterion(bare) - information_criterion(true) > 10
 
@@ -141,7 +141,7 @@ def test_the_detection_limit_is_where_the_effect_begins_to_show(chosen, told):
     assert limit["unit"] == "N"
     for factor, shows in ((3 * limit["share"], True), (0.1 * limit["share"], False)):
         bare = fit(LAW, film_planned(chosen, "texture", factor)).solution
-        rise = bare.objective - settled(grow(bare, effects.get("texture"))).objective
+        rise = bare.objective - refine_to_end(add_effect(bare, effects.get("texture"))).objective
         assert (rise > 40) is shows
 
 

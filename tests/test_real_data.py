@@ -13,7 +13,7 @@ import pytest
 
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.fit.measured_friction import weighed
+from frictrack.fit.measured_friction import weight_by_noise
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table
@@ -45,7 +45,7 @@ def test_the_tribometer_names_memory_and_no_velocity_term(strokes):
 
 def test_the_noise_of_the_tribometer_is_what_differs_from_stroke_to_stroke(strokes):
     solution = fit("coulomb,viscous", [strokes]).solution
-    counted, noise = weighed(solution)
+    counted, noise = weight_by_noise(solution)
     left = np.concatenate([r.r * r.piece.sigma for r in solution.responses])
     assert noise.strokes >= 6
     assert noise.rms < 0.1 * float(np.std(left))  # the law's misfit is the same in every stroke, and no noise
@@ -60,7 +60,7 @@ def test_white_noise_of_a_cell_stays_what_its_differences_say():
     seen = Displacement(t, np.cumsum(v) / 1000, nan, nan, np.full(len(t), 1e-6), nan, np.ones(len(t), bool))
     force = 8 * np.sign(v) + 2 * v + 0.05 * rng.standard_normal(len(t))
     run = Run(seen, differentiate(low_pass(seen, method="kalman")), friction_N=force)
-    _, noise = weighed(fit("coulomb,viscous", [run]).solution)
+    _, noise = weight_by_noise(fit("coulomb,viscous", [run]).solution)
     assert noise.rms == pytest.approx(0.05, rel=0.1)
     assert noise.alike == 1.0
 

@@ -17,9 +17,9 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
 from frictrack.effects import LIBRARY, Span
 from frictrack.fit import fit
-from frictrack.fit.measured_friction import noise_of
+from frictrack.fit.measured_friction import friction_noise
 from frictrack.fit.measured_friction.noise import strokes
-from frictrack.fit.segments.swings import joined
+from frictrack.fit.segments.swings import join_swings
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.samples import screened
@@ -41,7 +41,7 @@ def ramp(force, *, noise=0.02, seconds=4.0, seed=0):
 
 def test_a_slow_misfit_of_one_record_is_no_noise():
     fitted = fit(["coulomb"], [ramp(lambda t, v: tustin_force(v))])
-    noise = noise_of(fitted.solution)
+    noise = friction_noise(fitted.solution)
     assert noise.rms == pytest.approx(0.02, rel=0.05)
     assert (noise.alike, noise.strokes) == (1.0, 0)
     found = diagnose(fitted)
@@ -61,7 +61,7 @@ def test_what_differs_from_stroke_to_stroke_is_noise():
     drift = np.cumsum(rng.standard_normal(len(t))) * 0.004  # a cell that wanders
     shape = 0.5 * np.sin(40 * 0.1 * np.sin(w * t)) * np.sign(v)  # and a force that every stroke repeats
     force = 8.0 * np.sign(v) + shape + drift - drift.mean() + 0.02 * rng.standard_normal(len(t))
-    noise = noise_of(fit(["coulomb"], [given(t, 0.1 * np.sin(w * t), v, force)]).solution)
+    noise = friction_noise(fit(["coulomb"], [given(t, 0.1 * np.sin(w * t), v, force)]).solution)
     assert noise.strokes >= 20
     assert noise.rms == pytest.approx(np.std(drift), rel=0.5)  # not 0.35, which the shape alone leaves
     assert noise.alike > 100
@@ -266,7 +266,7 @@ def test_a_blow_that_turns_a_mass_is_no_swing():
     v = np.where(np.arange(len(a)) < 1000, 1.0, -1.0) * (0.1 + np.abs(run.motion.v))
     a[995:1005] = 100 * np.max(np.abs(a))
     struck = replace(run, motion=replace(run.motion, v=v, a=a))
-    assert len(joined(struck, rows)) == 2
+    assert len(join_swings(struck, rows)) == 2
 
 
 def test_a_mass_that_sets_out_from_rest_is_not_taken_for_one_that_stops():

@@ -20,7 +20,7 @@ from frictrack.compare import compare
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
-from frictrack.fit.measured_friction import covariance, series_pieces
+from frictrack.fit.measured_friction import block_covariance, friction_pieces
 from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run
@@ -117,7 +117,7 @@ class TestNoise:
         for seed in range(40):
             result = fit("coulomb,viscous", [self.drifting(seed)])
             off = result.solution.p - [8.0, 2.0]
-            z.append(off / np.sqrt(np.diag(covariance(result.solution))))
+            z.append(off / np.sqrt(np.diag(block_covariance(result.solution))))
             jac = result.solution.jac
             narrow.append(off / np.sqrt(np.diag(np.linalg.inv(jac.T @ jac))))
         assert np.mean(np.abs(z) < 1.96) > 0.85
@@ -165,7 +165,7 @@ class TestMemory:
 
     def test_stuck_frames_are_not_compared_but_remembered(self):
         run = dwelling()
-        (piece,) = series_pieces([run], float("nan"))
+        (piece,) = friction_pieces([run], float("nan"))
         assert len(piece.path.t) == 2400
         assert len(piece.t) == pytest.approx(1200, abs=10)
         resting = np.setdiff1d(np.arange(1, 2400), piece.at)
@@ -179,11 +179,11 @@ class TestMemory:
         shaking = 1e-7 * np.random.default_rng(1).standard_normal(180)
         v = run.motion.v.copy()
         v[rest] += shaking
-        (still,) = series_pieces([replace(run, motion=replace(run.motion, v=v))], float("nan"))
+        (still,) = friction_pieces([replace(run, motion=replace(run.motion, v=v))], float("nan"))
         assert np.all(still.path.v[rest] == 0)
         x = run.motion.x.copy()
         x[200:] += np.minimum(np.arange(2200) / 200, 1.0) * 1e-6
-        (crept,) = series_pieces([replace(run, motion=replace(run.motion, x=x))], float("nan"))
+        (crept,) = friction_pieces([replace(run, motion=replace(run.motion, x=x))], float("nan"))
         assert crept.path.v[rest] == pytest.approx(np.full(180, 1e-6), rel=0.05)
 
 

@@ -12,10 +12,17 @@ from frictrack.compare.spectral_lines import seen, waves
 from frictrack.diagnose.experiments.expected_separation import _compress_response
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.fit.least_squares import continued, promising, refine, resettled, settle_scatter, traces
-from frictrack.fit.linearised import beside, families
-from frictrack.fit.measured_friction import compact, weighed
-from frictrack.fit.stepwise.growth import _enough
+from frictrack.fit.least_squares import (
+    displacement_response,
+    fit_with_scatter,
+    promised_objective,
+    refine,
+    refine_further,
+    refit_with_scatter,
+)
+from frictrack.fit.linearised import candidate_grids, linearise
+from frictrack.fit.measured_friction import keep_compared_frames, weight_by_noise
+from frictrack.fit.stepwise.growth import _trial_min_fall
 from frictrack.simulate.panels import _inverse
 
 MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]
@@ -24,7 +31,7 @@ MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and no
 @pytest.fixture(scope="module")
 def cell():
     """A long swing whose friction was measured, averaged over blocks."""
-    return weighed(fit("coulomb,viscous", [swing(n=12_000, hertz=2.0)]).solution)[0]
+    return weight_by_noise(fit("coulomb,viscous", [swing(n=12_000, hertz=2.0)]).solution)[0]
 
 
 @pytest.fixture(scope="module")
@@ -36,43 +43,43 @@ def slide():
 
 
 def test_an_effect_without_memory_is_the_same_at_the_compared_frames(cell):
-    (strip,) = beside(cell).strips
-    assert strip.brief is not None
-    assert len(strip.brief.t) * 2 <= len(strip.path.t)
+    (strip,) = linearise(cell).pieces
+    assert strip.compared_path is not None
+    assert len(strip.compared_path.t) * 2 <= len(strip.path.t)
     compared = 0
     for effect in MEMORYLESS:
-        for family in families(beside(cell), effect)[:1]:
+        for family in candidate_grids(linearise(cell), effect)[:1]:
             point = family.point(len(family.values) // 2)
             whole = effect.columns(strip.path, point)[strip.response.piece.at]
-            np.testing.assert_array_equal(effect.columns(strip.brief, point), whole)
+            np.testing.assert_array_equal(effect.columns(strip.compared_path, point), whole)
             compared += 1
     assert compared > 10
 
 
 def test_a_compact_law_leaves_and_answers_what_the_whole_one_does(cell):
-    short = compact(cell)
+    short = keep_compared_frames(cell)
     assert len(short.problem.pieces[0].path.t) == len(cell.problem.pieces[0].t)
     np.testing.assert_allclose(short.residual, cell.residual, rtol=0, atol=1e-12)
     np.testing.assert_allclose(short.jac, cell.jac, rtol=1e-12)
 
 
 def test_a_law_that_remembers_keeps_its_whole_path():
-    solution = weighed(fit("coulomb,viscous,presliding", [swing(n=6000)]).solution)[0]
-    assert compact(solution) is solution
+    solution = weight_by_noise(fit("coulomb,viscous,presliding", [swing(n=6000)]).solution)[0]
+    assert keep_compared_frames(solution) is solution
 
 
 def test_a_law_continued_is_the_law_refined_again(slide):
     again = refine(slide.problem, slide.p, slide.starts, tau=0.05)
-    on = continued(slide, 0.05)
+    on = refine_further(slide, 0.05)
     np.testing.assert_allclose(on.p, again.p, rtol=1e-6)
     assert on.objective == pytest.approx(again.objective, rel=1e-9)
-    whole = settle_scatter(slide.problem, slide.p, slide.starts, 0.05)
-    assert resettled(slide, 0.05).objective == pytest.approx(whole.objective, rel=1e-9)
+    whole = fit_with_scatter(slide.problem, slide.p, slide.starts, 0.05)
+    assert refit_with_scatter(slide, 0.05).objective == pytest.approx(whole.objective, rel=1e-9)
 
 
 def test_a_step_promises_what_it_brings_where_the_law_is_linear(slide):
     off = slide.p * 1.01
-    promised, state = promising(slide.problem, off, slide.starts, tau=slide.tau)
+    promised, state = promised_objective(slide.problem, off, slide.starts, tau=slide.tau)
     taken = refine(slide.problem, off, slide.starts, tau=slide.tau, max_steps=1)
     assert promised < state.objective
     assert promised == pytest.approx(taken.objective, abs=0.02 * (state.objective - taken.objective))
@@ -98,10 +105,10 @@ def test_matrices_of_panels_are_inverted():
 
 def test_waves_are_traced_some_at_a_time(slide):
     response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)
-    whole = traces(response, waves(response.piece.panels.t, f))
+    whole = displacement_response(response, waves(response.piece.panels.t, f))
     np.testing.assert_allclose(seen(response, f), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
 
 
 def test_a_trial_goes_to_its_end_where_little_is_left_and_stops_early_where_much_is():
-    assert _enough(1000.0, 1000) == 0.1
-    assert _enough(1e8, 1000) == pytest.approx(1.0, rel=1e-3)
+    assert _trial_min_fall(1000.0, 1000) == 0.1
+    assert _trial_min_fall(1e8, 1000) == pytest.approx(1.0, rel=1e-3)

@@ -21,9 +21,9 @@ from frictrack.cli.commands import app
 from frictrack.errors import FrictrackError
 from frictrack.fit import certainty, fit, with_certainty
 from frictrack.fit.uncertainty import held as held_module
-from frictrack.fit.uncertainty import merged
-from frictrack.fit.uncertainty.profile import Walk
-from frictrack.fit.uncertainty.quoted import quantity
+from frictrack.fit.uncertainty import merge_certainty
+from frictrack.fit.uncertainty.profile import ProfileSearch
+from frictrack.fit.uncertainty.quoted import parse_quantity
 from frictrack.report import tables, verdict_text
 from frictrack.results import ModelResults
 
@@ -133,7 +133,9 @@ def test_what_is_quoted_is_profiled_whichever_unknown_follows(monkeypatch):
     layout = fitted.solution.problem.layout
     for slot in (layout.index("stribeck", "F_s"), layout.index("coulomb", "F_c")):
         monkeypatch.setattr(sys.modules["frictrack.fit.uncertainty.profile"], "pivot_of", lambda *_, slot=slot: slot)
-        walk = Walk(fitted.solution, quantity(layout, "stribeck.F_s"), fitted.estimates.covariance).profile()
+        walk = ProfileSearch(
+            fitted.solution, parse_quantity(layout, "stribeck.F_s"), fitted.estimates.covariance
+        ).profile()
         assert (walk.low, walk.high) == pytest.approx((found.low, found.high), rel=3e-3)
     assert found.value == pytest.approx(fitted.parameters["stribeck.F_s"].value)
     # curved: longer above than below
@@ -210,7 +212,7 @@ def test_a_pivot_keeps_off_its_bounds_and_a_law_outside_is_refused():
     runs, _ = study(specs=ONE_SLIDE, sigma=5e-5)
     fitted = fit("tustin", runs)
     layout = fitted.solution.problem.layout
-    asked = quantity(layout, "stribeck.F_s")
+    asked = parse_quantity(layout, "stribeck.F_s")
     inside = held_module.Held(fitted.solution.problem, asked, 15.0, layout.index("coulomb", "F_c"))
     law = inside.law(fitted.solution.p)
     assert law[layout.index("coulomb", "F_c")] + law[layout.index("stribeck", "F_s")] == pytest.approx(15.0)
@@ -409,7 +411,7 @@ def test_json_gains_intervals_where_they_were_asked_for(sure):
     assert list(speed) == ["value", "std", "unit", "at_bound", "reason", "interval"]
     assert speed["interval"] == [summary["profiles"]["stribeck.v_s"][end] for end in ("low", "high")]
     assert summary["bootstrap"]["draws"] == 20
-    assert json.loads(json.dumps(merged(plain.summary(), found.summary()))) == json.loads(json.dumps(summary))
+    assert json.loads(json.dumps(merge_certainty(plain.summary(), found.summary()))) == json.loads(json.dumps(summary))
 
 
 def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):

@@ -17,8 +17,8 @@ from frictrack.compare.local_forces import local_forces
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
 from frictrack.fit import fit
-from frictrack.fit.smooth_functions import hats, matern
-from frictrack.fit.stepwise import grow
+from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
+from frictrack.fit.stepwise import add_effect
 from frictrack.plots import style
 
 DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}
@@ -119,7 +119,7 @@ def test_a_blow_is_named_as_far_as_the_low_pass_smears_it(blown):
 def test_a_known_blow_is_named_only_in_the_runs_that_were_struck(blown):
     quiet = lacking("collision", BLOW | {"J": 0.0, "time": 0.05}, specs=FOUR[1:2], seed=21)[0]
     runs = [*blown[0], replace(quiet, name="quiet")]
-    grown = grow(fit(LAW, runs).solution, effects.get("collision"))
+    grown = add_effect(fit(LAW, runs).solution, effects.get("collision"))
     named = {s["run"] for s in failing_spans(grown, runs, missing="collision")}
     assert named == {r.name for r in blown[0]}
 
@@ -248,9 +248,9 @@ def test_spans_of_a_measured_friction_force():
 
 def test_linear_interpolation_between_knots_holds_its_ends():
     knots = np.array([0.0, 1.0, 3.0])
-    made = hats(np.array([-1.0, 0.5, 2.0, 9.0]), knots)
+    made = linear_interpolation_matrix(np.array([-1.0, 0.5, 2.0, 9.0]), knots)
     np.testing.assert_allclose(made @ np.array([2.0, 4.0, 8.0]), [2.0, 3.0, 6.0, 8.0])
-    assert np.all(np.linalg.eigvalsh(matern(np.linspace(0, 1, 30), 0.2)) > 0)
+    assert np.all(np.linalg.eigvalsh(matern_covariance(np.linspace(0, 1, 30), 0.2)) > 0)
 
 
 def test_the_common_curve_is_the_mean_of_runs_and_its_band_knows_their_scatter():

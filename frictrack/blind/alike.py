@@ -12,9 +12,9 @@ from frictrack.blind.truth import Numbers, RunTruth, Truth, made
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
-from frictrack.fit.linearised import Beside, beside, families, one_series, scan
-from frictrack.fit.parameters import Layout, restraint
-from frictrack.fit.stepwise import known, rebuilt, simulated, tried, without
+from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.parameters import ParameterLayout, penalty_residual
+from frictrack.fit.stepwise import effect_for_scan, remove_effect, simulate_trial, try_effect, with_layout
 from frictrack.records import Array
 
 SAME = 10.0  # expected chi-squared below which two causes are one for these runs
@@ -32,8 +32,8 @@ def alike(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
 
 def _standing_in(whole: Solution, name: str) -> list[str]:
     """Effects that explain the data without noise as well as the hidden one does."""
-    bare = without(whole, name)
-    law = beside(bare)
+    bare = remove_effect(whole, name)
+    law = linearise(bare)
     rise = bare.objective - whole.objective
     out = []
     for effect in effects.LIBRARY.values():
@@ -51,23 +51,23 @@ def _standing_in(whole: Solution, name: str) -> list[str]:
     return out
 
 
-def _worse(law: Beside, effect: Effect, whole: Solution, rise: float) -> float:
+def _worse(law: LinearisedModel, effect: Effect, whole: Solution, rise: float) -> float:
     """By how much chi-squared is larger with another effect in the place of the true one."""
-    made_of = families(law, known(law.solution, effect))
+    made_of = candidate_grids(law, effect_for_scan(law.solution, effect))
     if not made_of:
         return np.inf
-    series = one_series(law)
-    trial = tried(law, effect, [scan(law, family, series) for family in made_of], series.own[:, 0])
+    series = measured_series(law)
+    trial = try_effect(law, effect, [scan_candidate(law, family, series) for family in made_of], series.own[:, 0])
     if trial.misfit > NEAR[0] * rise + NEAR[1] + _restraint(whole):
         return np.inf
-    grown = simulated(law, trial)
+    grown = simulate_trial(law, trial)
     fitted = refine(grown.problem, grown.p, grown.starts, tau=whole.tau)
     return fitted.objective - whole.objective
 
 
 def _restraint(whole: Solution) -> float:
     """What the true levels' departure from one costs."""
-    held = restraint(whole.problem.layout, whole.p, whole.tau)
+    held = penalty_residual(whole.problem.layout, whole.p, whole.tau)
     return float(held @ held)
 
 
@@ -81,7 +81,7 @@ def exact(truth: Truth, base: Solution) -> Solution:
         model = model + made(name)
     absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
     layout = replace(old, model=model, absent=absent)
-    problem = rebuilt(base.problem.over(old, pieces), layout)
+    problem = with_layout(base.problem.over(old, pieces), layout)
     starts = [
         np.array([np.interp(p.t[0], s.t - _release(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
         for p, s in ((p, slides[p.run]) for p in pieces)
@@ -94,7 +94,7 @@ def _release(since: Array, recorded: Array) -> float:
     return float(recorded[0] - since[0])
 
 
-def _unknowns(truth: Truth, layout: Layout) -> Array:
+def _unknowns(truth: Truth, layout: ParameterLayout) -> Array:
     """The true numbers as a fit counts them, (P,)."""
     out = []
     for slot in layout.slots:

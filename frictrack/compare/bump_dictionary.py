@@ -10,8 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.compare.global_significance import Chance, arc
-from frictrack.fit.least_squares import Linearised, Response, Solution, place, traces
-from frictrack.fit.measured_friction import SeriesPiece
+from frictrack.fit.least_squares import (
+    ModelProjection,
+    PieceResponse,
+    Solution,
+    displacement_response,
+    position_and_velocity,
+)
+from frictrack.fit.measured_friction import MeasuredFrictionPiece
 from frictrack.motion.noise import SPREAD
 from frictrack.records import Array
 
@@ -68,12 +74,16 @@ class Nodes:
         return np.stack([f, f * u / bump.width, f * u**2], axis=1)
 
 
-def nodes(solution: Solution, response: Response) -> Nodes:
+def nodes(solution: Solution, response: PieceResponse) -> Nodes:
     """Nodes of one piece along its solved motion."""
     piece = response.piece
     _, level = solution.problem.layout.values(solution.p, piece.run)
-    x, v = (piece.path.x, piece.path.v) if isinstance(piece, SeriesPiece) else (response.motion.x, response.motion.v)
-    path = piece.along(x, v, level)
+    x, v = (
+        (piece.path.x, piece.path.v)
+        if isinstance(piece, MeasuredFrictionPiece)
+        else (response.motion.x, response.motion.v)
+    )
+    path = piece.path_at_nodes(x, v, level)
     return Nodes(piece.panels.t, path.x, path.v, path.load * path.s)
 
 
@@ -97,16 +107,17 @@ class Looks:
         return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.common], axis=0))
 
 
-def looks_of(law: Linearised, at: Sequence[Nodes]) -> Looks:
+def looks_of(law: ModelProjection, at: Sequence[Nodes]) -> Looks:
     """All bumps of the search, and what each would leave in the runs."""
     own_bumps = [_times(i, r) for i, r in enumerate(law.responses)]
     common_bumps = _places(law.responses)
     own = [
-        traces(r, np.stack([n.force(b) for b in bumps], axis=1))
+        displacement_response(r, np.stack([n.force(b) for b in bumps], axis=1))
         for r, n, bumps in zip(law.responses, at, own_bumps, strict=True)
     ]
     common = [
-        traces(r, np.stack([n.force(b) for b in common_bumps], axis=1)) for r, n in zip(law.responses, at, strict=True)
+        displacement_response(r, np.stack([n.force(b) for b in common_bumps], axis=1))
+        for r, n in zip(law.responses, at, strict=True)
     ]
     return Looks(own, own_bumps, common, common_bumps)
 
@@ -116,7 +127,7 @@ def _widths(shortest: float, widest: float) -> Array:
     return np.asarray(shortest * STEPS ** np.arange(count), dtype=np.float64)
 
 
-def _times(i: int, response: Response) -> list[Bump]:
+def _times(i: int, response: PieceResponse) -> list[Bump]:
     t = response.piece.t
     step, length = float(np.median(np.diff(t))), float(t[-1] - t[0])
     out = []
@@ -127,7 +138,7 @@ def _times(i: int, response: Response) -> list[Bump]:
     return out or [Bump(i, float(t[0] + t[-1]) / 2, SHORTEST * step)]  # a piece of a few frames
 
 
-def _places(responses: Sequence[Response]) -> list[Bump]:
+def _places(responses: Sequence[PieceResponse]) -> list[Bump]:
     low, high = course(responses)
     out = []
     for width in _widths(NARROWEST * (high - low), BROADEST * (high - low)):
@@ -136,13 +147,13 @@ def _places(responses: Sequence[Response]) -> list[Bump]:
     return out
 
 
-def course(responses: Sequence[Response]) -> tuple[float, float]:
+def course(responses: Sequence[PieceResponse]) -> tuple[float, float]:
     """Where the runs begin and end, m."""
-    ends = [(float(x.min()), float(x.max())) for x, _ in map(place, responses)]
+    ends = [(float(x.min()), float(x.max())) for x, _ in map(position_and_velocity, responses)]
     return min(low for low, _ in ends), max(high for _, high in ends)
 
 
-def limits(responses: Sequence[Response], bump: Bump) -> tuple[float, float]:
+def limits(responses: Sequence[PieceResponse], bump: Bump) -> tuple[float, float]:
     """Narrowest and widest that a bump may become."""
     if bump.piece is None:
         low, high = course(responses)
@@ -151,7 +162,7 @@ def limits(responses: Sequence[Response], bump: Bump) -> tuple[float, float]:
     return SHORTEST * float(np.median(np.diff(t))), 2 * LONGEST * float(t[-1] - t[0])
 
 
-def norms(law: Linearised, looks: Looks) -> tuple[list[Array], Array]:
+def norms(law: ModelProjection, looks: Looks) -> tuple[list[Array], Array]:
     """Norms of all traces beside the law; 0 where the law takes up nearly all of one."""
     own = [_norm(full, law.u[rows].T @ c) for rows, c, full in zip(law.rows, looks.own, looks.own_squares, strict=True)]
     on_common = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, looks.common, strict=True)], axis=0)
@@ -164,7 +175,7 @@ def _norm(squares: Array, on_law: Array) -> Array:
     return np.where(left > SEEN * squares, np.sqrt(np.maximum(left, 0)), 0.0)
 
 
-def chances(law: Linearised, looks: Looks) -> tuple[Chance, list[Chance]]:
+def chances(law: ModelProjection, looks: Looks) -> tuple[Chance, list[Chance]]:
     """The chance of the whole search, and of that in every piece alone."""
     own_norms, common_norms = norms(law, looks)
     frames = float(np.mean([len(r.r) for r in law.responses]))

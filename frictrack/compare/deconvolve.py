@@ -17,9 +17,15 @@ import numpy as np
 
 from frictrack.compare.local_forces import ALPHA, local_forces, uncertain
 from frictrack.compare.spectral_lines import Line, line_at, strongest_line, strongest_ripple
-from frictrack.fit.least_squares import Linearised, Response, Solution, place, traces
-from frictrack.fit.measured_friction import SeriesPiece
-from frictrack.fit.smooth_functions import hats, matern
+from frictrack.fit.least_squares import (
+    ModelProjection,
+    PieceResponse,
+    Solution,
+    displacement_response,
+    position_and_velocity,
+)
+from frictrack.fit.measured_friction import MeasuredFrictionPiece
+from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
 KNOTS = 100  # of a piece at most
@@ -121,7 +127,7 @@ def _vibration(solution: Solution) -> float | None:
     return next((q["frequency"] for name, q in values.items() if name.startswith("vibration")), None)
 
 
-def _averaged(law: Linearised) -> tuple[list[Array], list[Array]]:
+def _averaged(law: ModelProjection) -> tuple[list[Array], list[Array]]:
     """Means and variances of the force, averaged over sizes and reaches as likely as they are."""
     knots = [_knots(r) for r in law.responses]
     made = [_seen(law, i, k) for i, k in enumerate(knots)]
@@ -142,42 +148,42 @@ def _averaged(law: Linearised) -> tuple[list[Array], list[Array]]:
     return means, [np.maximum(q - m**2, 0.0) for q, m in zip(squares, means, strict=True)]
 
 
-def _knots(response: Response) -> Array:
+def _knots(response: PieceResponse) -> Array:
     t = response.piece.t
     step = float(np.median(np.diff(t)))
     count = int(np.clip((t[-1] - t[0]) / (APART * step), 3, KNOTS))
     return np.linspace(t[0], t[-1], count)
 
 
-def _seen(law: Linearised, i: int, knots: Array) -> tuple[Array, Array, Array]:
+def _seen(law: ModelProjection, i: int, knots: Array) -> tuple[Array, Array, Array]:
     """Gram matrix (K, K), inner products with the law (K, P') and with the data (K,) of a force through the knots."""
     response, rows = law.responses[i], law.rows[i]
-    columns = traces(response, hats(response.piece.panels.t, knots))
+    columns = displacement_response(response, linear_interpolation_matrix(response.piece.panels.t, knots))
     return columns.T @ columns, columns.T @ law.u[rows], columns.T @ law.r[rows]
 
 
-def _process(law: Linearised, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], reach: float) -> _Process:
+def _process(law: ModelProjection, knots: Sequence[Array], made: Sequence[tuple[Array, ...]], reach: float) -> _Process:
     shape, seen, on_law, data = [], [], [], []
     for response, at, (gram, w, b) in zip(law.responses, knots, made, strict=True):
-        root = np.linalg.cholesky(matern(at, reach) + 1e-10 * np.eye(len(at)))
+        root = np.linalg.cholesky(matern_covariance(at, reach) + 1e-10 * np.eye(len(at)))
         value, vector = np.linalg.eigh(root.T @ gram @ root)
         part = root @ vector
-        shape.append(hats(response.piece.t, at) @ part)
+        shape.append(linear_interpolation_matrix(response.piece.t, at) @ part)
         seen.append(np.maximum(value, 0.0))
         on_law.append(part.T @ w)
         data.append(part.T @ b)
     return _Process(shape, seen, on_law, data)
 
 
-def _piece(response: Response, mean: Array, variance: Array) -> Deconvolved:
-    x, v = place(response)
+def _piece(response: PieceResponse, mean: Array, variance: Array) -> Deconvolved:
+    x, v = position_and_velocity(response)
     a = _acceleration(response, v)
     return Deconvolved(response.piece.run, response.piece.t, x, v, a, mean, np.sqrt(variance))
 
 
-def _acceleration(response: Response, v: Array) -> Array:
+def _acceleration(response: PieceResponse, v: Array) -> Array:
     """Acceleration of the law's own motion at the frames, m/s^2."""
     piece = response.piece
-    if isinstance(piece, SeriesPiece):
+    if isinstance(piece, MeasuredFrictionPiece):
         return np.gradient(v, piece.t)
     return np.interp(piece.t, piece.panels.t, response.motion.a)

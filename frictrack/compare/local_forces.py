@@ -28,7 +28,14 @@ from frictrack.compare.bump_dictionary import (
 )
 from frictrack.compare.global_significance import Chance
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Linearised, Problem, Solution, linearised, refine, traces
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    ModelProjection,
+    Solution,
+    displacement_response,
+    model_projection,
+    refine,
+)
 from frictrack.fit.segments import Piece
 from frictrack.records import Array
 
@@ -47,8 +54,8 @@ class Local:
     """What local forces explain: the bumps, the law beside them, and the chance of the whole search."""
 
     bumps: list[Bump]
-    law: Linearised  # without the bumps
-    left: Linearised  # with them
+    law: ModelProjection  # without the bumps
+    left: ModelProjection  # with them
     nodes: list[Nodes]
     looks: Looks
     chance: Chance
@@ -79,7 +86,7 @@ class Local:
         return self.rest >= ALPHA
 
 
-def opened(law: Linearised) -> Local:
+def opened(law: ModelProjection) -> Local:
     """The search for local forces before anything is found."""
     at = [nodes(law.solution, r) for r in law.responses]
     looks = looks_of(law, at)
@@ -91,7 +98,7 @@ def local_forces(solution: Solution) -> Local:
 
     Where a law misses much it has bent too far to be linear: it is fitted again beside the forces found, once or twice.
     """
-    found = searched(opened(linearised(solution)))
+    found = searched(opened(model_projection(solution)))
     for _ in range(REFITS):
         much = float(found.law.r @ found.law.r) > STRONG * len(found.law.r)
         if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
@@ -112,7 +119,7 @@ def searched(found: Local) -> Local:
     return replace(found, rest=_stand_out(found)[1])
 
 
-def _refitted(found: Local, bare: Problem) -> Local:
+def _refitted(found: Local, bare: LeastSquaresProblem) -> Local:
     """The same bumps beside the law as it is when it knows them; what they leave is put back into its residual."""
     solution = found.law.solution
     pieces = []
@@ -121,7 +128,7 @@ def _refitted(found: Local, bare: Problem) -> Local:
         pieces.append(replace(piece, known=piece.known - force / piece.mass))
     problem = bare.over(bare.layout, pieces)
     try:
-        law = linearised(
+        law = model_projection(
             refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=REFIT_STEPS)
         )
     except FrictrackError:  # a law so wild that its motion cannot be integrated
@@ -183,7 +190,9 @@ def bump_columns(found: Local, bumps: Sequence[Bump], *, moved: bool = True) -> 
         here = [k for k, b in enumerate(bumps) if b.piece in (None, i)]
         if here:
             force = [at.moved(bumps[k]) if moved else at.force(bumps[k])[:, None] for k in here]
-            out[rows, here] = traces(response, np.concatenate(force, axis=1)).reshape(-1, len(here), out.shape[2])
+            out[rows, here] = displacement_response(response, np.concatenate(force, axis=1)).reshape(
+                -1, len(here), out.shape[2]
+            )
     return out
 
 
@@ -208,7 +217,7 @@ def _fitted(found: Local, steps: int = 6) -> Local:
     return replace(found, bumps=_weighed(found.law, columns[:, :, 0], bumps, sizes), left=left)
 
 
-def solved(law: Linearised, columns: Array) -> tuple[Array, float]:
+def solved(law: ModelProjection, columns: Array) -> tuple[Array, float]:
     """Best sizes (K,) beside the law, and chi-squared."""
     clean = columns - law.u @ (law.u.T @ columns)
     sizes, *_ = np.linalg.lstsq(clean, law.r, rcond=1e-10)
@@ -237,7 +246,7 @@ def _stepped(found: Local, bumps: Sequence[Bump], columns: Array, sizes: Array, 
     return out
 
 
-def _weighed(law: Linearised, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
+def _weighed(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
     """Bumps with their sizes, and by how many standard deviations each stands out beside all others."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean)

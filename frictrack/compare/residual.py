@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.least_squares import Response, Solution
-from frictrack.fit.measured_friction import SeriesPiece
+from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.measured_friction import MeasuredFrictionPiece
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -23,14 +23,14 @@ class ResidualForce:
     sigma_F: Array
 
 
-def residual_force(response: Response, scale: float | None = None) -> ResidualForce:
+def residual_force(response: PieceResponse, scale: float | None = None) -> ResidualForce:
     """Residual displacement of one piece turned into force: -m times its second derivative, with its noise.
 
     `scale` (s) is the width over which it is smoothed; None takes the one at which it stands out most. Where friction
     itself was measured it is the residual as it stands.
     """
     piece = response.piece
-    if isinstance(piece, SeriesPiece):
+    if isinstance(piece, MeasuredFrictionPiece):
         x, v = piece.path.x[piece.at], piece.path.v[piece.at]
         return ResidualForce(piece.t, x, v, piece.y - response.model_y, piece.noise)
     left = piece.coloured(response.r_full)
@@ -76,31 +76,31 @@ def curvature(y: Array, sigma: Array, t: Array, scale: float) -> tuple[Array, Ar
     return a, deviation
 
 
-def effect_force(solution: Solution, response: Response, name: str) -> Array:
+def effect_force(solution: Solution, response: PieceResponse, name: str) -> Array:
     """Force that one effect adds along the solved motion of one piece, N, (n,); zero for one of the picture."""
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
     at = piece.at
     without = Model(tuple(e for e in problem.model.effects if e.name != name))
-    if isinstance(piece, SeriesPiece):
-        path = piece.along(piece.path.x, piece.path.v, level)
+    if isinstance(piece, MeasuredFrictionPiece):
+        path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
         return (problem.model.force(path, values) - without.force(path, values))[at]
     path = piece.at_frames(response.motion.x_edge[at], response.motion.v_edge[at], level)
     return problem.model.force(path, values) - without.force(path, values)
 
 
-def nodes_force(solution: Solution, response: Response, name: str) -> Array:
+def nodes_force(solution: Solution, response: PieceResponse, name: str) -> Array:
     """The same at the nodes of the piece, (3 p,)."""
     problem, piece = solution.problem, response.piece
     values, level = problem.layout.values(solution.p, piece.run)
     without = Model(tuple(e for e in problem.model.effects if e.name != name))
-    if isinstance(piece, SeriesPiece):
-        path = piece.along(piece.path.x, piece.path.v, level)
+    if isinstance(piece, MeasuredFrictionPiece):
+        path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
     elif problem.model.memory:
         motion = response.motion
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
         path = piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
     else:
-        path = piece.along(response.motion.x, response.motion.v, level)
+        path = piece.path_at_nodes(response.motion.x, response.motion.v, level)
     force = problem.model.force(path, values) - without.force(path, values)
     return np.asarray(force[-len(piece.panels.t) :])

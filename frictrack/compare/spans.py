@@ -14,8 +14,15 @@ from frictrack.compare.bump_dictionary import Bump, limits
 from frictrack.compare.local_forces import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
 from frictrack.compare.residual import effect_force, nodes_force
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Linearised, Response, Solution, linearised, place, traces
-from frictrack.fit.measured_friction import SeriesPiece, compact
+from frictrack.fit.least_squares import (
+    ModelProjection,
+    PieceResponse,
+    Solution,
+    displacement_response,
+    model_projection,
+    position_and_velocity,
+)
+from frictrack.fit.measured_friction import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.segments import Rows
 from frictrack.records import Array, Mask, Run, stretches
 
@@ -49,7 +56,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     its noise, that goes with what the span lacks; `p` is for the whole search over spans. A blow too short to be
     resolved reaches as far as the run's own low-pass smears it.
     """
-    solution = compact(solution)
+    solution = keep_compared_frames(solution)
     found = _found(solution, runs) if missing is None else _named(solution, runs, missing)
     told = [_told(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
     return sorted(told, key=lambda s: -s["share_of_error"])
@@ -60,7 +67,7 @@ def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
     found = local_forces(solution)
     if not found.bumps:
         return []
-    if not found.complete and isinstance(solution.problem.pieces[0], SeriesPiece):
+    if not found.complete and isinstance(solution.problem.pieces[0], MeasuredFrictionPiece):
         return _plain_to_see(found)
     return _reaching(found, runs)
 
@@ -104,7 +111,7 @@ def _joined(spans: Sequence[Span]) -> list[Span]:
     return out
 
 
-def misfit(law: Linearised) -> float:
+def misfit(law: ModelProjection) -> float:
     """What the law leaves beyond the noise, of chi-squared; at least what noise makes uncertain of it."""
     freedom = max(len(law.r) - law.u.shape[1], 1)
     return max(float(law.r @ law.r) - freedom, float(np.sqrt(2 * freedom)))
@@ -115,14 +122,14 @@ def _inside(found: Local, bump: Bump, i: int, smear: float) -> Mask:
     if not bump.at_place:
         reach = REACH * (limits(found.law.responses, bump)[0] if smear else bump.width)
         return np.asarray(np.abs(piece.t - bump.centre) <= reach + smear)
-    x, _ = place(found.law.responses[i])
+    x, _ = position_and_velocity(found.law.responses[i])
     return np.asarray(np.abs(x - bump.centre) <= REACH * bump.width)
 
 
-def _smear(runs: Sequence[Run], response: Response) -> float:
+def _smear(runs: Sequence[Run], response: PieceResponse) -> float:
     """Half width of the run's own low-pass, s; nothing where none is known or friction itself was measured."""
     cutoff = runs[response.piece.run].motion.cutoff
-    known = np.isfinite(cutoff) and cutoff > 0 and not isinstance(response.piece, SeriesPiece)
+    known = np.isfinite(cutoff) and cutoff > 0 and not isinstance(response.piece, MeasuredFrictionPiece)
     return 0.5 / float(cutoff) if known else 0.0
 
 
@@ -174,7 +181,7 @@ def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
     return float(grid[max(rows.min() - 1, 0)]), float(grid[min(rows.max() + 1, len(grid) - 1)])
 
 
-def _likelihood(found: Local, law: Linearised, bumps: Sequence[Bump]) -> Array:
+def _likelihood(found: Local, law: ModelProjection, bumps: Sequence[Bump]) -> Array:
     """Likelihood of every bump over that of the best, (k,), each of its best size; 0 where it is next to nothing."""
     columns = bump_columns(found, bumps, moved=False)[:, :, 0]
     clean = columns - law.u @ (law.u.T @ columns)
@@ -182,7 +189,7 @@ def _likelihood(found: Local, law: Linearised, bumps: Sequence[Bump]) -> Array:
     return np.asarray(np.where(gain > gain.max() - LIKELY, np.exp((gain - gain.max()) / 2), 0.0))
 
 
-def _astray(found: Local, law: Linearised, bump: Bump) -> float:
+def _astray(found: Local, law: ModelProjection, bump: Bump) -> float:
     """Standard deviation of the centre of a bump beside its size and width, of which no more is known than a factor."""
     bent = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
     bent -= law.u @ (law.u.T @ bent)
@@ -252,30 +259,30 @@ def _own(effect: Effect) -> bool:
     return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
 
 
-def _without(solution: Solution, effect: Effect) -> Linearised:
+def _without(solution: Solution, effect: Effect) -> ModelProjection:
     """The law without one of its effects, and the residual that it would leave."""
     slots = solution.problem.layout.slots
     kept = [i for i, s in enumerate(slots) if s.effect != effect.name]
-    whole = linearised(solution, kept)
+    whole = model_projection(solution, kept)
     trace = np.zeros_like(whole.r)
     for rows, response in zip(whole.rows, solution.responses, strict=True):
         at = nodes_force(solution, response, effect.name)
-        trace[rows] = traces(response, at[:, None])[:, 0]
+        trace[rows] = displacement_response(response, at[:, None])[:, 0]
     return replace(whole, r=whole.r + trace - whole.u @ (whole.u.T @ trace))
 
 
-def _part(law: Linearised, i: int, rows: Rows, solution: Solution, name: str) -> Array:
+def _part(law: ModelProjection, i: int, rows: Rows, solution: Solution, name: str) -> Array:
     """Trace of an effect's force over some frames of one piece, over all frames (N + m,)."""
     response = solution.responses[i]
     t, nodes = response.piece.t, response.piece.panels.t
     inside = (nodes >= t[rows[0]]) & (nodes <= t[rows[-1]])
     out = np.zeros_like(law.r)
     force = np.where(inside, nodes_force(solution, response, name), 0.0)
-    out[law.rows[i]] = traces(response, force[:, None])[:, 0]
+    out[law.rows[i]] = displacement_response(response, force[:, None])[:, 0]
     return out
 
 
-def _stand_out(law: Linearised, made: Array) -> Array:
+def _stand_out(law: ModelProjection, made: Array) -> Array:
     """By how many standard deviations each of the columns (N + m, k) stands out beside the law and all others."""
     clean = made - law.u @ (law.u.T @ made)
     inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
@@ -293,10 +300,10 @@ def _bridged(acts: Mask) -> Mask:
     return out
 
 
-def _told(response: Response, runs: Sequence[Run], span: Span) -> dict[str, Any]:
+def _told(response: PieceResponse, runs: Sequence[Run], span: Span) -> dict[str, Any]:
     """JSON of one span."""
     run, at = runs[response.piece.run], span.rows
-    x, v = place(response)
+    x, v = position_and_velocity(response)
 
     def reach(a: Array) -> list[float]:
         return [float(a[at].min()), float(a[at].max())]

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from frictrack.compare.bump_dictionary import Nodes, nodes
 from frictrack.effects.base import frequencies
 from frictrack.effects.texture import periods
-from frictrack.fit.least_squares import Linearised, Response, traces
+from frictrack.fit.least_squares import ModelProjection, PieceResponse, displacement_response
 from frictrack.records import Array
 
 PERIODS = 3.0
@@ -47,28 +47,30 @@ def waves(t: Array, f: Array) -> Array:
     return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(t), -1)
 
 
-def scanned(law: Linearised) -> Array:
+def scanned(law: ModelProjection) -> Array:
     """Frequencies worth a look, Hz: fewer periods than `PERIODS` in the longest run are no line."""
     span = law.solution.problem.layout.span
     f = frequencies(span)[::EVERY]
     return f[f >= PERIODS / span.duration]
 
 
-def seen(response: Response, f: Array) -> Array:
+def seen(response: PieceResponse, f: Array) -> Array:
     """Traces of sines and cosines in one piece, (n, 2 G)."""
     return wave_traces(response, response.piece.panels.t, f)
 
 
-def wave_traces(response: Response, along: Array, f: Array, dry: Array | None = None) -> Array:
+def wave_traces(response: PieceResponse, along: Array, f: Array, dry: Array | None = None) -> Array:
     """Traces (n, 2 G) in one piece of forces that wave along its nodes (3 p,) with frequencies (G,), times `dry`."""
     out = np.empty((len(response.r), 2 * len(f)))
     for first in range(0, len(f), CROWD):
         made = waves(along, f[first : first + CROWD])
-        out[:, 2 * first : 2 * (first + CROWD)] = traces(response, made if dry is None else made * dry[:, None])
+        out[:, 2 * first : 2 * (first + CROWD)] = displacement_response(
+            response, made if dry is None else made * dry[:, None]
+        )
     return out
 
 
-def strongest_line(law: Linearised) -> Line | None:
+def strongest_line(law: ModelProjection) -> Line | None:
     """The frequency at which all runs together gain most; None where the law has no frame to look at."""
     f = scanned(law)
     runs = sorted({r.piece.run for r in law.responses})
@@ -91,12 +93,12 @@ def strongest_line(law: Linearised) -> Line | None:
     return _at(law, float(found.x), len(f))
 
 
-def line_at(law: Linearised, frequency: float) -> Line:
+def line_at(law: ModelProjection, frequency: float) -> Line:
     """A line of a known frequency."""
     return _at(law, frequency, 1)
 
 
-def _at(law: Linearised, frequency: float, tried: int) -> Line:
+def _at(law: ModelProjection, frequency: float, tried: int) -> Line:
     runs = sorted({r.piece.run for r in law.responses})
     columns = np.zeros((len(law.r), 2 * len(runs)))
     for rows, response in zip(law.rows, law.responses, strict=True):
@@ -120,7 +122,7 @@ class Ripple:
     columns: Array  # (N + m, 2)
 
 
-def strongest_ripple(law: Linearised) -> Ripple | None:
+def strongest_ripple(law: ModelProjection) -> Ripple | None:
     """The period over the place at which all runs together gain most."""
     f = np.sort(1 / periods(law.solution.problem.layout.span))
     at = [nodes(law.solution, r) for r in law.responses]
@@ -141,18 +143,18 @@ def strongest_ripple(law: Linearised) -> Ripple | None:
     return _ripple(law, at, float(found.x), len(f))
 
 
-def _ripple(law: Linearised, at: Sequence[Nodes], f: float, tried: int) -> Ripple:
+def _ripple(law: ModelProjection, at: Sequence[Nodes], f: float, tried: int) -> Ripple:
     """One period; how well it is known follows from the traces of sine, cosine and their change with the period."""
     columns = np.zeros((len(law.r), 2))
     for rows, response, n in zip(law.rows, law.responses, at, strict=True):
-        columns[rows] = traces(response, waves(n.x, np.array([f])) * n.dry[:, None])
+        columns[rows] = displacement_response(response, waves(n.x, np.array([f])) * n.dry[:, None])
     clean = columns - law.u @ (law.u.T @ columns)
     size: Array = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-8)[0], dtype=np.float64)
     gain = float(np.sum((clean @ size) ** 2))
     shifted = np.zeros(len(law.r))
     moved = [_moved(n, f, size) for n in at]
     for rows, response, m in zip(law.rows, law.responses, moved, strict=True):
-        shifted[rows] = traces(response, m[:, 2:])[:, 0]
+        shifted[rows] = displacement_response(response, m[:, 2:])[:, 0]
     whole = np.column_stack([clean, shifted - law.u @ (law.u.T @ shifted)])
     covariance = np.linalg.pinv(whole.T @ whole, hermitian=True)
     frames = [

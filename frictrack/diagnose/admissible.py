@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Solution, inverse
-from frictrack.fit.parameters import Layout, restraint_rows
+from frictrack.fit.least_squares import Solution, inverse_normal_matrix
+from frictrack.fit.parameters import ParameterLayout, penalty_jacobian
 from frictrack.records import Array
 
 MIN_SIGNIFICANCE = 3.0  # of its own standard deviations that the size of an effect must exceed
@@ -22,7 +22,7 @@ def objection(solution: Solution, effect: Effect) -> str:
     return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
 
 
-def physical_objection(layout: Layout, p: Array, effect: Effect) -> str:
+def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str:
     """Return the effect's own objection to its fitted values, where it stands in every run in which it acts."""
     if effect.plausible is None:
         return ""
@@ -58,6 +58,6 @@ def _std_in_shape(solution: Solution, effect: Effect, at: list[int]) -> Array:
     """Standard deviations of some unknowns while the others of their effect are held."""
     layout = solution.problem.layout
     free = [i for i, s in enumerate(layout.slots) if s.effect != effect.name or i in at]
-    rows = np.vstack([solution.jac, restraint_rows(layout, solution.tau or 0.03, solution.p)])
-    covariance, _ = inverse(rows[:, free])
+    rows = np.vstack([solution.jac, penalty_jacobian(layout, solution.tau or 0.03, solution.p)])
+    covariance, _ = inverse_normal_matrix(rows[:, free])
     return np.sqrt(np.maximum(np.diag(covariance)[[free.index(i) for i in at]], 0.0))

@@ -23,7 +23,7 @@ from scipy.stats import norm
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.surrogates import SmoothedSignal, detrend, surrogate_p_value
-from frictrack.fit.least_squares import Response, Solution
+from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 
@@ -181,7 +181,7 @@ def _curve(left: CompressedResidual, solution: Solution, told: Array) -> tuple[i
     return k, {"t": piece.t, "left": back @ np.split(left.left, ends)[k], "told": back @ parts[k]}
 
 
-def _smoothed(response: Response, run: Run, series: Array) -> SmoothedSignal | None:
+def _smoothed(response: PieceResponse, run: Run, series: Array) -> SmoothedSignal | None:
     """The series of a run along one of its pieces, with derivatives; None where most of it is unknown."""
     rows, n = response.piece.frames, len(series)
     u = np.asarray(series, dtype=float)
@@ -282,7 +282,7 @@ def assess_accelerometer(solution: Solution, runs: Sequence[Run], beside: Auxili
     return None if judged is None else replace(judged, curve=curve, shown=shown)
 
 
-def _by_frequency(response: Response, a: Array, noise: float) -> tuple[Array, Array, Array]:
+def _by_frequency(response: PieceResponse, a: Array, noise: float) -> tuple[Array, Array, Array]:
     """Felt and seen displacement of one piece at the frequencies where something is seen, and the sensor's variance.
 
     White noise of an acceleration integrated twice falls with the fourth power of the frequency.
@@ -297,7 +297,7 @@ def _by_frequency(response: Response, a: Array, noise: float) -> tuple[Array, Ar
     return felt[clear], seen[clear], ((noise / omega**2 / np.median(response.piece.noise)) ** 2)[clear]
 
 
-def _sensor_columns(response: Response, a: Array) -> Array:
+def _sensor_columns(response: PieceResponse, a: Array) -> Array:
     """Displacement of one piece (n, 3) in units of sigma, start removed: beside the model, of its gain, of its bias."""
     piece = response.piece
     own = CubicSpline(piece.panels.t, response.motion.a)(piece.t)

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from frictrack.effects import Path
-from frictrack.fit.least_squares import Response, Solution
-from frictrack.fit.parameters import basis_of, prior_rows
+from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.segments import Rows
 from frictrack.records import Array
 
@@ -73,12 +73,12 @@ def compress_residual(solution: Solution, without: str = "") -> CompressedResidu
     responses, layout = solution.responses, solution.problem.layout
     each = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
     parts = [_reduced(solution, r, each) for r in responses]
-    jac, data = solution.jac, solution.unlevelled()
+    jac, data = solution.jac, solution.random_effect_data()
     own = np.array([slot.effect == without for slot in layout.slots])
     data = data + jac[:, own] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[own]
-    known = np.array(prior_rows(layout, solution.p))
+    known = np.array(prior_jacobian(layout, solution.p))
     jac[:, own], known[:, own] = 0.0, 0.0
-    basis = basis_of(jac, layout.levels, known)
+    basis = jacobian_basis(jac, layout.levels, known)
     starts = np.cumsum([0, *(len(r.r) for r in responses)])
     on_law = []
     left = []
@@ -128,7 +128,7 @@ def _root(on_law: Array, shrink: Array) -> tuple[Array, Array]:
     return q @ vectors, 1 - np.sqrt(1 - np.clip(values, 0.0, 1.0))
 
 
-def _reduced(solution: Solution, response: Response, each: int) -> tuple[Array, Path, Array, Rows]:
+def _reduced(solution: Solution, response: PieceResponse, each: int) -> tuple[Array, Path, Array, Rows]:
     """Orthonormal traces (n, m) of one piece, its path at the points where a force is read, and the map to them."""
     piece = response.piece
     count = max(min(len(piece.t) // 3, each), MIN_COMPONENTS_PER_PIECE)
@@ -151,7 +151,7 @@ def _knots(first: float, last: float, count: int) -> Array:
     return np.concatenate([[first] * SPLINE_DEGREE, inner, [last] * SPLINE_DEGREE])
 
 
-def _read(solution: Solution, response: Response, rows: Rows) -> Path:
+def _read(solution: Solution, response: PieceResponse, rows: Rows) -> Path:
     """The path of one piece at some of its frames."""
     piece, motion = response.piece, response.motion
     _, level = solution.problem.layout.values(solution.p, piece.run)

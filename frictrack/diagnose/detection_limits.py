@@ -11,7 +11,7 @@ from scipy.stats import ncx2
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
-from frictrack.fit.linearised import ABSORBED, Scan
+from frictrack.fit.linearised import MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.records import Array
 
 POWER = 0.95
@@ -50,7 +50,7 @@ def detection_limit(
     return {"value": value, "unit": unit, "at": at, "power": POWER, "reason": reason}, curve
 
 
-def _unit_gain(found: Scan, left: Array) -> Array:
+def _unit_gain(found: CandidateScan, left: Array) -> Array:
     """Expected likelihood ratio of every form at size one, the rest at its least favourable, (G,)."""
     schur, full = found.schur(left), found.full()
     of_block = _of_phase if _is_wave(found.family.effect) else _of_first
@@ -58,7 +58,7 @@ def _unit_gain(found: Scan, left: Array) -> Array:
     for i in range(0, schur.shape[1], found.family.k):
         mine = slice(i, i + found.family.k)
         least, whole = of_block(schur[:, mine, mine], full[:, mine])
-        gains.append(np.where(least > ABSORBED * whole, least, 0.0))  # less is rounding
+        gains.append(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0))  # less is rounding
     return np.asarray(np.sum(gains, axis=0))
 
 
@@ -75,7 +75,9 @@ def _of_first(schur: Array, full: Array) -> tuple[Array, Array]:
     size = np.sqrt(np.maximum(full[:, 1:], 1e-300))
     unit = rest / size[:, :, None] / size[:, None, :]
     across = schur[:, 1:, 0] / size
-    hidden = np.einsum("gi,gij,gj->g", across, np.linalg.pinv(unit, rcond=ABSORBED, hermitian=True), across)
+    hidden = np.einsum(
+        "gi,gij,gj->g", across, np.linalg.pinv(unit, rcond=MIN_UNEXPLAINED_SHARE, hermitian=True), across
+    )
     return schur[:, 0, 0] - hidden, full[:, 0]
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Response, Solution, place
+from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
 from frictrack.models import Model
 from frictrack.records import GRAVITY, Array, stretches
 
@@ -46,10 +46,10 @@ class FittedEffect:
         """What it adds in every piece at the frames: N, or m in the picture."""
         return [self._block(r) for r in self.solution.responses]
 
-    def _block(self, response: Response) -> Array:
+    def _block(self, response: PieceResponse) -> Array:
         problem, piece = self.solution.problem, response.piece
         values, level = problem.layout.values(self.solution.p, piece.run)
-        x, v = place(response)
+        x, v = position_and_velocity(response)
         path = piece.at_frames(x, v, level)
         if self.effect.modifies:
             rest = Model(tuple(e for e in problem.model.effects if e.name != self.name))
@@ -66,7 +66,7 @@ class FittedEffect:
         return float(values[self.name][parameter])
 
     @cached_property
-    def most(self) -> tuple[int, Response, int]:
+    def most(self) -> tuple[int, PieceResponse, int]:
         """Run, piece and frame where the cause is first about as large as it gets."""
         tops = [float(np.max(np.abs(b), initial=0.0)) for b in self.blocks]
         k = int(np.argmax(tops))
@@ -88,7 +88,7 @@ class FittedEffect:
         size = abs(float(self.blocks[k][i]))
         if size == 0:
             return ""
-        x, v = place(response)
+        x, v = position_and_velocity(response)
         if self.effect.acts_on == "force":
             whole = abs(self._total(response)[i])
             how = f"{_n(size)} N of {_n(whole)} N" if whole > size else f"{_n(size)} N"
@@ -98,16 +98,16 @@ class FittedEffect:
         where = f"frame {int(piece.frames[i])}, {_n(1e3 * piece.t[i])} ms after release"
         return f"look at run {self.run}, {where}, x = {x[i]:.3f} m at {_n(abs(v[i]), 2)} m/s: {how}"
 
-    def _total(self, response: Response) -> Array:
+    def _total(self, response: PieceResponse) -> Array:
         problem, piece = self.solution.problem, response.piece
         values, level = problem.layout.values(self.solution.p, piece.run)
-        return np.asarray(problem.model.force(piece.at_frames(*place(response), level), values))
+        return np.asarray(problem.model.force(piece.at_frames(*position_and_velocity(response), level), values))
 
     def passes(self, spot: float) -> str:
         """When each of the first runs comes past a place: frames and speeds."""
         found = []
         for response in self.solution.responses:
-            x, v = place(response)
+            x, v = position_and_velocity(response)
             over = np.flatnonzero(np.diff(np.sign(x - spot)))
             if len(over):
                 i = int(over[0])
@@ -115,7 +115,7 @@ class FittedEffect:
                 found.append(f"{name} in frame {int(response.piece.frames[i])} at {_n(abs(v[i]), 2)} m/s")
         return ", ".join(found[:3])
 
-    def end(self) -> tuple[Response, float]:
+    def end(self) -> tuple[PieceResponse, float]:
         """The longest piece and its last time since release."""
         longest = max(self.solution.responses, key=lambda r: float(r.piece.t[-1]))
         return longest, float(longest.piece.t[-1])
@@ -253,7 +253,7 @@ def _rate(seen: FittedEffect) -> str:
 
 def _late(seen: FittedEffect) -> str:
     tau = seen.value("tau")
-    speed = float(np.median(np.abs(place(seen.most[1])[1])))
+    speed = float(np.median(np.abs(position_and_velocity(seen.most[1])[1])))
     return f"{_n(1e3 * tau)} ms late, {_length(tau * speed)} at {_n(speed, 2)} m/s"
 
 

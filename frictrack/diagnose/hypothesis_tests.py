@@ -12,9 +12,9 @@ from frictrack import effects
 from frictrack.diagnose.null_distribution import Ensemble
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import Scan, families, scan
-from frictrack.fit.measured_friction import is_series
-from frictrack.fit.stepwise import PULSE_PRICE, follows, known
+from frictrack.fit.linearised import CandidateScan, candidate_grids, scan_candidate
+from frictrack.fit.measured_friction import is_measured_friction
+from frictrack.fit.stepwise import EVENT_PENALTY, effect_for_scan, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.threads import side_by_side
@@ -28,7 +28,7 @@ class ScannedCandidate:
     """One candidate effect scanned over data and draws: its statistic above its own null quantile, (D,)."""
 
     effect: Effect
-    scans: list[Scan]
+    scans: list[CandidateScan]
     statistic: Array
     quantile: float
 
@@ -64,7 +64,7 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             continue
         if (kind.name in model and not _may_repeat(kind)) or (kind.modifies and not kinds & kind.modifies):
             continue
-        if kind.acts_on == "measurement" and is_series(solution.problem):
+        if kind.acts_on == "measurement" and is_measured_friction(solution.problem):
             continue
         effect = effects.get(model.next_instance(kind.name), own)
         if why := effect.lacks(paths) or _loose_end(effect, model) or _one_way(effect, solution):
@@ -76,7 +76,7 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
 
 def _loose_end(effect: Effect, model: Model) -> str:
     """Why an effect cannot enter a model alone: it is tied to one that is not there; "" where it can."""
-    if follows(effect, model.effects):
+    if ties_are_resolved(effect, model.effects):
         return ""
     return f"{effect.name} follows an effect that the model does not have"
 
@@ -114,13 +114,13 @@ def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) ->
 
 
 def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> ScannedCandidate | None:
-    made = families(draws.law, known(solution, effect))
+    made = candidate_grids(draws.law, effect_for_scan(solution, effect))
     if not made:
         return None
-    scans = [scan(draws.law, family, draws.series) for family in made]
+    scans = [scan_candidate(draws.law, family, draws.series) for family in made]
     tops = np.stack([s.tops for s in scans])
     if len(made) > 1:  # events of single runs: each must pay its price
-        price = PULSE_PRICE * np.log(solution.problem.n_frames)
+        price = EVENT_PENALTY * np.log(solution.problem.n_frames)
         statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)
     else:
         statistic = tops[0]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.least_squares import Problem, Solution, refine
-from frictrack.fit.parameters import Layout, restraint
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
+from frictrack.fit.parameters import ParameterLayout, penalty_residual
 
 MIN_CHI2_SEPARATED = 10.0  # expected chi-squared difference below which two causes cannot be told apart
 MAX_BIC_BARE_MENTION = (
@@ -23,7 +23,7 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     problem = rival.problem.over(rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
-    held = restraint(best.problem.layout, best.p, tau)
+    held = penalty_residual(best.problem.layout, best.p, tau)
     return fitted.objective - float(held @ held)
 
 
@@ -40,6 +40,6 @@ def information_criterion(solution: Solution) -> float:
     return solution.objective + spread + parameter_penalty(layout, solution.problem)
 
 
-def parameter_penalty(layout: Layout, problem: Problem) -> float:
+def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
     """What the unknowns of a law cost, its levels apart."""
     return (len(layout.slots) - len(layout.levels)) * float(np.log(problem.n_frames))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import idct
 
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import Beside, Series, Short, beside
+from frictrack.fit.linearised import Float32Array, LinearisedModel, ScannedSeries, linearise
 from frictrack.fit.segments import Piece, Rows
 from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
 from frictrack.records import Array, Mask
@@ -27,8 +27,8 @@ TAU_GRID = np.geomspace(2e-4, 0.32, 13)
 class Ensemble:
     """The data (first column) and the draws beside it, ready for any candidate; `shrinks` go with the spreads."""
 
-    law: Beside
-    series: Series
+    law: LinearisedModel
+    series: ScannedSeries
     shrinks: list[Array]
 
     @property
@@ -37,10 +37,10 @@ class Ensemble:
         mine = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
         return self.series.lefts[mine]
 
-    def residuals(self) -> Short:
+    def residuals(self) -> Float32Array:
         """What the refitted bare model leaves of the data and of every draw, (N, D)."""
         out = self.series.data.copy()
-        u, coordinates = self.law.basis.u.astype(np.float32), self.law.turned.T @ self.series.own
+        u, coordinates = self.law.basis.u.astype(np.float32), self.law.basis_coordinates.T @ self.series.own
         for columns, shrink in zip(self.series.groups, self.shrinks, strict=True):
             out[:, columns] -= u @ (shrink @ coordinates[:, columns]).astype(np.float32)
         return out
@@ -48,10 +48,10 @@ class Ensemble:
 
 def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Ensemble:
     """Draws of the null hypothesis that the fitted model is the whole truth."""
-    law = beside(solution)
+    law = linearise(solution)
     seen, basis = law.solution, law.basis
     data = np.empty((len(basis.u), 1 + draws), dtype=np.float32)
-    data[:, 0] = seen.unlevelled()
+    data[:, 0] = seen.random_effect_data()
     _fill_noise(law, data[:, 1:], rng)
     levels = seen.problem.layout.levels
     if basis.random:
@@ -59,7 +59,7 @@ def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_D
         data[:, 1:] += (seen.jac[:, levels] @ scatter).astype(np.float32)
     own = law.coordinates(data)
     taus = np.append(TAU_GRID, seen.tau) if basis.random else np.array([1.0])
-    on_basis = law.turned.T @ own
+    on_basis = law.basis_coordinates.T @ own
     profile = np.stack([basis.misfit(on_basis, np.zeros(1 + draws), tau) + basis.logdet(tau) for tau in taus])
     best = np.argmin(profile, axis=0)
     # draws of one spread side by side, those of the data's own first
@@ -68,26 +68,26 @@ def draw_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_D
     ends = np.cumsum([0, *[int(np.sum(best == t)) for t in used]]).tolist()
     groups = dict(zip(used, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     none = slice(0, 0)
-    series = Series(
+    series = ScannedSeries(
         np.ascontiguousarray(data[:, order]),
         own[:, order],
-        [law.left(tau) for tau in taus],
+        [law.residual_projector(tau) for tau in taus],
         [groups.get(t, none) for t in range(len(taus))],
         profile[:, order],
     )
     return Ensemble(law, series, [basis.shrink(tau) for tau in taus])
 
 
-def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
+def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generator) -> None:
     """White noise (N, D) of every run over its own estimated level, starts removed, in place."""
     out[...] = rng.standard_normal(out.shape, dtype=np.float32)
     for run in law.runs:
-        mine = [i for i, s in enumerate(law.strips) if s.run == run]
-        level = _level([law.strips[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
+        mine = [i for i, s in enumerate(law.pieces) if s.run == run]
+        level = _level([law.pieces[i].response.piece.frames for i in mine], [out[law.rows[i]] for i in mine])
         for i in mine:
             e = out[law.rows[i]]
             e /= level
-            piece = law.strips[i].response.piece
+            piece = law.pieces[i].response.piece
             if piece.locked and piece.path.pixel_pitch:
                 e *= np.float32(np.sqrt(1 - piece.locked))
                 e += peak_locking_errors(piece.y / piece.path.pixel_pitch, e.shape[1], rng) * np.float32(
@@ -96,29 +96,29 @@ def _fill_noise(law: Beside, out: Short, rng: np.random.Generator) -> None:
             if piece.step:
                 share = min(piece.step**2 / 12.0 / float(np.mean(piece.sigma**2)), 1.0)
                 e *= np.float32(np.sqrt(1 - share))
-                e += _whitened(piece, rounding_errors(law.strips[i].response.model_y, piece.step, e.shape[1], rng))
+                e += _whitened(piece, rounding_errors(law.pieces[i].response.model_y, piece.step, e.shape[1], rng))
             if piece.systematic:
                 e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
             if piece.shake:
                 frequency, rms = piece.shake
                 e += _whitened(piece, rms * random_tones(piece.t * frequency, e.shape[1], rng))
-            q = law.strips[i].response.q.astype(np.float32)
+            q = law.pieces[i].response.q.astype(np.float32)
             e -= q @ (q.T @ e)
 
 
-def _whitened(piece: Piece, errors: Short) -> Short:
+def _whitened(piece: Piece, errors: Float32Array) -> Float32Array:
     return piece.whitened(errors.astype(np.float64)).astype(np.float32)
 
 
-def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Short:
+def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
     """Errors (n, D) of rms one that are as large in every octave from a few frames to the whole piece."""
     waves, size = np.zeros(shape, dtype=np.float32), slow_spectrum(shape[0]).astype(np.float32)
     waves[1 : 1 + len(size)] = size[:, None] * rng.standard_normal((len(size), shape[1]), dtype=np.float32)
-    errors: Short = idct(waves, axis=0, norm="ortho")
+    errors: Float32Array = idct(waves, axis=0, norm="ortho")
     return errors
 
 
-def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> Short:
+def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> Float32Array:
     """Errors (n, D) of rms one on the average that repeat from pixel to pixel, at places (n,) in px.
 
     Where the target goes a whole number of pixels per frame, or stops, they change slowly.
@@ -126,24 +126,24 @@ def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> S
     return (random_tones(place, draws, rng) + random_tones(2 * place, draws, rng)) / np.float32(np.sqrt(2))
 
 
-def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Generator) -> Short:
+def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Generator) -> Float32Array:
     """Errors (n, D) in m of places (n,) that are rounded to multiples of a step, their origin at random.
 
     While a mass is slower than a step per frame they are alike from frame to frame: no white noise (Widrow & Kollar
     2008, Quantization Noise, section 20).
     """
     at = place[:, None] / step + rng.uniform(0.0, 1.0, (1, draws))
-    errors: Short = (step * (np.round(at) - at)).astype(np.float32)
+    errors: Float32Array = (step * (np.round(at) - at)).astype(np.float32)
     return errors
 
 
-def random_tones(turns: Array, draws: int, rng: np.random.Generator) -> Short:
+def random_tones(turns: Array, draws: int, rng: np.random.Generator) -> Float32Array:
     """Tones (n, D) of rms one on the average and any phase, at so many `turns` (n,)."""
     waves = np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1).astype(np.float32)
     return waves @ rng.standard_normal((2, draws), dtype=np.float32)
 
 
-def _level(frames: list[Rows], noise: list[Short]) -> Array:
+def _level(frames: list[Rows], noise: list[Float32Array]) -> Array:
     """Level (D,) of white noise (n, D) in the pieces of a run, estimated as that of the data is."""
     whole = {k: [_neighbours(f, k) for f in frames] for k in (ORDER, FEWER)}
     many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (ORDER, FEWER))

@@ -11,7 +11,14 @@ from frictrack.diagnose.rounds import RefinedCandidate, Round
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.stepwise import STRONG, Trial, bare, simulated, tried_together, without
+from frictrack.fit.stepwise import (
+    STRONG_MISFIT_CHI2,
+    CandidateTrial,
+    baseline_misfit,
+    remove_effect,
+    simulate_trial,
+    try_linear_effects,
+)
 from frictrack.fit.uncertainty import dispersion
 
 
@@ -39,19 +46,19 @@ def stronger_of_smooth_pair(last: Round, best: RefinedCandidate) -> RefinedCandi
     It is asked only while the law misses much: a flexible effect then imitates the sum of plain ones.
     """
     frames = last.solution.problem.n_frames
-    if is_smooth(best.effect) or last.solution.chi2 < STRONG * frames:
+    if is_smooth(best.effect) or last.solution.chi2 < STRONG_MISFIT_CHI2 * frames:
         return None
     law = last.draws.law
     smooth = [s.effect for s in last.tests.scanned if is_smooth(s.effect)]
-    alone = {e.name: tried_together(law, [e]) for e in smooth}
-    pairs = {both: tried_together(law, both) for both in combinations(smooth, 2)}
+    alone = {e.name: try_linear_effects(law, [e]) for e in smooth}
+    pairs = {both: try_linear_effects(law, both) for both in combinations(smooth, 2)}
     if not pairs:
         return None
     both, trial = min(
         pairs.items(), key=lambda item: item[1].misfit + parameter_penalty(item[1].layout, last.solution.problem)
     )
     try:
-        found = simulated(law, trial)
+        found = simulate_trial(law, trial)
     except FrictrackError:
         return None
     if information_criterion(found) > information_criterion(best.law) + MAX_BIC_BARE_MENTION * dispersion(best.law):
@@ -60,13 +67,13 @@ def stronger_of_smooth_pair(last: Round, best: RefinedCandidate) -> RefinedCandi
     return _member(last, stronger, alone[stronger.name], best.p)
 
 
-def _member(last: Round, effect: Effect, trial: Trial, p: float) -> RefinedCandidate | None:
+def _member(last: Round, effect: Effect, trial: CandidateTrial, p: float) -> RefinedCandidate | None:
     """One effect of a pair as a candidate; the pair as a whole has passed with `p`."""
     there = next((t for t in last.tried if t.effect.name == effect.name and t.solution is not None), None)
     if there is not None:
         return replace(there, p=min(there.p, p))
     try:
-        law = simulated(last.draws.law, trial)
+        law = simulate_trial(last.draws.law, trial)
     except FrictrackError:
         return None
     gain = information_criterion(last.solution) - information_criterion(law)
@@ -75,7 +82,7 @@ def _member(last: Round, effect: Effect, trial: Trial, p: float) -> RefinedCandi
 
 def explained_shares(last: Round, tried: Sequence[RefinedCandidate]) -> dict[str, float]:
     """Share of the misfit beyond the noise that every candidate explains by itself, by name."""
-    misfit = bare(last.draws.law)
+    misfit = baseline_misfit(last.draws.law)
     excess = max(misfit - last.solution.problem.n_frames, 1e-300)
     out = {}
     for t in tried:
@@ -92,7 +99,7 @@ def nested_models(found: Sequence[RefinedCandidate]) -> list[Solution | None]:
     for t in reversed(found[1:]):
         law = out[0]
         try:
-            out.insert(0, None if law is None else without(law, t.effect.name))
+            out.insert(0, None if law is None else remove_effect(law, t.effect.name))
         except FrictrackError:
             out.insert(0, None)
     return out

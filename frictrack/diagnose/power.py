@@ -16,7 +16,7 @@ from frictrack.diagnose.admissible import MIN_SIGNIFICANCE
 from frictrack.diagnose.hypothesis_tests import ScannedCandidate
 from frictrack.diagnose.rounds import Round
 from frictrack.fit import Fit
-from frictrack.fit.linearised import Strip
+from frictrack.fit.linearised import LinearisedPiece
 from frictrack.records import Array
 
 BASIC_EFFECTS = (
@@ -69,7 +69,7 @@ def find_undetermined(fit: Fit, first: Round, curves: Mapping[str, Mapping[str, 
 def mean_friction(first: Round) -> float:
     """Mean size of the friction force of a fitted law over its frames, N."""
     forces = []
-    for strip in first.draws.law.strips:
+    for strip in first.draws.law.pieces:
         forces.append(np.abs(strip.problem.model.force(strip.path, strip.values)))
     return max(float(np.mean(np.concatenate(forces))), 1e-300)
 
@@ -81,12 +81,12 @@ def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> fl
     """
     family = scanned.scans[0].family
     g = _middle(family.values)
-    raw = [_raw(s, family, g) for s in first.draws.law.strips]
+    raw = [_raw(s, family, g) for s in first.draws.law.pieces]
     unit = float(np.sqrt(np.mean(np.concatenate(raw) ** 2)))
     return float(limits[g]) * unit
 
 
-def _raw(strip: Strip, family: Any, g: int) -> Array:
+def _raw(strip: LinearisedPiece, family: Any, g: int) -> Array:
     """Force of one unit of the first coefficient along one piece, N."""
     return np.asarray(family.raw(strip, family.values[g : g + 1])[0, 0])
 
@@ -130,7 +130,7 @@ def _vague(fit: Fit, first: Round, friction: float) -> Iterator[Undetermined]:
             if effect.kind not in (*BASIC_EFFECTS, "coulomb") or p.per_run or found is None or not found.std:
                 continue
             columns = [
-                s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.strips
+                s.problem.model.force_columns(s.path, s.values)[effect.name][:, k] for s in first.draws.law.pieces
             ]
             share = found.std * float(np.sqrt(np.mean(np.concatenate(columns) ** 2))) / friction
             if share > MIN_DETECTABLE_SHARE:

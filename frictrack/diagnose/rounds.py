@@ -21,9 +21,19 @@ from frictrack.diagnose.null_distribution import Ensemble, draw_ensemble
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import Beside, beside, families, one_series, scan
-from frictrack.fit.parameters import Layout
-from frictrack.fit.stepwise import Trial, bare, deepened, known, settled, shortfall, simulated, tried, without
+from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.stepwise import (
+    CandidateTrial,
+    baseline_misfit,
+    deepen_trials,
+    effect_for_scan,
+    misfit_left_by_other,
+    refine_to_end,
+    remove_effect,
+    simulate_trial,
+    try_effect,
+)
 from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
 
@@ -50,7 +60,7 @@ class RefinedCandidate:
     p: float
     indistinguishable_from: tuple[str, ...] = ()
     objection: str = ""  # why it cannot be the cause, whatever it explains
-    along: tuple[Beside, Trial] | None = None  # where it stands along the motion, beside what law
+    along: tuple[LinearisedModel, CandidateTrial] | None = None  # where it stands along the motion, beside what law
 
     @property
     def law(self) -> Solution:
@@ -89,8 +99,8 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     tests = run_tests(solution, draws, library)
     data = draws.series.own[:, 0]
     tell("refining what stands out")
-    trials = [tried(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
-    found = _simulated(draws.law, solution, deepened(draws.law, trials), tests.p)
+    trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
+    found = _simulated(draws.law, solution, deepen_trials(draws.law, trials), tests.p)
     return Round(solution, draws, tests, found, barred)
 
 
@@ -110,10 +120,10 @@ def _near_margin(effect: Effect, top: float) -> float:
 
 
 def _simulated(
-    law: Beside, solution: Solution, trials: list[Trial], p: dict[str, float], least: float = -np.inf
+    law: LinearisedModel, solution: Solution, trials: list[CandidateTrial], p: dict[str, float], least: float = -np.inf
 ) -> list[RefinedCandidate]:
     """Trials in order of their evidence, simulated as far as they are near the best, or near the `least` of use."""
-    own, misfit = information_criterion(solution), bare(law)
+    own, misfit = information_criterion(solution), baseline_misfit(law)
     promised = {t.effect.name: misfit - t.misfit - _paid(law, t.layout) for t in trials}
     out: list[RefinedCandidate] = []
     for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
@@ -122,7 +132,7 @@ def _simulated(
         told = replace(told, objection=physical_objection(t.layout, t.p, t.effect))
         if not told.objection and _is_worth(out, told, least):
             try:
-                grown = simulated(law, t)
+                grown = simulate_trial(law, t)
                 told = replace(told, solution=grown, delta_bic=own - information_criterion(grown))
                 told = replace(told, objection=objection(grown, t.effect))
             except FrictrackError:  # along the motion it is a law, but not one that can be followed
@@ -138,7 +148,7 @@ def _is_worth(done: list[RefinedCandidate], new: RefinedCandidate, least: float)
     return near and new.p < ALPHA / 2 and len(known) < MAX_CANDIDATES_SIMULATED
 
 
-def _paid(law: Beside, layout: Layout) -> float:
+def _paid(law: LinearisedModel, layout: ParameterLayout) -> float:
     """What the unknowns beyond those of the bare law cost."""
     return parameter_penalty(layout, law.solution.problem) - parameter_penalty(
         law.solution.problem.layout, law.solution.problem
@@ -159,7 +169,7 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
 
 
 def _stands_for(
-    other: RefinedCandidate, best: RefinedCandidate, true: tuple[Beside, Trial] | None, unit: float
+    other: RefinedCandidate, best: RefinedCandidate, true: tuple[LinearisedModel, CandidateTrial] | None, unit: float
 ) -> bool:
     """Whether another effect explains what the best one does, and would if that were true.
 
@@ -172,7 +182,7 @@ def _stands_for(
         return False
     (law, trial), rival = true, other.along[1]
     return rival.misfit - trial.misfit < MAX_CHI2_NEAR * unit and (
-        unit > 1 or shortfall(law, trial, rival) < MIN_CHI2_SEPARATED
+        unit > 1 or misfit_left_by_other(law, trial, rival) < MIN_CHI2_SEPARATED
     )
 
 
@@ -194,7 +204,7 @@ def review_found(
             break
         tell(f"looking at {name} again")
         try:
-            rest = without(whole, name)
+            rest = remove_effect(whole, name)
         except FrictrackError:  # without it there is no law that could be followed
             continue
         if rest.objective > start.objective + MIN_CHI2_SEPARATED:  # it has more to explain with: it has run away
@@ -217,7 +227,7 @@ def _replaced(
     whole, old = kept[-1].law, next(k for k in kept if k.effect.name == kin[0])
     try:
         for name in kin[:-1]:
-            rest = without(rest, name)
+            rest = remove_effect(rest, name)
     except FrictrackError:
         return kept
     worth = information_criterion(rest) - information_criterion(whole)
@@ -287,7 +297,7 @@ def _is_simple(effect: Effect, runs: int) -> bool:
 def _simulated_law(tried: RefinedCandidate) -> Solution:
     """The law with a candidate, which may have been left along the motion."""
     if tried.solution is None and tried.along is not None:
-        return simulated(*tried.along)
+        return simulate_trial(*tried.along)
     return tried.law
 
 
@@ -307,18 +317,18 @@ def _alternatives(
 
     What does not promise about the `least` evidence that is of use is not simulated.
     """
-    law = beside(rest)
-    series = one_series(law)
+    law = linearise(rest)
+    series = measured_series(law)
     data: Array = series.own[:, 0]
     trials = []
     for effect in filter(which, list_candidates(rest, own)[0]):
         e = old.effect if effect.kind == old.effect.kind else effect
-        scans = [scan(law, f, series) for f in families(law, known(rest, e))]
-        trials.append(tried(law, e, scans, data))
+        scans = [scan_candidate(law, f, series) for f in candidate_grids(law, effect_for_scan(rest, e))]
+        trials.append(try_effect(law, e, scans, data))
     p = dict.fromkeys((t.effect.name for t in trials), old.p)
-    return _simulated(law, rest, deepened(law, trials), p, least)
+    return _simulated(law, rest, deepen_trials(law, trials), p, least)
 
 
 def refine_fully(best: RefinedCandidate) -> RefinedCandidate:
     """The same effect, its law refined to its end."""
-    return replace(best, solution=settled(best.law))
+    return replace(best, solution=refine_to_end(best.law))

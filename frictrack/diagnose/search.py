@@ -37,7 +37,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, measured_friction
 from frictrack.fit.groups import GroupFits
 from frictrack.fit.least_squares import Solution, heldout_rms
-from frictrack.fit.stepwise import settled
+from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import Estimates, estimates, linear_estimates
 from frictrack.records import Array
 from frictrack.threads import one_thread
@@ -85,8 +85,8 @@ def diagnose(
             tell(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
             return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
     # the tests work on the displacement, whatever domain or search the fit used
-    start = fit.solution if fit.route.plain else settled(fit.solution)
-    start, left_out = (measured_friction.weighed(start)[0], "") if fit.measured else subsample_pieces(start)
+    start = fit.solution if fit.route.plain else refine_to_end(fit.solution)
+    start, left_out = (measured_friction.weight_by_noise(start)[0], "") if fit.measured else subsample_pieces(start)
     start, coarse = (start, "") if fit.measured else subsample_frames(start)
     found = _search(fit, start, (own, beside), (np.random.default_rng(seed), tell))
     said = _finish(fit, found, beside, tell)
@@ -134,7 +134,7 @@ def _search(
                 break
         told(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_round(measured_friction.weighed(law)[0] if fit.measured else law, own, rng, told)
+        last = run_round(measured_friction.weight_by_noise(law)[0] if fit.measured else law, own, rng, told)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
     return _Search(start, first, last, found, again)
 
@@ -268,7 +268,7 @@ def _noise(fit: Fit) -> tuple[float, float]:
     if not fit.measured:
         noise = float(np.sqrt(np.mean(np.concatenate([r.piece.noise for r in fit.solution.responses]) ** 2)))
         return noise, fit.reduced_chi2
-    noise = measured_friction.weighed(fit.solution)[1].rms
+    noise = measured_friction.weight_by_noise(fit.solution)[1].rms
     left = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
     return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
 
@@ -359,8 +359,8 @@ def _candidate(tried: RefinedCandidate, hold: _HeldOutErrors | None) -> Candidat
 
 def _known(solution: Solution) -> Estimates:
     """Parameters with deviations, of a measured friction from blocks of its residual."""
-    if measured_friction.is_series(solution.problem):
-        return linear_estimates(solution, measured_friction.covariance(solution))
+    if measured_friction.is_measured_friction(solution.problem):
+        return linear_estimates(solution, measured_friction.block_covariance(solution))
     return estimates(solution, profile=False)
 
 
@@ -392,7 +392,9 @@ def _plural(why: str, count: int) -> str:
 def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
     out = _untried(barred)
     if fit.measured:
-        return out + measured_friction.remarks(fit.solution, fit.runs, measured_friction.weighed(fit.solution)[1])
+        return out + measured_friction.remarks(
+            fit.solution, fit.runs, measured_friction.weight_by_noise(fit.solution)[1]
+        )
     if len(fit.runs) == 1:
         out.append("one run alone: slope, a cable and Coulomb friction cannot be told apart")
     if any(run.has_incline for run in fit.runs):

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.fit.least_squares import Solution, refine, settle_scatter
-from frictrack.fit.parameters import Layout
-from frictrack.fit.segments import Piece, knows_its_past
+from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.segments import Piece, has_known_history
 
 MAX_PIECES = 32  # pieces that are looked at, unless there are more runs
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate: up to it lines are looked for, see `effects.base.frequencies`
@@ -26,7 +26,7 @@ def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
     kept = _spread(pieces)
     problem = solution.problem.over(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
-    some = settle_scatter(problem, solution.p, starts, solution.tau or 0.03)
+    some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
     return some, (
         f"a long record: {len(kept)} of its {len(pieces)} segments were looked at, spread evenly; "
         "what happens once in between is not seen"
@@ -67,7 +67,7 @@ def _every(piece: Piece, every: int) -> Piece:
     return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
 
 
-def _coarser(layout: Layout, pieces: Sequence[Piece], kept: Sequence[int]) -> Layout:
+def _coarser(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:
     """The same unknowns, scanned in time no finer than the time looked at can tell.
 
     Segments far apart know many more frequencies apart than so few frames can judge: one always fits by chance.
@@ -85,7 +85,7 @@ def _spread(pieces: Sequence[Piece]) -> list[int]:
     out: list[int] = []
     for run in sorted({p.run for p in pieces}):
         own = [i for i, p in enumerate(pieces) if p.run == run]
-        own = [i for i in own if knows_its_past(pieces[i])] or own
+        own = [i for i in own if has_known_history(pieces[i])] or own
         count = max(MAX_PIECES * len(own) // len(pieces), 1)
         out += [own[int(k)] for k in np.linspace(0, len(own) - 1, count).round()]
     return out

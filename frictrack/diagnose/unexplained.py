@@ -10,7 +10,7 @@ from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formulas import search_formulas
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import compact
+from frictrack.fit.measured_friction import keep_compared_frames
 
 
 def unexplained_force(solution: Solution, beside: Solution | None = None) -> dict[str, Any]:
@@ -19,8 +19,8 @@ def unexplained_force(solution: Solution, beside: Solution | None = None) -> dic
     `factor` is what multiplies the curve along a run, as a study file writes it. `beside` is the law with what was
     found so far: the curve is what that leaves; the formulas stand beside the law itself where they can.
     """
-    law = compact(solution)
-    beside = law if beside is None or beside is solution else compact(beside)
+    law = keep_compared_frames(solution)
+    beside = law if beside is None or beside is solution else keep_compared_frames(beside)
     smooth = smooth_forces(compress_residual(beside))
     best = smooth[0]
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.least_squares import Solution, settle_scatter
+from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.parameters import MASS
 from frictrack.fit.segments import sections_of
 
@@ -21,11 +21,11 @@ def join_segments(fit: Fit) -> Solution | None:
     if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):
         return None
     fine = max(e.fine for e in old.model.effects)
-    sections = sections_of(fit.runs, fit.reference, turning=old.model.turns)
+    sections = sections_of(fit.runs, fit.reference, through_reversals=old.model.turns)
     pieces = [p.refined(fine) for own in sections for p in own]
     problem = old.over(old.layout, pieces)
     try:
-        solution = settle_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
+        solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
     except FrictrackError:
         return None
     return solution if solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None

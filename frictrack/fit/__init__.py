@@ -10,37 +10,45 @@ import numpy as np
 from frictrack import models
 from frictrack.effects.settings import check_ties
 from frictrack.errors import FrictrackError
-from frictrack.fit.displacement import solve_model
-from frictrack.fit.global_search import Callback, scaffold
+from frictrack.fit.displacement import fit_displacement
+from frictrack.fit.global_search import Callback, unfitted_problem
 from frictrack.fit.groups import GroupFits, by_group
-from frictrack.fit.least_squares import Problem, refine
+from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.measured_friction import (
-    SeriesProblem,
-    check_model,
-    common_load,
-    is_series,
-    measured,
-    search_series,
-    series_pieces,
-    solve_series,
-    spans_of_series,
+    MeasuredFrictionProblem,
+    check_effects,
+    fit_measured_friction,
+    friction_pieces,
+    friction_spans,
+    is_measured_friction,
+    reference_load,
+    search_measured_friction,
+    uses_measured_friction,
 )
-from frictrack.fit.parameters import MASS_EFFECT, Layout, friction_law, is_sought, ratio, rescaled, with_mass
-from frictrack.fit.prediction import predicted
+from frictrack.fit.parameters import (
+    MASS_EFFECT,
+    ParameterLayout,
+    is_mass_unknown,
+    mass_ratio,
+    rescale_to_mass,
+    with_mass,
+    without_mass,
+)
+from frictrack.fit.prediction import predict_run
 from frictrack.fit.result import Fit, with_certainty
-from frictrack.fit.routes import Found, Route, by_search, check_how, in_force, standing
+from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.segments import (
     Piece,
     Reference,
-    divided,
-    guessed,
-    in_units,
+    cut_into_segments,
+    guess_mass,
+    in_mass_units,
     reference_of,
     sections_of,
     segment_frames,
     spans_of,
 )
-from frictrack.fit.stepwise import grow, without
+from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Certainty, Profile, bootstrap, certainty, profile
 from frictrack.models import Model
 from frictrack.records import Array, Run
@@ -52,14 +60,14 @@ __all__ = [
     "Fit",
     "GroupFits",
     "Profile",
+    "add_effect",
     "bootstrap",
     "certainty",
     "fit",
-    "grow",
     "profile",
+    "remove_effect",
     "restore",
     "with_certainty",
-    "without",
 ]
 
 Progress = Callable[[int, int, str], None]
@@ -89,10 +97,10 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     the first run's. Raises FrictrackError when no run can be fitted, and (usage) for an
     unknown domain or search.
     """
-    check_how(domain or "force", search, per, over)
+    check_route(domain or "force", search, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
-    if measured(runs, domain):
+    if uses_measured_friction(runs, domain):
         return _by_cell(law, runs, Route("force", search, seed), per)
     domain = domain or "displacement"
     if per == "group":
@@ -105,27 +113,27 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
-    sought = is_sought(fitted)
-    sections = sections_of(fitted, reference, turning=law.turns)
+    sought = is_mass_unknown(fitted)
+    sections = sections_of(fitted, reference, through_reversals=law.turns)
     if sought:
-        law, mass = with_mass(law), guessed([p for own in sections for p in own])
-        sections = [[in_units(p, mass) for p in own] for own in sections]
+        law, mass = with_mass(law), guess_mass([p for own in sections for p in own])
+        sections = [[in_mass_units(p, mass) for p in own] for own in sections]
     lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))
     pieces = _divided(sections, lengths)
     names = tuple(r.name for r in fitted)
     route = Route(domain, search, seed, over)
     if search == "varpro":
-        solution = solve_model(law, pieces, names, _fps(fitted))
-        found = in_force(solution, fitted) if domain == "force" else Found(solution)
+        solution = fit_displacement(law, pieces, names, _fps(fitted))
+        found = fit_in_force_domain(solution, fitted) if domain == "force" else FitOutcome(solution)
     else:
-        found = by_search(scaffold(law, pieces, names, _fps(fitted)), fitted, route, callback)
+        found = fit_by_search(unfitted_problem(law, pieces, names, _fps(fitted)), fitted, route, callback)
     return _finish(_in_kilograms(found, fitted, route), runs, reference, (route, lengths))
 
 
 def _by_cell(law: Model, runs: Sequence[Run], route: Route, per: str | None) -> Any:
     """The fit of runs whose friction a load cell measured, in newtons at the first run's load."""
-    check_model(law)
-    reference = Reference(1.0, common_load(runs))
+    check_effects(law)
+    reference = Reference(1.0, reference_load(runs))
     if per == "group":
         return GroupFits({g: _of_series(law, mine, route, reference) for g, mine in by_group(runs).items()})
     return _of_series(law, runs, route, reference)
@@ -136,44 +144,46 @@ def _of_series(law: Model, runs: Sequence[Run], route: Route, reference: Referen
     if not fitted:
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
-    pieces = series_pieces(fitted, reference.load)
+    pieces = friction_pieces(fitted, reference.load)
     names, lengths = tuple(r.name for r in fitted), (0,) * len(fitted)
     if route.search == "varpro":
-        return _finish(Found(solve_series(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths))
+        return _finish(
+            FitOutcome(fit_measured_friction(law, pieces, names, _fps(fitted))), runs, reference, (route, lengths)
+        )
     how = route.search, route.over, np.random.default_rng(route.seed)
-    solution, optima = search_series(law, pieces, (names, _fps(fitted)), how)
-    return _finish(Found(solution, None, *optima), runs, reference, (route, lengths))
+    solution, optima = search_measured_friction(law, pieces, (names, _fps(fitted)), how)
+    return _finish(FitOutcome(solution, None, *optima), runs, reference, (route, lengths))
 
 
 def _divided(sections: Sequence[list[Piece]], lengths: Sequence[int]) -> list[Piece]:
-    return [p for own, n in zip(sections, lengths, strict=True) for p in divided(own, n)]
+    return [p for own, n in zip(sections, lengths, strict=True) for p in cut_into_segments(own, n)]
 
 
-def _in_kilograms(found: Found, runs: Sequence[Run], route: Route) -> Found:
+def _in_kilograms(found: FitOutcome, runs: Sequence[Run], route: Route) -> FitOutcome:
     """The same law in units of the mass that was found, where it was sought."""
     problem, layout = found.solution.problem, found.solution.problem.layout
-    q = ratio(layout, found.solution.p)
+    q = mass_ratio(layout, found.solution.p)
     if q == 1.0:
         return found
-    pieces = [in_units(p, p.mass / q) for p in problem.pieces]
-    p = rescaled(layout, found.solution.p, q)
-    optima = np.array([rescaled(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
+    pieces = [in_mass_units(p, p.mass / q) for p in problem.pieces]
+    p = rescale_to_mass(layout, found.solution.p, q)
+    optima = np.array([rescale_to_mass(layout, o, q) for o in found.optima]).reshape(found.optima.shape)
     where = found.solution.starts, found.solution.tau
-    return _standing(Problem(problem.model, layout, pieces), p, where, runs, (route, (optima, found.costs)))
+    return _standing(LeastSquaresProblem(problem.model, layout, pieces), p, where, runs, (route, (optima, found.costs)))
 
 
 def _standing(
-    problem: Problem,
+    problem: LeastSquaresProblem,
     p: Array,
     where: tuple[list[Array], float],
     runs: Sequence[Run],
     how: tuple[Route, tuple[Array, Array]],
-) -> Found:
+) -> FitOutcome:
     """A law that is known, by whatever route it was found. `where` holds starts and the spread of the levels."""
     route, optima = how
     if route.plain:
-        return Found(refine(problem, p, where[0], tau=where[1], max_steps=1))
-    return standing(problem, p, where, runs, route, optima)
+        return FitOutcome(refine(problem, p, where[0], tau=where[1], max_steps=1))
+    return outcome_at(problem, p, where, runs, route, optima)
 
 
 def _fps(runs: Sequence[Run]) -> float:
@@ -187,7 +197,7 @@ def _names_differ(runs: Sequence[Run]) -> None:
         raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
 
 
-def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
+def _finish(found: FitOutcome, runs: Sequence[Run], reference: Reference, how: tuple[Route, tuple[int, ...]]) -> Fit:
     route, lengths = how
     if MASS_EFFECT.name in found.solution.problem.model:
         reference = Reference(found.solution.problem.pieces[0].mass, reference.load)
@@ -196,7 +206,7 @@ def _finish(found: Found, runs: Sequence[Run], reference: Reference, how: tuple[
         found=found,
         runs=tuple(r for r in runs if r.role == "fit"),
         validation=validation,
-        predictions=tuple(predicted(found.solution, r, reference) for r in validation),
+        predictions=tuple(predict_run(found.solution, r, reference) for r in validation),
         reference=reference,
         route=route,
         lengths=lengths,
@@ -209,7 +219,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         return {"groups": {name: state(f) for name, f in result.fits.items()}}
     layout = result.solution.problem.layout
     return {
-        "law": friction_law(layout.model).to_toml(),
+        "law": without_mass(layout.model).to_toml(),
         "weighed": MASS_EFFECT.name not in layout.model,
         "absent": [list(pair) for pair in sorted(layout.absent)],
         "p": result.solution.p,
@@ -219,7 +229,7 @@ def state(result: Fit | GroupFits) -> dict[str, Any]:
         "tau": result.solution.tau,
         "reference_mass": result.reference.mass,
         "reference_load": result.reference.load,
-        "measured": is_series(result.solution.problem),
+        "uses_measured_friction": is_measured_friction(result.solution.problem),
         "domain": result.domain,
         "search": result.search,
         "over": result.route.over,
@@ -240,23 +250,23 @@ def restore(runs: Sequence[Run], saved: dict[str, Any]) -> Any:
 
 def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     fitted = [r for r in runs if r.role == "fit"]
-    by_cell = bool(saved.get("measured", False))
+    by_cell = bool(saved.get("uses_measured_friction", False))
     law = _law(str(saved["law"]), bool(saved["weighed"]))
     lengths = tuple(int(n) for n in saved.get("segment_frames", [0] * len(fitted)))
     if by_cell:
         reference = Reference(1.0, float(saved["reference_load"]))
-        pieces = series_pieces(fitted, reference.load)
+        pieces = friction_pieces(fitted, reference.load)
     else:
         reference = reference_of(fitted, float(saved["reference_mass"]))
-        pieces = _divided(sections_of(fitted, reference, turning=law.turns), lengths)
+        pieces = _divided(sections_of(fitted, reference, through_reversals=law.turns), lengths)
     absent = frozenset((str(e), int(r)) for e, r in saved["absent"])
-    spans = spans_of_series(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
-    layout = Layout(law, tuple(r.name for r in fitted), spans, absent)
+    spans = friction_spans(pieces, _fps(fitted)) if by_cell else spans_of(pieces, len(fitted), _fps(fitted))
+    layout = ParameterLayout(law, tuple(r.name for r in fitted), spans, absent)
     if by_cell:
-        return _cell_restored(SeriesProblem(law, layout, pieces), saved, runs, reference)
+        return _cell_restored(MeasuredFrictionProblem(law, layout, pieces), saved, runs, reference)
     fine = max(e.fine for e in law.effects)
     cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
-    problem = Problem(law, layout, cut)
+    problem = LeastSquaresProblem(law, layout, cut)
     tau = float(saved["tau"])
     route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
     where = list(np.asarray(saved["starts"])), tau
@@ -276,10 +286,12 @@ def _law(text: str, weighed: bool) -> Model:
     return law if weighed else with_mass(law)
 
 
-def _cell_restored(problem: SeriesProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference) -> Fit:
+def _cell_restored(
+    problem: MeasuredFrictionProblem, saved: dict[str, Any], runs: Sequence[Run], reference: Reference
+) -> Fit:
     held = np.zeros(len(problem.layout.slots), dtype=bool)
     p, tau = np.asarray(saved["p"]), float(saved["tau"])
     solution = refine(problem, p, problem.first_starts(), tau=tau, free=held, max_steps=0)
     route = Route(saved["domain"], saved["search"], int(saved["seed"]), saved.get("over", "all"))
-    found = Found(solution, None, np.asarray(saved["optima"]), np.asarray(saved["costs"]))
+    found = FitOutcome(solution, None, np.asarray(saved["optima"]), np.asarray(saved["costs"]))
     return _finish(found, runs, reference, (route, (0,) * len(problem.pieces)))

@@ -16,9 +16,9 @@ from frictrack.fit.segments import Piece
 from frictrack.fit.uncertainty import Estimates
 from frictrack.records import Array, Mask
 
-RESOLVED = 0.3  # relative standard deviation of the width up to which a peak force is known at all
-SEEN = 3.0  # standard deviations of the impulse below which there may have been no blow
-REACH = 3.0  # widths on either side that hold the pulse
+MAX_RELATIVE_STD = 0.3  # relative standard deviation of the width up to which a peak force is known at all
+MIN_IMPULSE_STD = 3.0  # standard deviations of the impulse below which there may have been no blow
+PULSE_HALF_WIDTHS = 3.0  # widths on either side that hold the pulse
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
@@ -26,30 +26,30 @@ def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]
     layout = solution.problem.layout
     return [
         _collision(solution, estimates, effect, (i, run))
-        for effect in _of(solution)
+        for effect in _collision_effects(solution)
         for i, run in enumerate(layout.run_names)
         if (effect.name, i) not in layout.absent
     ]
 
 
-def struck(solution: Solution, covariance: Array, piece: Piece) -> Mask:
+def frames_of_impact(solution: Solution, covariance: Array, piece: Piece) -> Mask:
     """Frames (n,) of a blow whose width is not resolved."""
     layout = solution.problem.layout
     values, _ = layout.values(solution.p, piece.run)
     out = np.zeros(len(piece.t), dtype=bool)
-    for effect in _of(solution):
+    for effect in _collision_effects(solution):
         width, std = _width(solution, covariance, effect, piece.run)
-        if (effect.name, piece.run) not in layout.absent and std > RESOLVED * width:
-            out |= np.abs(piece.t - values[effect.name]["time"]) <= REACH * longest(width, std)
+        if (effect.name, piece.run) not in layout.absent and std > MAX_RELATIVE_STD * width:
+            out |= np.abs(piece.t - values[effect.name]["time"]) <= PULSE_HALF_WIDTHS * max_width(width, std)
     return out
 
 
-def longest(width: float, std: float) -> float:
+def max_width(width: float, std: float) -> float:
     """The width (s) that a pulse has at most, two standard deviations of its square away."""
     return float(np.sqrt(width**2 + 4 * width * std))
 
 
-def _of(solution: Solution) -> list[Effect]:
+def _collision_effects(solution: Solution) -> list[Effect]:
     return [e for e in solution.problem.model.effects if e.kind == "collision"]
 
 
@@ -65,7 +65,7 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: 
     (index, run), known = where, estimates.parameters
     impulse, time = known[f"{effect.name}.J[{run}]"], known[f"{effect.name}.time[{run}]"]
     width, std = _width(solution, estimates.covariance, effect, index)
-    resolved = std <= RESOLVED * width
+    resolved = std <= MAX_RELATIVE_STD * width
     return {
         "effect": effect.name,
         "run": run,
@@ -75,18 +75,20 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: 
         "time_s": time.value,
         "width_s": width,
         "width_std": std,
-        "width_at_most_s": longest(width, std),
+        "width_at_most_s": max_width(width, std),
         "resolved": resolved,
-        "words": _words(width, std, faint=not impulse.value or abs(impulse.value) < SEEN * (impulse.std or np.inf)),
+        "words": _width_remark(
+            width, std, faint=not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf)
+        ),
     }
 
 
-def _words(width: float, std: float, *, faint: bool) -> str:
+def _width_remark(width: float, std: float, *, faint: bool) -> str:
     if faint:
         return "no blow is told from none in this run"
-    if std <= RESOLVED * width:
+    if std <= MAX_RELATIVE_STD * width:
         return "its width is resolved"
     return (
-        f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * longest(width, std):.2g} ms): "
+        f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * max_width(width, std):.2g} ms): "
         "the impulse is what these frames tell, a peak force they do not"
     )

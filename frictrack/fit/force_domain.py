@@ -15,39 +15,54 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from frictrack.fit.least_squares import Problem, Response, Solution, inverse, refine, settle_scatter
-from frictrack.fit.parameters import MIN_RUNS, restraint_rows
-from frictrack.fit.segments import Chain, chains_of, noise_of
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    fit_with_scatter,
+    inverse_normal_matrix,
+    refine,
+)
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
+from frictrack.fit.segments import AccelerationChain, acceleration_chains, acceleration_noise
 from frictrack.records import Array, Run
 
 
 @dataclass(frozen=True)
-class ForceResponse(Response):
+class ForceResponse(PieceResponse):
     """A response seen through the chain; `plain` is the displacement's own."""
 
-    plain: Response
+    plain: PieceResponse
 
     def start_step(self, step: Array) -> Array:
         """Change of (x0, v0) that the displacement asks for."""
         return self.plain.start_step(step)
 
 
-class ForceProblem(Problem):
+class ForceProblem(LeastSquaresProblem):
     """The problem of the displacement seen through the chains, one per piece, in units of one noise for all."""
 
-    def __init__(self, problem: Problem, chains: Sequence[Chain]) -> None:
+    def __init__(self, problem: LeastSquaresProblem, chains: Sequence[AccelerationChain]) -> None:
         super().__init__(problem.model, problem.layout, problem.pieces)
         self.chains = list(chains)
-        self.noise = noise_of(chains)
+        self.noise = acceleration_noise(chains)
 
-    def _respond(self, i: int, p: Array, start: Array) -> Response:
+    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         plain = super()._respond(i, p, start)
         both = plain.piece.coloured(np.column_stack([plain.jac, plain.r]))
-        seen = self.chains[i].apply(both) / self.noise
-        known = {name: getattr(plain, name) for name in Response.__dataclass_fields__}
-        return ForceResponse(**known | {"jac": seen[:, :-1], "r": seen[:, -1], "r_full": seen[:, -1]}, plain=plain)
+        filtered = self.chains[i].apply(both) / self.noise
+        known = {name: getattr(plain, name) for name in PieceResponse.__dataclass_fields__}
+        return ForceResponse(
+            **known
+            | {
+                "jac": filtered[:, :-1],
+                "r": filtered[:, -1],
+                "r_full": filtered[:, -1],
+            },
+            plain=plain,
+        )
 
-    def noise_in(self, responses: Sequence[Response], columns: Array) -> Array:
+    def noise_in(self, responses: Sequence[PieceResponse], columns: Array) -> Array:
         """Noise of the displacement, frame by frame in units of sigma, that enters products with columns (M, k).
 
         The result Z (N, k) has Z'Z = columns' V columns.
@@ -61,20 +76,20 @@ class ForceProblem(Problem):
         return np.concatenate(out)
 
 
-def seen(solution: Solution, runs: Sequence[Run]) -> Solution:
+def linearise_in_force_domain(solution: Solution, runs: Sequence[Run]) -> Solution:
     """The same law, linearised in the force domain."""
-    problem = ForceProblem(solution.problem, chains_of(runs, solution.problem.pieces))
+    problem = ForceProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
     held = np.zeros(len(solution.p), dtype=bool)
     return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
-def solve_force(solution: Solution, runs: Sequence[Run]) -> Solution:
+def fit_accelerations(solution: Solution, runs: Sequence[Run]) -> Solution:
     """The law that minimises the squared acceleration residuals, from the best one of the displacement."""
-    problem = ForceProblem(solution.problem, chains_of(runs, solution.problem.pieces))
-    return settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+    problem = ForceProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
+    return fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
 
 
-def at_rest(problem: Problem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+def fit_starts(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
     """A given law in the displacement's domain: only the starts are fitted."""
     return refine(problem, p, starts, tau=tau, free=np.zeros(len(p), dtype=bool))
 
@@ -87,19 +102,19 @@ def reduced_chi2(solution: Solution) -> float:
     return solution.chi2 / (len(solution.residual) - float(np.sum(z**2)))
 
 
-def sandwich(solution: Solution) -> Array:
+def sandwich_covariance(solution: Solution) -> Array:
     """Covariance of the unknowns (P, P); the share of scattering levels is widened to Student's t as elsewhere."""
     problem = solution.problem
     assert isinstance(problem, ForceProblem)
     layout = problem.layout
     jac = solution.jac
     z = problem.noise_in(solution.responses, jac)
-    rows = restraint_rows(layout, solution.tau or 0.03)
-    bread, _ = inverse(np.vstack([jac, rows]))
-    if len(layout.levels) < MIN_RUNS:
+    rows = penalty_jacobian(layout, solution.tau or 0.03)
+    bread, _ = inverse_normal_matrix(np.vstack([jac, rows]))
+    if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return bread @ (z.T @ z) @ bread
     full = bread @ (z.T @ z + rows.T @ rows) @ bread
-    held, _ = inverse(np.vstack([jac, rows * solution.tau / 1e-6]))
+    held, _ = inverse_normal_matrix(np.vstack([jac, rows * solution.tau / 1e-6]))
     fixed = held @ (z.T @ z) @ held
     widen = float(student.ppf(0.975, len(layout.levels) - 1) / 1.96) ** 2
     return fixed + widen * (full - fixed)

@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.parameters import friction_law
+from frictrack.fit.parameters import without_mass
 from frictrack.fit.segments import Piece, Reference, whole_piece
 from frictrack.models import Model, Values
 from frictrack.records import Array, Run
@@ -27,10 +27,10 @@ from frictrack.simulate.slide import Conditions, Start, followed
 
 FIRST_FRAMES = (20, 200)  # of a driven record that tell its first state, at least and at most
 FIRST_SHARE = 0.025  # of the record, in between
-STEPS = 4  # of Gauss-Newton for the first state; the law is smooth in it, and forgets it
-ACCURATE = 5e-4  # of the rms of the displacement, to which a free run is computed
-ONE = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
-APART = 1e-6  # relative singular value of a direction of the first state that the first frames do not tell
+MAX_STEPS = 4  # of Gauss-Newton for the first state; the law is smooth in it, and forgets it
+RELATIVE_TOLERANCE = 5e-4  # of the rms of the displacement, to which a free run is computed
+PATH_ARRAYS = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
+MIN_SINGULAR_VALUE = 1e-6  # relative singular value of a direction of the first state that the first frames do not tell
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
         return FreeRun(mine[0].piece.t, mine[0].piece.y, mine[0].model_y)
     piece = whole_piece(run, index, reference)
     values, level = solution.problem.layout.values(solution.p, index)
-    law = _Bound(friction_law(solution.problem.model), values, piece, _conditions(piece, run, level))
+    law = _BoundModel(without_mass(solution.problem.model), values, piece, _conditions(piece, run, level))
     try:
-        start = law.first_state(level) if run.drive is not None else _released(solution, index, law, level)
+        start = law.first_state(level) if run.drive is not None else _fitted_start(solution, index, law, level)
         return FreeRun(piece.t, piece.y, law.follow(start, len(piece.t)))
     except FrictrackError:
         return None
@@ -95,7 +95,7 @@ def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dic
 
 
 @dataclass(frozen=True)
-class _Bound:
+class _BoundModel:
     """A law with its numbers, over one record."""
 
     model: Model
@@ -105,7 +105,7 @@ class _Bound:
 
     def follow(self, start: Start, frames: int) -> Array:
         """Displacement (n,) at the first frames."""
-        within = ACCURATE * float(np.std(self.piece.y))
+        within = RELATIVE_TOLERANCE * float(np.std(self.piece.y))
         t = self.piece.t[:frames]
         return followed(self.model, self.values, self.conditions, t, start, within)
 
@@ -115,7 +115,7 @@ class _Bound:
             return {}
         first = self.piece.part(0, 2)
         path = first.at_frames(first.y[:1], first.v_hat[:1], level)
-        one = {name: q[:1] for name in ONE if (q := getattr(path, name)) is not None}
+        one = {name: q[:1] for name in PATH_ARRAYS if (q := getattr(path, name)) is not None}
         return self.model.states(replace(path, **one), self.values)
 
     def first_state(self, level: float) -> Start:
@@ -153,11 +153,11 @@ def _least_squares(left: Callable[[Array], Array], first: Array, free: Array, sc
     """Gauss-Newton from a first guess (k,) for the numbers that are free; a step that does not help is halved."""
     theta, r = first, left(first)
     moving = np.flatnonzero(free).tolist()
-    for _ in range(STEPS):
-        jac = np.stack([(left(_moved(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in moving], axis=1)
+    for _ in range(MAX_STEPS):
+        jac = np.stack([(left(_shifted(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in moving], axis=1)
         step = np.zeros(len(theta))
-        step[moving] = -np.linalg.lstsq(jac, r, rcond=APART)[0] * scales[moving]
-        for _ in range(STEPS):
+        step[moving] = -np.linalg.lstsq(jac, r, rcond=MIN_SINGULAR_VALUE)[0] * scales[moving]
+        for _ in range(MAX_STEPS):
             trial = left(theta + step)
             if trial @ trial <= r @ r:
                 break
@@ -170,13 +170,13 @@ def _least_squares(left: Callable[[Array], Array], first: Array, free: Array, sc
     return theta
 
 
-def _moved(theta: Array, i: int, step: float) -> Array:
+def _shifted(theta: Array, i: int, step: float) -> Array:
     out = theta.copy()
     out[i] += step
     return out
 
 
-def _released(solution: Solution, index: int, law: _Bound, level: float) -> Start:
+def _fitted_start(solution: Solution, index: int, law: _BoundModel, level: float) -> Start:
     """The state that was fitted at the first frame of a run without a drive."""
     pairs = zip(solution.problem.pieces, solution.starts, strict=True)
     x, v = next(start for piece, start in pairs if piece.run == index)

@@ -13,30 +13,40 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
-from frictrack.fit.least_squares import Problem
-from frictrack.fit.parameters import MIN_RUNS, Layout, Slot, balanced, settle
-from frictrack.fit.segments import Chain, Piece, noise_of, spans_of
-from frictrack.fit.separable import Block, Misfit, Reduced, chain_block, displacement_block
+from frictrack.fit.least_squares import LeastSquaresProblem
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
+from frictrack.fit.segments import AccelerationChain, Piece, acceleration_noise, spans_of
+from frictrack.fit.separable import (
+    DataBlock,
+    PopulationMisfit,
+    ReducedPopulationMisfit,
+    chain_block,
+    displacement_block,
+)
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.search import minimise
 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
-GENERATIONS = 1000  # of the first paper
-BUDGET = 36 * GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
-ROOM = 1.5  # times the largest friction measured: how far a force is searched
-SHIFT = 0.01  # of the travelled span: how far the picture may be shifted
+MAX_GENERATIONS = 1000  # of the first paper
+MAX_EVALUATIONS = 36 * MAX_GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
+FORCE_RANGE_FACTOR = 1.5  # times the largest friction measured: how far a force is searched
+MAX_SHIFT_SHARE = 0.01  # of the travelled span: how far the picture may be shifted
 
 
-def scaffold(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Problem:
+def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
     """The problem of a model that nobody has started yet."""
-    layout = Layout(model, names, spans_of(pieces, len(names), fps))
+    layout = ParameterLayout(model, names, spans_of(pieces, len(names), fps))
     fine = max(e.fine for e in model.effects)
-    return Problem(model, layout, [p if p.per_frame >= fine else p.refined(fine) for p in pieces])
+    return LeastSquaresProblem(model, layout, [p if p.per_frame >= fine else p.refined(fine) for p in pieces])
 
 
-def searched(
-    misfit: Misfit | Reduced, method: str, rng: np.random.Generator, known: Array, callback: Callback | None = None
+def search_parameters(
+    misfit: PopulationMisfit | ReducedPopulationMisfit,
+    method: str,
+    rng: np.random.Generator,
+    known: Array,
+    callback: Callback | None = None,
 ) -> tuple[Array, Array]:
     """The "group of feasible solutions" of a search: all unknowns (k, P), best first, and their misfits (k,).
 
@@ -52,14 +62,14 @@ def searched(
 
     result = minimise(
         misfit,
-        bounds_of(misfit),
+        search_bounds(misfit),
         method=method,
         rng=rng,
-        max_evaluations=BUDGET,
+        max_evaluations=MAX_EVALUATIONS,
         callback=told if callback else None,
-        **(settings_of(method, len(misfit.searched)) if isinstance(misfit, Reduced) else {}),
+        **(search_settings(method, len(misfit.searched)) if isinstance(misfit, ReducedPopulationMisfit) else {}),
     )
-    whole = Misfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
+    whole = PopulationMisfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
     laws = misfit.law(result.optima)
     costs, levels = whole.evaluate(laws[:, whole.searched])
     points = np.tile(known, (len(levels), 1))
@@ -67,10 +77,10 @@ def searched(
     for run, i in enumerate(layout.levels):
         points[:, i] = levels[:, run]
     order = np.argsort(costs, kind="stable")
-    return np.array([balanced(layout, settle(layout, p)) for p in points[order]]), costs[order]
+    return np.array([normalise_levels(layout, canonical_form(layout, p)) for p in points[order]]), costs[order]
 
 
-def settings_of(method: str, d: int) -> dict[str, Any]:
+def search_settings(method: str, d: int) -> dict[str, Any]:
     """What serves a genetic search over d non-linear numbers alone: more novelty than the papers' ten parameters bear.
 
     On two unknown frequencies, 4000 evaluations and 60 seeds: 97, 98 and 97 % within 0.1 % of the best (as they are
@@ -84,47 +94,49 @@ def settings_of(method: str, d: int) -> dict[str, Any]:
     return own.get(method, {})
 
 
-def spread_of(layout: Layout, p: Array) -> float:
+def searched_scatter(layout: ParameterLayout, p: Array) -> float:
     """Spread of the friction levels of a law that was searched, as far as there are enough of them."""
     levels = p[layout.levels]
-    return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS else 0.03
+    return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS_FOR_SCATTER else 0.03
 
 
-def misfit_of(problem: Problem, chains: Sequence[Chain] | None, over: str = "all") -> Misfit | Reduced:
+def population_misfit(
+    problem: LeastSquaresProblem, chains: Sequence[AccelerationChain] | None, over: str = "all"
+) -> PopulationMisfit | ReducedPopulationMisfit:
     """Squared acceleration residuals, m^2/s^4, through the chains; without chains chi-squared of the displacement.
 
     `over` "all" unknowns, or the "nonlinear" ones with the coefficients solved for every individual.
     """
-    kind = Reduced if over == "nonlinear" else Misfit
+    kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
     if chains is None:
         return kind(problem.layout, [displacement_block(p) for p in problem.pieces])
-    noise = noise_of(chains)
+    noise = acceleration_noise(chains)
     blocks = [chain_block(p, c, noise) for p, c in zip(problem.pieces, chains, strict=True)]
     return kind(problem.layout, blocks, unit=noise**2)
 
 
-def bounds_of(misfit: Misfit | Reduced) -> Array:
+def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
     """The box (d, 2) of a search: the parameters' own bounds, and where these are open, what the data allow.
 
     A force reaches 1.5 times the largest friction measured, the amplitude of a wave its whole swing, other coefficients
     what makes such a force along the measured motion; phases from -pi to pi; frequencies as far as they are scanned, in
     the force domain up to twice the cut-off.
     """
-    reach = _Reach(misfit.layout, misfit.blocks)
+    reach = _DataRange(misfit.layout, misfit.blocks)
     layout = misfit.layout
     effects = {e.name: e for e in layout.model.effects}
     return np.array([reach.interval(effects[s.effect], s) for s in (layout.slots[i] for i in misfit.searched)])
 
 
-class _Reach:
+class _DataRange:
     """How far the data let each parameter go."""
 
-    def __init__(self, layout: Layout, blocks: Sequence[Block]) -> None:
+    def __init__(self, layout: ParameterLayout, blocks: Sequence[DataBlock]) -> None:
         self.blocks, self.span = blocks, layout.span
         self.highest = max(b.highest for b in blocks)
         force = np.concatenate([b.friction[len(b.friction) // 8 : -(len(b.friction) // 8)] for b in blocks])
         low, high = np.percentile(force, [1, 99])
-        self.top = ROOM * max(abs(low), abs(high))
+        self.top = FORCE_RANGE_FACTOR * max(abs(low), abs(high))
         self.swing = float(high - low)
 
     def interval(self, effect: Effect, slot: Slot) -> tuple[float, float]:
@@ -149,7 +161,7 @@ class _Reach:
         place = effect.linear.index(parameter)
         column = np.concatenate([effect.columns(b.path, usual)[:, place] for b in self.blocks])
         travel = max(float(np.ptp(b.path.x)) for b in self.blocks)
-        aim = self.top if effect.acts_on == "force" else SHIFT * travel
+        aim = self.top if effect.acts_on == "force" else MAX_SHIFT_SHARE * travel
         return aim / max(float(np.sqrt(np.mean(column**2))), 1e-12)
 
 

@@ -20,20 +20,20 @@ from scipy.fft import dct
 from scipy.interpolate import make_interp_spline
 from scipy.special import ndtri
 
-from frictrack.fit.collisions import struck
-from frictrack.fit.least_squares import Response, Solution, inverse
-from frictrack.fit.parameters import friction_law, ratio, restraint_rows
+from frictrack.fit.collisions import frames_of_impact
+from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
+from frictrack.fit.parameters import mass_ratio, penalty_jacobian, without_mass
 from frictrack.motion import noise_level
 from frictrack.records import Array, Modelled, Run
 
-Teller = Callable[[Array, Array, Array], tuple[Array, Array]]
+MotionFunction = Callable[[Array, Array, Array], tuple[Array, Array]]
 
-STEP = 1e-6  # of a standard deviation, for differences
-ALARMS = 1e-3  # chance that white noise of one stretch looks like something that was missed
-SURE = 4.0  # standard deviations of chi-squared per frame beyond which it is clearly above one
+DIFFERENCE_STEP = 1e-6  # of a standard deviation, for differences
+ALPHA_UNMODELLED = 1e-3  # chance that white noise of one stretch looks like something that was missed
+EXCESS_STD = 4.0  # standard deviations of chi-squared per frame beyond which it is clearly above one
 
 
-def modelled(
+def modelled_motion(
     solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
 ) -> tuple[Modelled, ...]:
     """Compute the fitted model's own motion with its bands, one table per run, validation runs last.
@@ -69,8 +69,8 @@ def covariance_at_fitted_scatter(solution: Solution) -> Array:
     Unlike `covariance_of` it is not widened for a scatter known from few runs: that would separate each run's level
     from the coefficient that it multiplies, while their product is known as well as the run is.
     """
-    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
-    return inverse(np.vstack([solution.jac, held]))[0]
+    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
+    return inverse_normal_matrix(np.vstack([solution.jac, held]))[0]
 
 
 def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array:
@@ -84,7 +84,7 @@ def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array
     free = np.zeros((len(mine), len(mine)))
     free[np.ix_(common, common)] = known
     if own:
-        own_covariance, _ = inverse(jac[:, own])
+        own_covariance, _ = inverse_normal_matrix(jac[:, own])
         follow = -own_covariance @ jac[:, own].T @ jac[:, common]
         free[np.ix_(own, common)] = follow @ known
         free[np.ix_(common, own)] = free[np.ix_(own, common)].T
@@ -95,21 +95,25 @@ def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array
 def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> Modelled:
     """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
     mine = [r for r in solution.responses if r.piece.run == index]
-    lacks = [lacking(r, run, ALARMS / len(mine)) for r in mine]
+    lacks = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
     parts = [_stretch(solution, covariance, r, lack) for r, lack in zip(mine, lacks, strict=True)]
     parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
     columns = [f.name for f in fields(Modelled) if f.metadata.get("column")]
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
     once = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
     whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
-    return Modelled(**{name: column[once] for name, column in whole.items()}, run=run.name, notes=_notes(lacks))
+    return Modelled(
+        **{name: column[once] for name, column in whole.items()}, run=run.name, notes=_unmodelled_notes(lacks)
+    )
 
 
-def _stretch(solution: Solution, covariance: Array, response: Response, lack: Lack) -> Modelled:
+def _stretch(solution: Solution, covariance: Array, response: PieceResponse, lack: UnmodelledMotion) -> Modelled:
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
-    force, a = _teller(solution, response)(solution.p, x, v)
-    sigma = np.array([np.sqrt(np.sum(m**2, axis=1)) for m in _moves(solution, covariance, response, x, v)])
+    force, a = _motion_function(solution, response)(solution.p, x, v)
+    sigma = np.array(
+        [np.sqrt(np.sum(m**2, axis=1)) for m in _independent_changes(solution, covariance, response, x, v)]
+    )
     gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
     sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
     return Modelled(
@@ -122,30 +126,32 @@ def _stretch(solution: Solution, covariance: Array, response: Response, lack: La
         sigma_v=sigma_v,
         sigma_a=sigma_a,
         sigma_F=sigma_F,
-        blow=struck(solution, covariance, piece),
+        blow=frames_of_impact(solution, covariance, piece),
         segment=np.zeros(len(x), dtype=np.int_),
     )
 
 
-def _teller(solution: Solution, response: Response) -> Teller:
+def _motion_function(solution: Solution, response: PieceResponse) -> MotionFunction:
     """Friction force (N) and acceleration at the frames for unknowns p (P,) on a path x, v (n,).
 
-    A mass that is fitted acts as one more force; every coefficient stands for `ratio` times itself.
+    A mass that is fitted acts as one more force; every coefficient stands for `mass_ratio` times itself.
     """
     piece, problem = response.piece, solution.problem
     known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
-    friction = friction_law(problem.model)
+    friction = without_mass(problem.model)
 
     def told(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
         values, level = problem.layout.values(p, piece.run)
         path = piece.at_frames(x, v, level)
-        force = friction.force(path, values) / ratio(problem.layout, p)
+        force = friction.force(path, values) / mass_ratio(problem.layout, p)
         return force, known - problem.model.force(path, values) / piece.mass
 
     return told
 
 
-def _moves(solution: Solution, covariance: Array, response: Response, x: Array, v: Array) -> list[Array]:
+def _independent_changes(
+    solution: Solution, covariance: Array, response: PieceResponse, x: Array, v: Array
+) -> list[Array]:
     """Changes of x, v, a and F at the frames, (n, k) each, along k independent moves of one standard deviation.
 
     The start is least squares for whatever the unknowns are, so it follows them; beside that it has its own error.
@@ -153,22 +159,22 @@ def _moves(solution: Solution, covariance: Array, response: Response, x: Array, 
     piece, active, p = response.piece, response.active, solution.p
     n = len(active)
     own = np.linalg.inv(response.upper)
-    half = _root(covariance[np.ix_(active, active)])
+    half = _square_root(covariance[np.ix_(active, active)])
     moves = np.block([[half, np.zeros((n, 2))], [-own @ response.on_start @ half, own]])
     moved = solution.problem.moved(piece, p, response.motion, response.linear)
     dx, dv = (moved @ moves).transpose(1, 0, 2)
     unknown = np.zeros((len(p), n + 2))
     unknown[active] = moves[:n]
-    told = _teller(solution, response)
+    told = _motion_function(solution, response)
     changes = []
     for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
-        after, before = (told(p + h * u, x + h * ex, v + h * ev) for h in (STEP, -STEP))
-        changes.append((np.array(after) - np.array(before)) / (2 * STEP))
+        after, before = (told(p + h * u, x + h * ex, v + h * ev) for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP))
+        changes.append((np.array(after) - np.array(before)) / (2 * DIFFERENCE_STEP))
     force, a = np.array(changes).transpose(1, 2, 0)
     return [dx, dv, a, force]
 
 
-def _root(covariance: Array) -> Array:
+def _square_root(covariance: Array) -> Array:
     """A square root (n, n) of a covariance whose unknowns may differ in size by many powers of ten."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / size[:, None] / size)
@@ -176,7 +182,7 @@ def _root(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Lack:
+class UnmodelledMotion:
     """What a residual shows beyond white noise: rms of x (m), v (m/s), a (m/s^2); `factor` on the law's own band."""
 
     rms: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -184,7 +190,7 @@ class Lack:
     hertz: float | None = None  # where it stands out most; None: nothing is missed
 
 
-def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
+def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_UNMODELLED) -> UnmodelledMotion:
     """What one stretch's residual holds beyond the noise; white noise is taken for it with the chance `alarms`.
 
     Its cosine transform is white where only noise is left; what stands out belongs to motion that the law misses.
@@ -196,18 +202,18 @@ def lacking(response: Response, run: Run, alarms: float = ALARMS) -> Lack:
     seen = np.abs(z) > ndtri(1 - alarms / (2 * n))
     power = float(np.mean(z**2))
     level = noise_level(run.displacement.x, run.displacement.valid)[1]
-    clear = power > 1 + SURE * float(np.sqrt(2 / n + (2 * level) ** 2))
+    clear = power > 1 + EXCESS_STD * float(np.sqrt(2 / n + (2 * level) ** 2))
     if not (clear or np.any(seen)):
-        return Lack()
+        return UnmodelledMotion()
     omega = np.pi * np.arange(n) / (piece.t[-1] - piece.t[0]) * (n - 1) / n
     size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.noise**2)
     x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
     most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
     rest = float(np.mean(z[~seen] ** 2)) if clear and not np.all(seen) else 1.0
-    return Lack((x, v, a), max(1.0, float(np.sqrt(rest))), most)
+    return UnmodelledMotion((x, v, a), max(1.0, float(np.sqrt(rest))), most)
 
 
-def _notes(lacks: Sequence[Lack]) -> tuple[str, ...]:
+def _unmodelled_notes(lacks: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
     """In words what a run's stretches miss: that of the worst one."""
     found = [lack for lack in lacks if lack.hertz is not None]
     if not found:
@@ -222,7 +228,7 @@ def _notes(lacks: Sequence[Lack]) -> tuple[str, ...]:
     )
 
 
-def bands(motion: Modelled, run: Run) -> dict[str, Any]:
+def band_summary(motion: Modelled, run: Run) -> dict[str, Any]:
     """Root mean square bands of the modelled motion, and the smoothed acceleration's at the same frames: JSON.
 
     Frames of a blow that is too short to be resolved are left out of both.

@@ -9,46 +9,46 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.effects import Effect
-from frictrack.fit.displacement import until_stop
-from frictrack.fit.least_squares import Problem, Solution, refine
-from frictrack.fit.measured_friction import is_series, series_pieces
-from frictrack.fit.parameters import Layout
-from frictrack.fit.segments import Piece, Reference, divided, sections_of, segment_frames
+from frictrack.fit.displacement import refit_until_stop
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
+from frictrack.fit.measured_friction import friction_pieces, is_measured_friction
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.segments import Piece, Reference, cut_into_segments, sections_of, segment_frames
 from frictrack.records import Array, Mask, Run
 
-TURNS = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # phases at which a swing of the run's own is tried
+TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # phases at which a swing of the run's own is tried
 
 
-def predicted(solution: Solution, run: Run, reference: Reference) -> Solution:
+def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
     """A validation run under the fitted law.
 
     Raises FrictrackError when the run has no usable stretch.
     """
     old = solution.problem
-    events = frozenset((e.name, 0) for e in old.model.effects if _happens(e))
-    layout = Layout(old.model, (run.name,), (old.layout.span,), events)
-    p = _known(solution, layout)
+    events = frozenset((e.name, 0) for e in old.model.effects if _is_event(e))
+    layout = ParameterLayout(old.model, (run.name,), (old.layout.span,), events)
+    p = _start_unknowns(solution, layout)
     free = np.array([s.run is not None for s in layout.slots], dtype=bool)
-    if is_series(old):
-        problem = old.over(layout, series_pieces([run], reference.load))
+    if is_measured_friction(old):
+        problem = old.over(layout, friction_pieces([run], reference.load))
         return refine(problem, _in_phase(problem, p), problem.first_starts(), free=free)
-    problem = Problem(old.model, layout, _pieces(solution, run, reference))
-    return until_stop(refine(problem, _in_phase(problem, p), problem.first_starts(), free=free), free)
+    problem = LeastSquaresProblem(old.model, layout, _pieces(solution, run, reference))
+    return refit_until_stop(refine(problem, _in_phase(problem, p), problem.first_starts(), free=free), free)
 
 
-def _happens(effect: Effect) -> bool:
+def _is_event(effect: Effect) -> bool:
     """Whether an effect is an event of single runs; a wrong clock is one of those that show it."""
     return effect.clock is not None or any(p.per_run and p.scan is not None for p in effect.nonlinear)
 
 
 def _pieces(solution: Solution, run: Run, reference: Reference) -> list[Piece]:
     model = solution.problem.model
-    (sections,) = sections_of([run], reference, turning=model.turns)
+    (sections,) = sections_of([run], reference, through_reversals=model.turns)
     fine = max(e.fine for e in model.effects)
-    return [piece.refined(fine) for piece in divided(sections, segment_frames(model, sections, run))]
+    return [piece.refined(fine) for piece in cut_into_segments(sections, segment_frames(model, sections, run))]
 
 
-def _known(solution: Solution, layout: Layout) -> Array:
+def _start_unknowns(solution: Solution, layout: ParameterLayout) -> Array:
     """Unknowns (P,) of the run: the shared ones as they are, its own as the fitted runs have theirs on average."""
     values: dict[tuple[str, str], list[float]] = {}
     for slot, value in zip(solution.problem.layout.slots, solution.p, strict=True):
@@ -56,21 +56,21 @@ def _known(solution: Solution, layout: Layout) -> Array:
     return np.array([np.mean(values[s.effect, s.parameter]) for s in layout.slots])
 
 
-def _in_phase(problem: Problem, p: Array) -> Array:
+def _in_phase(problem: LeastSquaresProblem, p: Array) -> Array:
     """Unknowns (P,) with every phase of the run's own at the quarter turn that suits the run best."""
     for i in np.flatnonzero(_phases(problem.layout)):
-        tried = [np.where(np.arange(len(p)) == i, turn, p) for turn in TURNS]
+        tried = [np.where(np.arange(len(p)) == i, turn, p) for turn in TRIED_PHASES]
         p = tried[int(np.argmin([_misfit(problem, q) for q in tried]))]
     return p
 
 
-def _phases(layout: Layout) -> Mask:
+def _phases(layout: ParameterLayout) -> Mask:
     """Which unknowns are phases of the run's own, (P,)."""
     roles = {(e.name, p.name): p.role for e in layout.model.effects for p in e.parameters}
     own = [s.run is not None and roles.get((s.effect, s.parameter)) == "phase" for s in layout.slots]
     return np.array(own, dtype=bool)
 
 
-def _misfit(problem: Problem, p: Array) -> float:
+def _misfit(problem: LeastSquaresProblem, p: Array) -> float:
     """Chi-squared of the run, its start free."""
     return float(sum(r.r @ r.r for r in problem.evaluate(p, problem.first_starts())))

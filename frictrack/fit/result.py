@@ -13,10 +13,10 @@ from frictrack.fit import measured_friction, routes
 from frictrack.fit.collisions import collisions
 from frictrack.fit.force_domain import reduced_chi2
 from frictrack.fit.free_run import FreeRun, free_errors, free_run
-from frictrack.fit.least_squares import Response, Solution, heldout_rms
-from frictrack.fit.modelled_motion import bands, covariance_at_fitted_scatter, modelled
-from frictrack.fit.parameters import MIN_RUNS, friction_law, weighed
-from frictrack.fit.routes import Found, Route
+from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms
+from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_scatter, modelled_motion
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, with_fitted_mass, without_mass
+from frictrack.fit.routes import FitOutcome, Route
 from frictrack.fit.segments import Reference
 from frictrack.fit.uncertainty import (
     Certainty,
@@ -37,7 +37,7 @@ from frictrack.records import Array, Curve, Modelled, Run
 class Fit:
     """A model fitted to runs."""
 
-    found: Found
+    found: FitOutcome
     runs: tuple[Run, ...]  # those that were fitted
     validation: tuple[Run, ...] = ()
     predictions: tuple[Solution, ...] = ()  # of the validation runs, shared parameters held
@@ -79,12 +79,12 @@ class Fit:
     @property
     def measured(self) -> bool:
         """Whether friction itself was measured and the law is held against that."""
-        return measured_friction.is_series(self.solution.problem)
+        return measured_friction.is_measured_friction(self.solution.problem)
 
     @property
     def model(self) -> Model:
         """The model, its effects in the form in which they were fitted."""
-        return friction_law(self.solution.problem.model)
+        return without_mass(self.solution.problem.model)
 
     @property
     def equation(self) -> str:
@@ -94,7 +94,7 @@ class Fit:
     @property
     def weighed(self) -> tuple[Run, ...]:
         """The fitted runs, each with its mass: given, or the fitted one."""
-        return tuple(weighed(run, self.reference.mass) for run in self.runs)
+        return tuple(with_fitted_mass(run, self.reference.mass) for run in self.runs)
 
     @cached_property
     def estimates(self) -> Estimates:
@@ -112,7 +112,7 @@ class Fit:
     @cached_property
     def _deviations(self) -> Estimates:
         if self.measured:
-            return linear_estimates(self.solution, measured_friction.covariance(self.solution))
+            return linear_estimates(self.solution, measured_friction.block_covariance(self.solution))
         return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
 
     @property
@@ -168,7 +168,9 @@ class Fit:
             return ()
         held = self.found.force is None
         covariance = covariance_at_fitted_scatter(self.solution) if held else self.estimates.covariance
-        return modelled(self.solution, covariance, self.runs, list(zip(self.predictions, self.validation, strict=True)))
+        return modelled_motion(
+            self.solution, covariance, self.runs, list(zip(self.predictions, self.validation, strict=True))
+        )
 
     @cached_property
     def collisions(self) -> list[dict[str, Any]]:
@@ -206,7 +208,7 @@ class Fit:
 
     def summary(self) -> dict[str, Any]:
         """The JSON of `frictrack fit`."""
-        scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS else None
+        scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return (
             {
                 "model": self.model.names,
@@ -250,16 +252,16 @@ class Fit:
 
     def _per_run(self) -> list[dict[str, Any]]:
         if self.measured:
-            rows = [measured_friction.row(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
+            rows = [measured_friction.run_summary(self.solution, i, run, "fit") for i, run in enumerate(self.runs)]
             predicted = zip(self.predictions, self.validation, strict=True)
-            return rows + [measured_friction.row(s, 0, run, "validation") for s, run in predicted]
+            return rows + [measured_friction.run_summary(s, 0, run, "validation") for s, run in predicted]
         rows = [_row(self.solution, i, run, "fit", self.curves) for i, run in enumerate(self.weighed)]
         rows += [
-            _row(s, 0, weighed(run, self.reference.mass), "validation", self.curves)
+            _row(s, 0, with_fitted_mass(run, self.reference.mass), "validation", self.curves)
             for s, run in zip(self.predictions, self.validation, strict=True)
         ]
         told = zip(rows, self.motion, self.runs + self.validation, strict=True)
-        return [self._freely(row) | {"motion": bands(motion, run)} for row, motion, run in told]
+        return [self._freely(row) | {"motion": band_summary(motion, run)} for row, motion, run in told]
 
     def _freely(self, row: dict[str, Any]) -> dict[str, Any]:
         """A row of `per_run` with the error of its free run, where there is one."""
@@ -315,14 +317,14 @@ def _curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, 
     return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
 
 
-def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
+def _curve(solution: Solution, response: PieceResponse, run: Run, role: str) -> Curve:
     piece, motion, problem = response.piece, response.motion, solution.problem
     values, level = problem.layout.values(solution.p, piece.run)
     x, v = motion.x_edge[piece.at], motion.v_edge[piece.at]
     path = piece.at_frames(x, v, level)
     parts = {
         name: np.asarray(block @ problem.model.coefficients(name, values))
-        for name, block in friction_law(problem.model).force_columns(path, values).items()
+        for name, block in without_mass(problem.model).force_columns(path, values).items()
     }
     total: Array = np.sum(list(parts.values()), axis=0)
     return Curve(

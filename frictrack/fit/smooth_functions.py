@@ -7,7 +7,7 @@ import numpy as np
 from frictrack.records import Array
 
 
-def hats(axis: Array, knots: Array) -> Array:
+def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:
     """Linear interpolation from knots (K,) to places on an axis (n,), ends held: (n, K)."""
     right = np.clip(np.searchsorted(knots, axis), 1, len(knots) - 1)
     share = np.clip((axis - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
@@ -18,13 +18,13 @@ def hats(axis: Array, knots: Array) -> Array:
     return out
 
 
-def matern(knots: Array, reach: float) -> Array:
+def matern_covariance(knots: Array, reach: float) -> Array:
     """Covariance of a Matern 3/2 process of unit size at knots (K,), (K, K)."""
     d = np.sqrt(3.0) * np.abs(knots[:, None] - knots) / reach
     return np.asarray((1 + d) * np.exp(-d))
 
 
-def correlation_frames(r: Array, window: float = 5.0) -> float:
+def correlation_time_frames(r: Array, window: float = 5.0) -> float:
     """Integrated correlation time of a residual (n,) in frames, summed over a growing window (Sokal 1997)."""
     n = len(r)
     if n < 8:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.fit.linearised import per_run_coefficients
-from frictrack.fit.parameters import MIN_RUNS
+from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.plan.causes import Cause
 from frictrack.plan.traces import Filmed, columns
 from frictrack.records import Array
@@ -56,7 +56,7 @@ class Reduced:
 
         A rival whose runs need different amplitudes has these, or pays for each.
         """
-        k = 0 if self.runs < MIN_RUNS else 1
+        k = 0 if self.runs < MIN_RUNS_FOR_SCATTER else 1
         ss, sd = self.ss[k], self.sd[k]
         norm = np.sqrt(np.maximum(np.einsum("gss->gs", ss), 1e-300))
         unit = ss / norm[:, :, None] / norm[:, None, :] + RIDGE * np.eye(ss.shape[1])
@@ -81,7 +81,7 @@ def rival(filmed: Filmed, cause: Cause, traces: Array, tau: float) -> Reduced:
         return _event(filmed, block, traces, tau)
     cube = block.transpose(1, 0, 2)  # (G, n, k)
     law = np.broadcast_to(filmed.law, (len(cube), *filmed.law.shape))
-    if not per_run_coefficients(cause.effect):
+    if not has_per_run_coefficients(cause.effect):
         return _levelled(np.concatenate([law, cube], axis=2), filmed.level, traces[None], tau)
     return _beside(filmed, cube, traces, tau)
 

@@ -10,7 +10,7 @@ from frictrack import models
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
-from frictrack.fit.parameters import MIN_RUNS
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.plan.experiment_setup import NOISE, SCATTER, Entry, Stand
 
 PLAIN = ("coulomb", "stribeck", "viscous", "drag", "spring", "slope", "asymmetry")  # what a base law may hold
@@ -38,7 +38,7 @@ def of_fit(fit: Fit) -> Stand:
     values, _ = layout.values(solution.p, 0)
     pitch = first.pixel_pitch
     noise = float(np.median(np.concatenate([p.sigma for p in solution.problem.pieces])))
-    few = len(layout.levels) < MIN_RUNS
+    few = len(layout.levels) < MIN_RUNS_FOR_SCATTER
     span = layout.span
     law = models.of(plain)
     assumed = (

@@ -14,9 +14,9 @@ from frictrack.diagnose.experiments.virtual_runs import (
 )
 from frictrack.effects import Effect, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Response
-from frictrack.fit.linearised import per_run_coefficients
-from frictrack.fit.parameters import Layout
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse
+from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, spans_of
 from frictrack.plan.causes import FRAMES, PICTURE, SHARE, Cause
 from frictrack.plan.experiment_setup import Entry, Stand
@@ -31,8 +31,8 @@ class Filmed:
     """One run of the menu under the assumed law: its response, sensitivities of law (n, P) and level (n,)."""
 
     entry: Entry
-    response: Response
-    problem: Problem
+    response: PieceResponse
+    problem: LeastSquaresProblem
     p: Array
     law: Array
     level: Array
@@ -64,9 +64,9 @@ def _filmed(stand: Stand, entry: Entry) -> Filmed:
     piece = blank_piece(stand.bench, entry.film, 0, fine)
     wide = Span(1.0, stand.start, stand.start + stand.course, 0.01, 10.0, stand.fps)
     layout, p = _unknowns(stand, wide)
-    piece = integrate_motion(Problem(layout.model, layout, [piece]), p, entry.film)
+    piece = integrate_motion(LeastSquaresProblem(layout.model, layout, [piece]), p, entry.film)
     layout, p = _unknowns(stand, spans_of([piece], 1, stand.fps)[0])
-    problem = Problem(layout.model, layout, [piece])
+    problem = LeastSquaresProblem(layout.model, layout, [piece])
     response = problem.evaluate(p, [np.array(entry.film.start)])[0]
     levels = layout.levels
     mine = [k for k, i in enumerate(response.active) if i not in levels]
@@ -74,9 +74,9 @@ def _filmed(stand: Stand, entry: Entry) -> Filmed:
     return Filmed(entry, response, problem, p, response.jac[:, mine], response.jac[:, own[0]])
 
 
-def _unknowns(stand: Stand, span: Span) -> tuple[Layout, Array]:
+def _unknowns(stand: Stand, span: Span) -> tuple[ParameterLayout, Array]:
     """The law's unknowns with a level of the run's own: a second run, never filmed, is what gives it one."""
-    layout = Layout(stand.law, (PLANNED_RUN_NAME, "another"), (span, span))
+    layout = ParameterLayout(stand.law, (PLANNED_RUN_NAME, "another"), (span, span))
     p = [stand.values[s.effect][s.parameter] if s.effect in stand.values else 1.0 for s in layout.slots]
     return layout, np.array(p)
 
@@ -110,7 +110,7 @@ def _picture(filmed: Filmed, effect: Effect, forms: list[dict[str, float]]) -> A
 def forces(filmed: Filmed, effect: Effect, forms: list[dict[str, float]]) -> Array:
     """N at the nodes of a run, (3 p, G k); of a modifier what it changes."""
     motion, piece = filmed.response.motion, filmed.piece
-    path = piece.along(motion.x, motion.v, 1.0)
+    path = piece.path_at_nodes(motion.x, motion.v, 1.0)
     if not effect.modifies:
         return np.concatenate([effect.columns(path, form) for form in forms], axis=1)
     values, _ = filmed.problem.layout.values(filmed.p, 0)
@@ -152,7 +152,7 @@ def trace(filmed: Filmed, cause: Cause, size: float, number: int) -> Array:
     """What a true cause of that size leaves in one run, (n,); phases of the runs spread evenly."""
     block = columns(filmed, cause, (_moment(cause, number),))[:, 0]
     if any(q.role == "phase" for q in cause.effect.nonlinear):
-        phase = GOLDEN_ANGLE_RAD * number if per_run_coefficients(cause.effect) else 0.5
+        phase = GOLDEN_ANGLE_RAD * number if has_per_run_coefficients(cause.effect) else 0.5
         return size * np.asarray(block[:, 0] * np.cos(phase) + block[:, 1] * np.sin(phase))
     return size * np.asarray(block[:, 0])
 

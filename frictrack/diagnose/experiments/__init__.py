@@ -18,7 +18,7 @@ from frictrack.diagnose.experiments.menu import Experiment, menu
 from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import is_series
+from frictrack.fit.measured_friction import is_measured_friction
 
 __all__ = [
     "Contest",
@@ -107,7 +107,7 @@ def next_experiment(
     means.
     """
     among = list(explanations)[:MAX_EXPLANATIONS]
-    if len(among) < 2 or any(is_series(e.solution.problem) for e in among):
+    if len(among) < 2 or any(is_measured_friction(e.solution.problem) for e in among):
         return []
     names = [e.effect for e in among]
     offers = [
@@ -122,7 +122,7 @@ def next_experiment(
 
 def plan_for_unexplained(solution: Solution, tell: Progress = lambda what: None) -> list[dict[str, Any]]:
     """What would tell whether that which a law leaves belongs to the place, the time or the speed: JSON."""
-    if is_series(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
+    if is_measured_friction(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
         return []
     return next_experiment(explain_by_axes(solution)[:MAX_AXES], tell, AXIS_RUN_KEYS)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from frictrack.diagnose.experiments.expected_separation import Explanation
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Response
+from frictrack.fit.least_squares import PieceResponse
 from frictrack.records import GRAVITY, Array
 
 N_MARKS = 20  # of a rule, or flashes of a diode, that are looked at
@@ -58,11 +58,11 @@ def _effect(told: Explanation) -> Effect:
     return next(e for e in told.solution.problem.model.effects if e.name == told.effect)
 
 
-def _longest(told: Explanation) -> Response:
+def _longest(told: Explanation) -> PieceResponse:
     return max(told.solution.responses, key=lambda r: len(r.piece.t))
 
 
-def _block(told: Explanation, response: Response) -> Array:
+def _block(told: Explanation, response: PieceResponse) -> Array:
     """What the cause itself adds along one run at the frames: N, or m in the picture, (n,)."""
     problem, piece = told.solution.problem, response.piece
     values, level = problem.layout.values(told.solution.p, piece.run)

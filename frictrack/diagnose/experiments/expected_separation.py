@@ -14,11 +14,18 @@ from frictrack.diagnose.experiments.virtual_runs import RunDesign, expected_scat
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Response, Solution, continued, promising, refine
-from frictrack.fit.linearised import per_run_coefficients
-from frictrack.fit.parameters import LEVEL, Layout, restraint
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    promised_objective,
+    refine,
+    refine_further,
+)
+from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.fit.stepwise import TIE_ALPHA, grow, is_loose
+from frictrack.fit.stepwise import ALPHA_SHARED_AMPLITUDE, add_effect, is_unconstrained
 from frictrack.records import Array
 
 START_PHASES = np.arange(4) * np.pi / 2  # from which a phase of the planned run is sought
@@ -74,7 +81,7 @@ def _believed(effect: str, solution: Solution, bare: Solution) -> Solution:
     if not absurd:
         return solution
     try:
-        held = grow(bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()}))
+        held = add_effect(bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()}))
     except FrictrackError:
         return solution
     return held if held.objective - solution.objective < MAX_CHI2_UNDETERMINED else solution
@@ -86,7 +93,7 @@ def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
     for r in solution.responses:
         problem, piece = solution.problem, r.piece
         values, level = problem.layout.values(solution.p, piece.run)
-        path = piece.along(r.motion.x, r.motion.v, level)
+        path = piece.path_at_nodes(r.motion.x, r.motion.v, level)
         columns.append(effect.columns(path, values[effect.name]))
         whole.append(piece.mass * (piece.known - r.motion.a))
     of_one = np.sqrt(np.mean(np.concatenate(columns) ** 2, axis=0))
@@ -118,7 +125,7 @@ class Contest:
     def now(self) -> float:
         """Expected difference of BIC on the runs at hand, positive for the truth."""
         truth = self.truth.believed
-        held = restraint(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
+        held = penalty_residual(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
         return self._bic(self.fitted, held, count_unknowns(truth.problem.layout))
 
     def after(self, film: RunDesign) -> float:
@@ -137,7 +144,7 @@ class Contest:
         if found.objective > MAX_CHI2_LINEAR:
             found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=MAX_STEPS)
         told, q = extend_layout(truth, span, film.phase)
-        held, count = restraint(told, q, tau), count_unknowns(told)
+        held, count = penalty_residual(told, q, tau), count_unknowns(told)
         return min(self._bic(s, held, count) for s in (found, _loosened(found, self.rival.effect, tau)))
 
     def _bic(self, rival: Solution, held: Array, count: int) -> float:
@@ -147,17 +154,17 @@ class Contest:
         return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
 
 
-class _LinearisedRuns(Problem):
+class _LinearisedRuns(LeastSquaresProblem):
     """A planned run beside the runs at hand, which answer as they do about a fitted law and are not followed again."""
 
-    def __init__(self, fitted: Solution, layout: Layout, piece: Piece) -> None:
+    def __init__(self, fitted: Solution, layout: ParameterLayout, piece: Piece) -> None:
         super().__init__(layout.model, layout, [*fitted.problem.pieces, piece])
         self._fitted = fitted
         there = {name: i for i, name in enumerate(layout.names)}
         self._there = [there[name] for name in fitted.problem.layout.names]
         self._recalled = [_compress_response(r) for r in fitted.responses]
 
-    def _respond(self, i: int, p: Array, start: Array) -> Response:
+    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         if i == len(self._fitted.responses):
             return super()._respond(i, p, start)
         about = self._recalled[i]
@@ -166,7 +173,7 @@ class _LinearisedRuns(Problem):
         return replace(about, active=active, r=left, r_full=left)
 
 
-def _compress_response(response: Response) -> Response:
+def _compress_response(response: PieceResponse) -> PieceResponse:
     """The same linear answer in as few rows as it has unknowns: turned, and without those that are zero."""
     upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
     none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
@@ -178,11 +185,11 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
     layout = tied.problem.layout
     old = next(e for e in layout.model.effects if e.name == effect)
     sizes = {
-        p.name: {"per_run": True} for p in old.parameters if p.role in SIZE_ROLES and is_loose(p) and not p.per_run
+        p.name: {"per_run": True} for p in old.parameters if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
     }
     runs = len(layout.run_names)
-    worse = float(chi2_distribution.isf(TIE_ALPHA, runs - 1))
-    if not (sizes and per_run_coefficients(old)) or tied.objective < worse:
+    worse = float(chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1))
+    if not (sizes and has_per_run_coefficients(old)) or tied.objective < worse:
         return tied
     effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
     free = replace(layout, model=replace(layout.model, effects=effects))
@@ -197,27 +204,29 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
     return loose if tied.objective - loose.objective > worse else tied
 
 
-def count_unknowns(layout: Layout) -> int:
+def count_unknowns(layout: ParameterLayout) -> int:
     """Unknowns that are paid for: all but the levels."""
     return len(layout.slots) - len(layout.levels)
 
 
-def _placed(rival: Solution, layout: Layout, piece: Piece, begin: tuple[Array, Array, float]) -> tuple[Array, Array]:
+def _placed(
+    rival: Solution, layout: ParameterLayout, piece: Piece, begin: tuple[Array, Array, float]
+) -> tuple[Array, Array]:
     """The rival's own unknowns of the planned run where they explain it best, and its start there."""
     p, start, tau = begin
-    problem = Problem(layout.model, layout, [piece])
+    problem = LeastSquaresProblem(layout.model, layout, [piece])
     own = np.array([s.run == piece.run for s in layout.slots])
     tried = []
     for trial in _trials(rival, layout, p, piece):
         with suppress(FrictrackError):  # a start too wild to be integrated
-            tried.append(promising(problem, trial, [start], tau=tau, free=own))
+            tried.append(promised_objective(problem, trial, [start], tau=tau, free=own))
     tried.sort(key=lambda t: t[0])
-    found = [continued(s, tau, free=own, max_steps=MAX_STEPS_OWN) for _, s in tried[:N_STARTS_REFINED]]
+    found = [refine_further(s, tau, free=own, max_steps=MAX_STEPS_OWN) for _, s in tried[:N_STARTS_REFINED]]
     best = min(found, key=lambda s: s.objective, default=None)
     return (p, start) if best is None else (best.p, best.starts[0])
 
 
-def _trials(rival: Solution, layout: Layout, p: Array, piece: Piece) -> Iterator[Array]:
+def _trials(rival: Solution, layout: ParameterLayout, p: Array, piece: Piece) -> Iterator[Array]:
     """Values (P,) from which the unknowns of the planned run are sought: phases, and moments of events."""
     roles = {(e.name, q.name): q.role for e in rival.problem.model.effects for q in e.parameters}
     own = [i for i, s in enumerate(layout.slots) if s.run == piece.run and s.effect != LEVEL]

@@ -9,8 +9,8 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Solution
-from frictrack.fit.parameters import LEVEL, MIN_RUNS, Layout, Slot
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution
+from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot
 from frictrack.fit.segments import MIN_FRAMES, Piece
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.dynamics import Panels
@@ -48,7 +48,7 @@ def template_piece(pieces: Sequence[Piece]) -> Piece:
     return max(pieces, key=lambda p: p.t[-1] - p.t[0])
 
 
-def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[Layout, Array]:
+def extend_layout(solution: Solution, span: Span, phase: float, *, free: bool = False) -> tuple[ParameterLayout, Array]:
     """The unknowns of an explanation with one run more, (P',): what is the run's own is as in the other runs.
 
     A cause that most runs do not show stays away in the new run too, unless it is `free` to come.
@@ -89,10 +89,10 @@ def simulate_run(truth: Solution, film: RunDesign, fine: int = 1) -> Piece:
     layout, p = extend_layout(truth, truth.problem.layout.span, film.phase)
     fine = max([fine, *(e.fine for e in truth.problem.model.effects)])
     piece = blank_piece(conditions_of(truth), film, len(layout.run_names) - 1, fine)
-    return integrate_motion(Problem(layout.model, layout, [piece]), p, film)
+    return integrate_motion(LeastSquaresProblem(layout.model, layout, [piece]), p, film)
 
 
-def integrate_motion(problem: Problem, p: Array, film: RunDesign) -> Piece:
+def integrate_motion(problem: LeastSquaresProblem, p: Array, film: RunDesign) -> Piece:
     """The one piece of a problem with the motion that a law gives it, up to where the mass stops or is gone."""
     piece = problem.pieces[0]
     found = problem.evaluate(p, [np.array(film.start)])[0]
@@ -244,5 +244,5 @@ def _again(like: Piece | None, series: Array | None, t: Array, *, at_frames: boo
 
 def expected_scatter(solution: Solution, runs: int) -> float:
     """Scatter of the friction level to be expected when there are so many runs."""
-    known = len(solution.problem.layout.levels) >= MIN_RUNS or runs < MIN_RUNS
+    known = len(solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER or runs < MIN_RUNS_FOR_SCATTER
     return max(solution.tau, 1e-3) if known else USUAL_SCATTER

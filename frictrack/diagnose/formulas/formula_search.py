@@ -32,8 +32,8 @@ from frictrack.diagnose.formulas.terms import (
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Solution, settle_scatter
-from frictrack.fit.stepwise import grow, in_turn, settled, without
+from frictrack.fit.least_squares import Solution, fit_with_scatter
+from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -119,8 +119,8 @@ class _Judge:
         out = []
         for term in terms:
             with suppress(FrictrackError):
-                grown = grow(solution, build_effect(name, term))
-                out.append(self.of((*first, term), grown if _is_noise(grown) else settled(grown)))
+                grown = add_effect(solution, build_effect(name, term))
+                out.append(self.of((*first, term), grown if _is_noise(grown) else refine_to_end(grown)))
         return out
 
     def exchanged(self, best: FittedFormula, term: Term) -> FittedFormula | None:
@@ -135,16 +135,16 @@ class _Judge:
         p = np.array([(there | own)[name] for name in layout.names])
         problem = best.solution.problem.over(layout, best.solution.problem.pieces)
         try:
-            return self.of((term,), settle_scatter(problem, p, best.solution.starts, best.solution.tau or 0.03))
+            return self.of((term,), fit_with_scatter(problem, p, best.solution.starts, best.solution.tau or 0.03))
         except FrictrackError:
             return None
 
     def reseated(self, best: FittedFormula, law: Model) -> FittedFormula:
         """The same formula where an effect of the law stands better elsewhere now that the law is not bent any more."""
         solution = best.solution
-        for effect in in_turn(law)[1]:
+        for effect in entry_order(law)[1]:
             with suppress(FrictrackError):
-                moved = grow(without(solution, effect.name), effect)
+                moved = add_effect(remove_effect(solution, effect.name), effect)
                 solution = moved if moved.objective < solution.objective else solution
         return self.of(best.terms, solution)
 

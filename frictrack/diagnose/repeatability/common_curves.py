@@ -34,8 +34,8 @@ from frictrack.diagnose.repeatability.common_frequency import (
 )
 from frictrack.diagnose.smooth_forces import gain_of_separate_curves, smooth_forces
 from frictrack.effects.texture import periods
-from frictrack.fit.least_squares import Linearised, Solution, linearised, traces
-from frictrack.fit.smooth_functions import hats, matern
+from frictrack.fit.least_squares import ModelProjection, Solution, displacement_response, model_projection
+from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
 N_DRAWS = 199
@@ -91,7 +91,7 @@ class _Runs:
     `series` (n_i, D) and `shared` (n_i, S) of every piece; `own` (n_i, k) orthonormal; `run` its place among the runs.
     """
 
-    law: Linearised
+    law: ModelProjection
     at: list[Nodes]
     run: list[int]
     own: list[Array]
@@ -129,7 +129,7 @@ class _Runs:
 
 def assess_repeatability(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> Repeatability:
     """Along which axis the failure of a fitted law repeats from run to run."""
-    law = linearised(solution)
+    law = model_projection(solution)
     runs = sorted({r.piece.run for r in law.responses})
     if len(runs) < 2:
         return Repeatability(
@@ -162,7 +162,7 @@ def _likelihoods(solution: Solution) -> tuple[dict[str, float], float]:
     return likely, max(gain_of_separate_curves(left), 0.0)
 
 
-def _apart(law: Linearised, runs: Sequence[int], series: Array) -> _Runs:
+def _apart(law: ModelProjection, runs: Sequence[int], series: Array) -> _Runs:
     """Every run beside what belongs to it alone."""
     layout = law.solution.problem.layout
     own, shared, left = [], [], []
@@ -192,7 +192,7 @@ def _excess(apart: _Runs) -> Array:
     return np.asarray(np.maximum(left - frames, np.sqrt(2 * frames)))
 
 
-def _drawn(law: Linearised, rng: np.random.Generator, draws: int) -> Array:
+def _drawn(law: ModelProjection, rng: np.random.Generator, draws: int) -> Array:
     """The residual, and draws in which every run keeps its misfit but nothing is common, (N + m, 1 + draws)."""
     out = np.zeros((len(law.r), 1 + draws))
     out[:, 0] = law.r
@@ -224,7 +224,7 @@ def _fold(apart: _Runs, axis: str, dry: bool) -> _Fold:
     for response, n in zip(apart.law.responses, apart.at, strict=True):
         along = {"x": n.x, "t": n.t, "v": np.abs(n.v)}[axis]
         carried = n.dry if dry else np.sign(n.dry) if axis == "v" else np.ones_like(n.dry)
-        made.append(traces(response, hats(along, knots) * carried[:, None]))
+        made.append(displacement_response(response, linear_interpolation_matrix(along, knots) * carried[:, None]))
     return _Fold(knots, *apart.seen(made))
 
 
@@ -245,7 +245,7 @@ def _smooth(tried: Sequence[_Fold]) -> tuple[Array, dict[str, Array]]:
         k = len(fold.knots)
         scale = float(np.trace(fold.gram.sum(axis=0)[:k, :k]) / k)
         for reach in CORRELATION_LENGTHS_KNOTS:
-            prior = np.linalg.inv(matern(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
+            prior = np.linalg.inv(matern_covariance(np.arange(float(k)), reach) + 1e-8 * np.eye(k))
             for size in PRIOR_SIZES:
                 held = _held(fold)
                 held[:k, :k] += prior * (scale / size**2)

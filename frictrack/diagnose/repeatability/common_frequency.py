@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.compare.spectral_lines import scanned, seen
-from frictrack.fit.least_squares import Linearised
+from frictrack.fit.least_squares import ModelProjection
 from frictrack.records import Array
 
 MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that the other runs must foretell for it to repeat there
@@ -37,7 +37,7 @@ def restricted_likelihood_gain(gain: float, numbers: int, tried: int) -> float:
 
 
 def assess_common_frequency(
-    law: Linearised, runs: Sequence[int], rng: np.random.Generator, draws: int
+    law: ModelProjection, runs: Sequence[int], rng: np.random.Generator, draws: int
 ) -> CommonFrequency:
     """One frequency for all runs: its amplitude from the other runs, the phase of a run from its even frames.
 
@@ -61,7 +61,7 @@ def assess_common_frequency(
     )
 
 
-def _beyond(law: Linearised, runs: Sequence[int]) -> Array:
+def _beyond(law: ModelProjection, runs: Sequence[int]) -> Array:
     """Misfit of every run beyond its noise under the law of all, at least its uncertainty, (R,)."""
     out = np.zeros((len(runs), 2))
     for rows, response in zip(law.rows, law.responses, strict=True):
@@ -70,7 +70,7 @@ def _beyond(law: Linearised, runs: Sequence[int]) -> Array:
     return np.asarray(np.maximum(out[:, 0] - out[:, 1], np.sqrt(2 * out[:, 1])))
 
 
-def _halves(law: Linearised, run: int, f: Array) -> _Halves:
+def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
     out: list[Array] = [
         np.zeros((len(f), 2, 2)),
         np.zeros((len(f), 2, 2)),

@@ -10,7 +10,7 @@ from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.spectral_lines import Line
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.measured_friction import compact
+from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
 from frictrack.words import AXES
 
@@ -29,7 +29,7 @@ class FailurePattern:
 
 def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
     """What the failure of a fitted law has in common from run to run, in words, numbers and curves."""
-    solution = compact(solution)
+    solution = keep_compared_frames(solution)
     pieces, line = deconvolved(solution)
     return FailurePattern(assess_repeatability(solution, rng), residual_figures(pieces, line))
 

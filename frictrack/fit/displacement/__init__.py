@@ -1,5 +1,5 @@
 """Fit a model to measured displacement from scratch."""
 
-from frictrack.fit.displacement.start import solve_model, until_stop
+from frictrack.fit.displacement.start import fit_displacement, refit_until_stop
 
-__all__ = ["solve_model", "until_stop"]
+__all__ = ["fit_displacement", "refit_until_stop"]

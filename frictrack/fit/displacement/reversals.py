@@ -16,26 +16,26 @@ from scipy.optimize import least_squares
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, refine
-from frictrack.fit.segments import Piece, divided
+from frictrack.fit.least_squares import LeastSquaresProblem, refine
+from frictrack.fit.segments import Piece, cut_into_segments
 from frictrack.models import Model
 from frictrack.records import Array
 
-MOST = 600  # settings tried
-NARROWEST = 32  # frames of a window: its start takes two numbers
-REFINED = 30  # settings tried beyond the grid, at most
-SHORTEST = 128  # frames of the first stretches of a mass that swings
-STEPS = 6  # of a refinement of one length
+MAX_SETTINGS_TRIED = 600  # settings tried
+MIN_WINDOW_FRAMES = 32  # frames of a window: its start takes two numbers
+MAX_REFINEMENTS = 30  # settings tried beyond the grid, at most
+FIRST_SEGMENT_FRAMES = 128  # frames of the first stretches of a mass that swings
+STEPS_PER_LENGTH = 6  # of a refinement of one length
 
 
-def bent(model: Model) -> tuple[list[Effect], list[Effect]]:
+def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
     """The effects that start together: all without a scan, and what bends or is bent; and those that enter later."""
     reshaped = frozenset[str]().union(*(e.modifies for e in model.effects if e.turns))
     together = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
     return together, [e for e in model.effects if e not in together]
 
 
-def first_law(problem: Problem) -> Array:
+def best_on_grid(problem: LeastSquaresProblem) -> Array:
     """The unknowns (P,) of the best setting on the grid, refined along the smoothed motion.
 
     A force that goes with the place, such as a spring's, makes an error of every place, twice integrated. Stretches are
@@ -46,24 +46,24 @@ def first_law(problem: Problem) -> Array:
     points = list(product(*(_grid(problem, i) for i in scanned)))
     lengths = _lengths(problem)
     best, least, length = np.ones(len(layout.slots)), np.inf, 0
-    for point in points[:: -(-len(points) // MOST)]:
+    for point in points[:: -(-len(points) // MAX_SETTINGS_TRIED)]:
         p = np.where([s.effect == "level" for s in layout.slots], 1.0, 0.0)
         p[scanned] = point
         for n, columns, right in _windowed(problem, p, lengths):
-            q, left = _solved(problem, p, columns, right)
+            q, left = _solve_coefficients(problem, p, columns, right)
             share = float(left @ left) / max(float(right @ right), 1e-300)
             if share < least:
                 best, least, length = q, share, n
     return _refined(problem, best, scanned, length) if scanned else best
 
 
-def _lengths(problem: Problem) -> list[int]:
+def _lengths(problem: LeastSquaresProblem) -> list[int]:
     """Frames per window that are tried; 0 leaves stretches whole."""
     longest = max(len(p.t) for p in problem.pieces)
-    return [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= NARROWEST)]
+    return [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= MIN_WINDOW_FRAMES)]
 
 
-def _refined(problem: Problem, p: Array, scanned: list[int], length: int) -> Array:
+def _refined(problem: LeastSquaresProblem, p: Array, scanned: list[int], length: int) -> Array:
     """Unknowns (P,) with the scanned ones moved on from the grid, the coefficients solved for each of them."""
     low, high = (bound[scanned] for bound in problem.layout.bounds)
     scale = np.maximum(np.abs(p[scanned]), 1e-12)
@@ -75,43 +75,43 @@ def _refined(problem: Problem, p: Array, scanned: list[int], length: int) -> Arr
         q = p.copy()
         q[scanned] = np.clip(theta * scale, low, high)
         ((_, columns, right),) = _windowed(problem, q, [length])
-        return _solved(problem, q, columns, right)
+        return _solve_coefficients(problem, q, columns, right)
 
     inside = np.clip(p[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
-    found = least_squares(left, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=REFINED)
+    found = least_squares(left, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=MAX_REFINEMENTS)
     return solved(found.x)[0]
 
 
-def lengthened(problem: Problem) -> Array:
+def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
     """The unknowns (P,) of a law of swinging masses: fitted to short stretches first, then to longer and longer ones.
 
     Over a whole record a slightly wrong law is soon out of phase, and no step leads on from there. In short stretches
     with starts of their own it is nearly linear (multiple shooting; Bock 1983, Progress in Scientific Computing 2).
     """
-    p = first_law(_divided(problem, SHORTEST))
-    length, whole = SHORTEST, max(len(piece.t) for piece in problem.pieces)
+    p = best_on_grid(_cut_problem(problem, FIRST_SEGMENT_FRAMES))
+    length, whole = FIRST_SEGMENT_FRAMES, max(len(piece.t) for piece in problem.pieces)
     while length < whole:
-        part = _divided(problem, length)
+        part = _cut_problem(problem, length)
         with suppress(FrictrackError):  # a longer stretch may lead on where this one does not
-            p = refine(part, p, part.first_starts(), max_steps=STEPS).p
+            p = refine(part, p, part.first_starts(), max_steps=STEPS_PER_LENGTH).p
         length *= 2
     return p
 
 
-def _divided(problem: Problem, length: int) -> Problem:
+def _cut_problem(problem: LeastSquaresProblem, length: int) -> LeastSquaresProblem:
     """The same problem over stretches of about so many frames."""
-    pieces = [part for piece in problem.pieces for part in divided([piece], length)]
+    pieces = [part for piece in problem.pieces for part in cut_into_segments([piece], length)]
     return problem.over(problem.layout, pieces)
 
 
-def _grid(problem: Problem, i: int) -> Array:
+def _grid(problem: LeastSquaresProblem, i: int) -> Array:
     slot = problem.layout.slots[i]
     effect = next(e for e in problem.model.effects if e.name == slot.effect)
     scan = effect.parameter(slot.parameter).scan
     return np.array([np.mean(slot.bounds)]) if scan is None else scan(problem.layout.span)
 
 
-def _solved(problem: Problem, p: Array, columns: Array, right: Array) -> tuple[Array, Array]:
+def _solve_coefficients(problem: LeastSquaresProblem, p: Array, columns: Array, right: Array) -> tuple[Array, Array]:
     """Unknowns (P,) with the best coefficients, and what they leave of the data (n,)."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     low, high = (bound[linear] for bound in problem.layout.bounds)
@@ -120,7 +120,7 @@ def _solved(problem: Problem, p: Array, columns: Array, right: Array) -> tuple[A
     return out, np.asarray(right - columns @ out[linear])
 
 
-def _windowed(problem: Problem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
+def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Iterator[tuple[int, Array, Array]]:
     """For windows of every length: columns (n, K) per unit coefficient and data (n,), both without their starts."""
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
@@ -139,10 +139,10 @@ def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
     return out
 
 
-def _compared(problem: Problem, piece: Piece, p: Array, linear: list[int]) -> Array:
+def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list[int]) -> Array:
     """Displacement (n, K) per unit coefficient, and last the measured one, in units of sigma."""
     values, level = problem.layout.values(p, piece.run)
-    made = problem.model.force_columns(piece.along(piece.x_hat, piece.v_hat, level), values)
+    made = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
     inputs = [piece.known]
     for i in linear:
         slot = problem.layout.slots[i]

@@ -11,33 +11,45 @@ from scipy.stats import chi2 as chi2_distribution
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.displacement.reversals import bent, first_law, lengthened
-from frictrack.fit.least_squares import Problem, Response, Solution, refine, settle_scatter
-from frictrack.fit.linearised import per_run_coefficients
-from frictrack.fit.parameters import LEVEL, Layout
+from frictrack.fit.displacement.reversals import best_on_grid, shoot_lengthening, split_start_effects
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, refine
+from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.parameters import LEVEL, ParameterLayout
 from frictrack.fit.segments import MIN_FRAMES, Piece, spans_of
-from frictrack.fit.separable import Along, Projected, displacement_block, is_scannable, search_of
+from frictrack.fit.separable import (
+    ProjectedProblem,
+    SeparableModel,
+    displacement_block,
+    is_scannable,
+    variable_projection,
+)
 from frictrack.fit.stepwise import (
-    PULSE_PRICE,
-    TIE_ALPHA,
-    first_guess,
-    grow,
-    in_turn,
-    is_loose,
-    led_the_other_way,
-    reordered,
-    settled,
+    ALPHA_SHARED_AMPLITUDE,
+    EVENT_PENALTY,
+    add_effect,
+    entry_order,
+    guess_coefficients,
+    is_unconstrained,
+    refine_to_end,
+    reorder_effects,
+    reversed_ties,
 )
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
-STOPPING = 2.0  # frames before the stop that are left out
-EXPLAINED = 1.15  # chi-squared per frame: a law that good needs no second way
-MOST_TURNING = 16  # segments of a long record on which a law that passes reversals is settled before it sees all
-SHARES = (0.5, 0.2, 0.0)  # of the coefficients that a start keeps where no motion can be integrated under all
+STOP_MARGIN_FRAMES = 2.0  # frames before the stop that are left out
+GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame: a law that good needs no second way
+MAX_REVERSAL_SEGMENTS = (
+    16  # segments of a long record on which a law that passes reversals is settled before it sees all
+)
+COEFFICIENT_SHARES = (
+    0.5,
+    0.2,
+    0.0,
+)  # of the coefficients that a start keeps where no motion can be integrated under all
 
 
-def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """Fit a model from scratch.
 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
@@ -45,30 +57,32 @@ def solve_model(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: 
     pieces = [p.timed(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
-        return _through_turns(model, pieces, names, spans)
+        return _through_reversals(model, pieces, names, spans)
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
-        found.append(_along(model, pieces, names, spans))
+        found.append(_by_variable_projection(model, pieces, names, spans))
     grown = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
-    if not found or (grown and found[0].chi2 > EXPLAINED * found[0].problem.n_frames):
-        found += _by_growth(model, pieces, names, spans, needed=not found)
-    return until_stop(min(found, key=lambda s: s.objective))
+    if not found or (grown and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
+        found += _by_adding_effects(model, pieces, names, spans, needed=not found)
+    return refit_until_stop(min(found, key=lambda s: s.objective))
 
 
-def _by_growth(
+def _by_adding_effects(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...], needed: bool
 ) -> list[Solution]:
     """Laws to which one effect after the other was added; raises FrictrackError when `needed` and there is none."""
     found = []
     with nullcontext() if needed else suppress(FrictrackError):
         found.append(_from_scratch(model, pieces, names, spans))
-    for other in led_the_other_way(model):
+    for other in reversed_ties(model):
         with suppress(FrictrackError):  # the way that was asked for is there already
-            found.append(_retold(_from_scratch(other, pieces, names, spans), model))
+            found.append(_with_ties_of(_from_scratch(other, pieces, names, spans), model))
     return found
 
 
-def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+def _by_variable_projection(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
+) -> Solution:
     """The law that variable projection finds along the measured motion, all effects at once; then what it cannot scan.
 
     Raises FrictrackError when nothing is left to start from, or when the runs lack what an effect needs.
@@ -76,31 +90,31 @@ def _along(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tup
     lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
     if any(lacking):
         raise FrictrackError(next(filter(None, lacking)))
-    _, scanned = in_turn(model)
+    _, scanned = entry_order(model)
     later = [e for e in scanned if not is_scannable(e) or e.clock is not None]  # a clock: for few runs, in simulation
     first = Model(tuple(e for e in model.effects if e not in later))
-    layout = Layout(first, names, spans)
+    layout = ParameterLayout(first, names, spans)
     fine = max(e.fine for e in first.effects)
     ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
     blocks = [displacement_block(p) for p in ready]
-    along = Along(layout, blocks)
-    search = search_of(along)
+    separable = SeparableModel(layout, blocks)
+    search = variable_projection(separable)
     state = search()
-    absent = search.idle(state, PULSE_PRICE * np.log(along.size))
+    absent = search.idle(state, EVENT_PENALTY * np.log(separable.size))
     if absent:
         layout = replace(layout, absent=absent)
-        along = Along(layout, blocks)
-        known = dict(zip(search.along.layout.names, state.numbers, strict=True))
-        problem = Projected(along, along.data)
+        separable = SeparableModel(layout, blocks)
+        known = dict(zip(search.separable.layout.names, state.numbers, strict=True))
+        problem = ProjectedProblem(separable, separable.data)
         state = problem.refine(problem.at(np.array([known[n] for n in layout.names])))
-    law = Problem(first, layout, ready)
-    solution = _each_loosened(_tamed(law, along.law(state.numbers, state.coefficients)))
+    law = LeastSquaresProblem(first, layout, ready)
+    solution = _with_free_amplitudes(_refine_shrunk(law, separable.law(state.numbers, state.coefficients)))
     for effect in later:
-        solution = grow(solution, effect)
-    return settled(reordered(solution, model)) if later else solution
+        solution = add_effect(solution, effect)
+    return refine_to_end(reorder_effects(solution, model)) if later else solution
 
 
-def _tamed(problem: Problem, p: Array) -> Solution:
+def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
     """The law refined from p (P,), or the best from a share of its coefficients where no motion can be integrated.
 
     Along the measured motion a law that lacks an effect may be so wild that its own motion runs away.
@@ -108,52 +122,54 @@ def _tamed(problem: Problem, p: Array) -> Solution:
     """
     starts = problem.first_starts()
     with suppress(FrictrackError):
-        return settle_scatter(problem, p, starts)
+        return fit_with_scatter(problem, p, starts)
     linear, found = np.array([s.linear for s in problem.layout.slots]), []
-    for share in SHARES:
+    for share in COEFFICIENT_SHARES:
         with suppress(FrictrackError):
-            found.append(settle_scatter(problem, np.where(linear, share * p, p), starts))
+            found.append(fit_with_scatter(problem, np.where(linear, share * p, p), starts))
     if not found:
         raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
     return min(found, key=lambda s: s.objective)
 
 
-def _each_loosened(solution: Solution) -> Solution:
+def _with_free_amplitudes(solution: Solution) -> Solution:
     """One amplitude for all runs, or one per run where that is significantly better, wave after wave."""
     runs = len(solution.problem.layout.run_names)
     for effect in solution.problem.model.effects if runs > 1 else ():
         sizes = {
             p.name: {"per_run": True}
             for p in effect.parameters
-            if p.role == "amplitude" and is_loose(p) and not p.per_run
+            if p.role == "amplitude" and is_unconstrained(p) and not p.per_run
         }
-        if not sizes or not per_run_coefficients(effect):
+        if not sizes or not has_per_run_coefficients(effect):
             continue
         old = solution.problem.layout
         changed = Model(tuple(effect.adjusted(**sizes) if e is effect else e for e in old.model.effects))
         layout = replace(old, model=changed)
         there = dict(zip(old.names, solution.p, strict=True))
         p = np.array([there.get(name, there.get(name.split("[")[0], 0.0)) for name in layout.names])
-        loose = settle_scatter(solution.problem.over(layout, solution.problem.pieces), p, solution.starts, solution.tau)
-        if solution.objective - loose.objective > chi2_distribution.isf(TIE_ALPHA, runs - 1):
+        loose = fit_with_scatter(
+            solution.problem.over(layout, solution.problem.pieces), p, solution.starts, solution.tau
+        )
+        if solution.objective - loose.objective > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
             solution = loose
     return solution
 
 
-def _retold(solution: Solution, model: Model) -> Solution:
+def _with_ties_of(solution: Solution, model: Model) -> Solution:
     """A law under the ties of `model`, refined from where it stands under others."""
     old = solution.problem.layout
     fitted = {e.name: e for e in old.model.effects}
     ties = {(e.name, p.name): p for e in model.effects for p in e.parameters}
-    law = Model(tuple(_tied_as(fitted[e.name], ties) for e in model.effects))
+    law = Model(tuple(_effect_with_ties(fitted[e.name], ties) for e in model.effects))
     layout = replace(old, model=law)
     each = [old.values(solution.p, run) for run in range(len(old.run_names))]
     p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
     problem = solution.problem.over(layout, solution.problem.pieces)
-    return settle_scatter(problem, np.array(p), solution.starts, solution.tau or 0.03)
+    return fit_with_scatter(problem, np.array(p), solution.starts, solution.tau or 0.03)
 
 
-def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
+def _effect_with_ties(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
     """An effect as it was fitted, its ties as they are asked for."""
     changes = {p.name: ties[effect.name, p.name] for p in effect.parameters if p.tie != ties[effect.name, p.name].tie}
     return effect.adjusted(**{name: {"tie": p.tie, "fixed": p.fixed} for name, p in changes.items()})
@@ -161,19 +177,19 @@ def _tied_as(effect: Effect, ties: dict[tuple[str, str], Parameter]) -> Effect:
 
 def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """One effect after the other, then all together to the end."""
-    plain, scanned = in_turn(model)
+    plain, scanned = entry_order(model)
     if not plain:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = Layout(Model(tuple(plain)), names, spans)
-    return _grown(model, Problem(layout.model, layout, pieces), first_guess, scanned)
+    layout = ParameterLayout(Model(tuple(plain)), names, spans)
+    return _fit_and_add(model, LeastSquaresProblem(layout.model, layout, pieces), guess_coefficients, scanned)
 
 
-def _through_turns(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
-    some = pieces[:: -(-len(pieces) // MOST_TURNING)]
+    some = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
     if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
-        return _turned(model, pieces, names, spans)
-    return _on_all(_turned(model, some, names, spans), pieces)
+        return _fit_through_reversals(model, pieces, names, spans)
+    return _on_all(_fit_through_reversals(model, some, names, spans), pieces)
 
 
 def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
@@ -184,52 +200,56 @@ def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
     return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
 
 
-def _turned(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+def _fit_through_reversals(
+    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
+) -> Solution:
     """The same on all of some pieces."""
-    together, later = bent(model)
-    layout = Layout(Model(tuple(together)), names, spans)
-    problem = Problem(layout.model, layout, pieces)
-    guess = lengthened if any(p.slack for p in pieces) else first_law
+    together, later = split_start_effects(model)
+    layout = ParameterLayout(Model(tuple(together)), names, spans)
+    problem = LeastSquaresProblem(layout.model, layout, pieces)
+    guess = shoot_lengthening if any(p.slack for p in pieces) else best_on_grid
     if later:
-        return _grown(model, problem, guess, later)
-    return settle_scatter(problem, guess(problem), problem.first_starts())
+        return _fit_and_add(model, problem, guess, later)
+    return fit_with_scatter(problem, guess(problem), problem.first_starts())
 
 
-def _grown(model: Model, problem: Problem, guess: Callable[[Problem], Array], later: list[Effect]) -> Solution:
+def _fit_and_add(
+    model: Model, problem: LeastSquaresProblem, guess: Callable[[LeastSquaresProblem], Array], later: list[Effect]
+) -> Solution:
     """The problem's law from a guess of its unknowns (P,), then the later effects one by one, then all to the end."""
-    solution = settle_scatter(problem, guess(problem), problem.first_starts())
+    solution = fit_with_scatter(problem, guess(problem), problem.first_starts())
     for effect in later:
-        solution = grow(solution, effect)
-    return settled(reordered(solution, model))
+        solution = add_effect(solution, effect)
+    return refine_to_end(reorder_effects(solution, model))
 
 
-def until_stop(solution: Solution, free: Mask | None = None) -> Solution:
+def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
     """The same fit without the frames in which its own motion has stopped, or is within two frames of it.
 
     The smoothed sign of the velocity comes too late at a stop; the re-simulated one does not. `free` (P,) as in
     `refine`.
     """
     for _ in range(2):
-        kept = [_sliding(r) for r in solution.responses]
+        kept = [_frames_before_stop(r) for r in solution.responses]
         pieces = solution.problem.pieces
         if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
             break
         shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
-        problem = Problem(solution.problem.model, solution.problem.layout, shorter)
+        problem = LeastSquaresProblem(solution.problem.model, solution.problem.layout, shorter)
         if free is None:
-            solution = settle_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+            solution = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
         else:
             solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
     return solution
 
 
-def _sliding(response: Response) -> int:
+def _frames_before_stop(response: PieceResponse) -> int:
     """Frames of a piece before the model's own stop."""
     piece, motion = response.piece, response.motion
     if piece.turns:
         return len(piece.t)
     speed = (piece.path.s[0] * motion.v_edge)[piece.at]
     slowing = -np.gradient(speed, piece.t)  # a mass that sets out is slow, too, but gathers speed
-    late = np.flatnonzero((slowing > 0) & (speed < STOPPING * slowing * np.gradient(piece.t)))
+    late = np.flatnonzero((slowing > 0) & (speed < STOP_MARGIN_FRAMES * slowing * np.gradient(piece.t)))
     after = late[late >= MIN_FRAMES]
     return int(after[0]) if len(after) else len(piece.t)

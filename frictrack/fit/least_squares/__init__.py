@@ -1,31 +1,50 @@
 """Least squares of the simulated motion: problem, Gauss-Newton, covariance, projection of residuals, held-out error."""
 
-from frictrack.fit.least_squares.covariance import NULL, Z95, batches_of, covariance_of, inverse, plain_covariance
-from frictrack.fit.least_squares.gauss_newton import Solution, continued, promising, refine, resettled, settle_scatter
+from frictrack.fit.least_squares.covariance import (
+    MIN_SINGULAR_VALUE,
+    NORMAL_QUANTILE_975,
+    batch_count,
+    covariance_of,
+    inverse_normal_matrix,
+    white_noise_covariance,
+)
+from frictrack.fit.least_squares.gauss_newton import (
+    Solution,
+    fit_with_scatter,
+    promised_objective,
+    refine,
+    refine_further,
+    refit_with_scatter,
+)
 from frictrack.fit.least_squares.heldout import HIDDEN_SIGMA_FACTOR, heldout_rms, is_predictable
-from frictrack.fit.least_squares.problem import Problem, Response
-from frictrack.fit.least_squares.projection import Linearised, linearised, place, traces
+from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
+from frictrack.fit.least_squares.projection import (
+    ModelProjection,
+    displacement_response,
+    model_projection,
+    position_and_velocity,
+)
 
 __all__ = [
     "HIDDEN_SIGMA_FACTOR",
-    "NULL",
-    "Z95",
-    "Linearised",
-    "Problem",
-    "Response",
+    "MIN_SINGULAR_VALUE",
+    "NORMAL_QUANTILE_975",
+    "LeastSquaresProblem",
+    "ModelProjection",
+    "PieceResponse",
     "Solution",
-    "batches_of",
-    "continued",
+    "batch_count",
     "covariance_of",
+    "displacement_response",
+    "fit_with_scatter",
     "heldout_rms",
-    "inverse",
+    "inverse_normal_matrix",
     "is_predictable",
-    "linearised",
-    "place",
-    "plain_covariance",
-    "promising",
+    "model_projection",
+    "position_and_velocity",
+    "promised_objective",
     "refine",
-    "resettled",
-    "settle_scatter",
-    "traces",
+    "refine_further",
+    "refit_with_scatter",
+    "white_noise_covariance",
 ]

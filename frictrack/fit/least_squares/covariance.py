@@ -7,23 +7,25 @@ from scipy.fft import dct
 from scipy.stats import t as student
 
 from frictrack.fit.least_squares.gauss_newton import Solution
-from frictrack.fit.least_squares.problem import Response
-from frictrack.fit.parameters import MIN_RUNS, restraint_rows
+from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
 from frictrack.motion.noise import SPREAD, slow_spectrum
 from frictrack.records import Array
 
-Z95 = 1.96  # standard deviations of a normal law that hold 95 %
-STIR = 1.05  # factor on the spread, to see which variances follow it
-BATCHES = 2  # batches of segments per unknown at least
-NULL = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
+NORMAL_QUANTILE_975 = 1.96  # standard deviations of a normal law that hold 95 %
+SCATTER_STEP = 1.05  # factor on the spread, to see which variances follow it
+MIN_BATCHES_PER_UNKNOWN = 2  # batches of segments per unknown at least
+MIN_SINGULAR_VALUE = 1e-8  # singular value, over the largest, below which a direction is not seen by the data
 
 
-def plain_covariance(solution: Solution) -> tuple[Array, Array]:
+def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
     """Covariance of the unknowns (P, P) as white noise and a known spread make it, and which are not seen, (P,).
 
     It is what the curvature of the misfit says: a profile of the linearised law rises by one per such variance.
     """
-    return inverse(np.vstack([solution.jac, restraint_rows(solution.problem.layout, solution.tau or 0.03, solution.p)]))
+    return inverse_normal_matrix(
+        np.vstack([solution.jac, penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)])
+    )
 
 
 def covariance_of(solution: Solution) -> tuple[Array, Array]:
@@ -36,32 +38,32 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
-    full, unseen = plain_covariance(solution)
+    full, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
-        return _by_segment(solution, full), unseen
-    full = full + _beside_noise(solution, full)
-    full = full * (student.ppf(0.975, solution.problem.n_frames / SPREAD) / Z95) ** 2
-    if len(layout.levels) < MIN_RUNS:
+        return _batch_covariance(solution, full), unseen
+    full = full + _systematic_covariance(solution, full)
+    full = full * (student.ppf(0.975, solution.problem.n_frames / SPREAD) / NORMAL_QUANTILE_975) ** 2
+    if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
-    more, _ = inverse(np.vstack([solution.jac, restraint_rows(layout, STIR * tau, solution.p)]))
-    variance = np.maximum(np.diag(plain_covariance(solution)[0]), 1e-300)
-    share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(STIR)), 1e-3)
-    widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / Z95
+    more, _ = inverse_normal_matrix(np.vstack([solution.jac, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)]))
+    variance = np.maximum(np.diag(white_noise_covariance(solution)[0]), 1e-300)
+    share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3)
+    widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
     return full * widen[:, None] * widen, unseen
 
 
-def _beside_noise(solution: Solution, bread: Array) -> Array:
+def _systematic_covariance(solution: Solution, bread: Array) -> Array:
     """Covariance (P, P) that slow errors of a tracker and what is left of a camera shake add."""
     pulls = [np.zeros((0, len(solution.p)))]
     for r in solution.responses:
-        pull = _slow_pulls(r)
+        pull = _systematic_gradients(r)
         pulls.append(np.zeros((len(pull), len(solution.p))))
         pulls[-1][:, r.active] = pull
     moved = np.vstack(pulls) @ bread
     return moved.T @ moved
 
 
-def _slow_pulls(r: Response) -> Array:
+def _systematic_gradients(r: PieceResponse) -> Array:
     """What each of a piece's errors beside its noise, one standard deviation of it, pulls the law to, (m, A).
 
     None where the law is compared behind a filter, whose rows are no frames.
@@ -81,13 +83,13 @@ def _slow_pulls(r: Response) -> Array:
     return np.vstack(parts)
 
 
-def batches_of(solution: Solution) -> int:
+def batch_count(solution: Solution) -> int:
     """Into how many batches the segments go: as many as there are segments in each, but enough for the unknowns."""
     n = len(solution.responses)
-    return int(min(max(round(np.sqrt(n)), BATCHES * len(solution.p)), n))
+    return int(min(max(round(np.sqrt(n)), MIN_BATCHES_PER_UNKNOWN * len(solution.p)), n))
 
 
-def _by_segment(solution: Solution, bread: Array) -> Array:
+def _batch_covariance(solution: Solution, bread: Array) -> Array:
     """Covariance (P, P) where segments hold more than noise: the scatter of what batches of them pull the law to.
 
     What is not modelled is alike within a segment (Liang & Zeger 1986, Biometrika 73) and often in its neighbours too:
@@ -97,20 +99,20 @@ def _by_segment(solution: Solution, bread: Array) -> Array:
     pulls = np.zeros((len(solution.responses), len(solution.p)))
     for pull, r in zip(pulls, solution.responses, strict=True):
         pull[r.active] = r.jac.T @ r.r
-    count = batches_of(solution)
+    count = batch_count(solution)
     batches = np.array([part.sum(axis=0) for part in np.array_split(pulls, count)])
-    widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
-    held = restraint_rows(solution.problem.layout, solution.tau or 0.03, solution.p)
+    widen = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
     return np.asarray(bread @ (widen * batches.T @ batches + held.T @ held) @ bread)
 
 
-def inverse(jac: Array) -> tuple[Array, Array]:
+def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:
     """(J'J)^-1 in the directions that the data see, (P, P), and which unknowns they do not see, (P,)."""
     norm = np.linalg.norm(jac, axis=0)
     dead = norm == 0
     norm[dead] = 1.0
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
-    keep = s > NULL * s[0]
+    keep = s > MIN_SINGULAR_VALUE * s[0]
     unseen = dead | (np.max(np.abs(vt[~keep]), axis=0, initial=0.0) > 1e-2)
     half = vt[keep] / s[keep, None] / norm
     return half.T @ half, unseen

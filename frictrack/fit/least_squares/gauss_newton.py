@@ -9,36 +9,38 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares.problem import Problem, Response
+from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.parameters import (
-    Basis,
-    balanced,
-    basis_of,
-    prior_departure,
-    prior_rows,
-    restraint,
-    restraint_rows,
-    settle,
+    JacobianBasis,
+    canonical_form,
+    jacobian_basis,
+    normalise_levels,
+    penalty_jacobian,
+    penalty_residual,
+    prior_jacobian,
+    prior_residual,
 )
 from frictrack.records import Array, Mask
 
-SPREADS = 4  # estimates of the spread of the levels, at most
-PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
-FIRST_DAMPING, MOST_DAMPED = 1e-8, 1e8
-UNDAMPED = 1e-12  # damping with which a step is Gauss-Newton's
-ENOUGH = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
-KINKED = 0.01  # likewise for motions with reversals: each is a kink that slips from one node to the next
+MAX_SCATTER_ESTIMATES = 4  # estimates of the spread of the levels, at most
+MAX_PROJECTIONS = 2  # linear solves after a step that went too far, before it is taken back
+FIRST_DAMPING, MAX_DAMPING = 1e-8, 1e8
+MIN_DAMPING = 1e-12  # damping with which a step is Gauss-Newton's
+MIN_CHI2_FALL = 1e-4  # fall of chi-squared below which a step changes nothing; more where the law is far off anyway
+MIN_CHI2_FALL_REVERSALS = (
+    0.01  # likewise for motions with reversals: each is a kink that slips from one node to the next
+)
 
 
 @dataclass(frozen=True)
 class Solution:
     """Where Gauss-Newton came to rest: unknowns p (P,), starts, spread tau, and the model linearised there."""
 
-    problem: Problem
+    problem: LeastSquaresProblem
     p: Array
     starts: list[Array]
     tau: float
-    responses: list[Response]
+    responses: list[PieceResponse]
     objective: float
 
     @property
@@ -49,7 +51,7 @@ class Solution:
     @property
     def jac(self) -> Array:
         """Whitened Jacobian of all frames, starts removed, (N, P)."""
-        return stacked(self.responses, len(self.p))
+        return stacked_jacobian(self.responses, len(self.p))
 
     @property
     def residual(self) -> Array:
@@ -57,12 +59,12 @@ class Solution:
         return np.concatenate([r.r for r in self.responses])
 
     @property
-    def basis(self) -> Basis:
+    def basis(self) -> JacobianBasis:
         """Orthonormal basis of the linearised model."""
         layout = self.problem.layout
-        return basis_of(self.jac, layout.levels, prior_rows(layout, self.p))
+        return jacobian_basis(self.jac, layout.levels, prior_jacobian(layout, self.p))
 
-    def unlevelled(self) -> Array:
+    def random_effect_data(self) -> Array:
         """Residual with the fitted departures of the levels from one put back: data of the random effect, (N,).
 
         Departures from priors of parameters are put back likewise.
@@ -70,12 +72,12 @@ class Solution:
         layout = self.problem.layout
         away = np.zeros(len(self.p))
         if layout.priors:
-            away = np.linalg.pinv(prior_rows(layout, self.p)) @ prior_departure(layout, self.p)
+            away = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
         away[layout.levels] += self.p[layout.levels] - 1
         return self.residual + self.jac @ away
 
 
-def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
+def stacked_jacobian(responses: Sequence[PieceResponse], n_unknowns: int) -> Array:
     """Jacobians of all pieces one under the other, in the full set of unknowns."""
     blocks = []
     for r in responses:
@@ -86,10 +88,10 @@ def stacked(responses: Sequence[Response], n_unknowns: int) -> Array:
 
 
 @dataclass(frozen=True)
-class _Walk:
+class _Refinement:
     """What holds during one refinement: the problem, the spread of the levels, and which way each unknown may go."""
 
-    problem: Problem
+    problem: LeastSquaresProblem
     tau: float
     low: Array
     high: Array
@@ -97,8 +99,10 @@ class _Walk:
 
     def at(self, p: Array, starts: list[Array]) -> Solution:
         """The law at p, brought within the bounds and to its plain form, the levels about one."""
-        p = settle(self.problem.layout, np.clip(p, self.low, self.high))
-        return _state(self.problem, balanced(self.problem.layout, p) if self.whole else p, starts, self.tau)
+        p = canonical_form(self.problem.layout, np.clip(p, self.low, self.high))
+        return _solution_at(
+            self.problem, normalise_levels(self.problem.layout, p) if self.whole else p, starts, self.tau
+        )
 
     def moved(self, state: Solution, step: Array) -> Solution:
         """The law after a step, its starts moved along."""
@@ -112,68 +116,68 @@ class _Walk:
         """
         trial = self.moved(state, step)
         linear = self.problem.layout.coefficients
-        for _ in range(PROJECTIONS):
+        for _ in range(MAX_PROJECTIONS):
             if trial.objective < state.objective:
                 break
             bounds = np.where(linear, self.low, trial.p), np.where(linear, self.high, trial.p)
-            trial = self.moved(trial, _step(trial, UNDAMPED, bounds)[0])
+            trial = self.moved(trial, _step(trial, MIN_DAMPING, bounds)[0])
         return trial
 
 
 def refine(  # noqa: PLR0913 - one door to the solver, all settings named
-    problem: Problem,
+    problem: LeastSquaresProblem,
     p: Array,
     starts: Sequence[Array],
     *,
     tau: float = 0.03,
     free: Mask | None = None,
     max_steps: int = 20,
-    enough: float = ENOUGH,
+    enough: float = MIN_CHI2_FALL,
 ) -> Solution:
     """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
 
     `free` (P,) tells which unknowns may move; default all. A step that promises less than `enough` is not taken.
     """
-    walk = _walk(problem, p, tau, free)
-    return _walked(walk, walk.at(p, list(starts)), max_steps, enough)
+    walk = _refinement(problem, p, tau, free)
+    return _refined(walk, walk.at(p, list(starts)), max_steps, enough)
 
 
-def continued(
-    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, enough: float = ENOUGH
+def refine_further(
+    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, enough: float = MIN_CHI2_FALL
 ) -> Solution:
     """Refine a law further from where it stands, at another spread of the levels; nothing is simulated again there."""
-    held = restraint(solution.problem.layout, solution.p, tau)
+    held = penalty_residual(solution.problem.layout, solution.p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(held @ held)
     state = replace(solution, tau=tau, objective=objective)
-    return _walked(_walk(solution.problem, solution.p, tau, free), state, max_steps, enough)
+    return _refined(_refinement(solution.problem, solution.p, tau, free), state, max_steps, enough)
 
 
-def promising(
-    problem: Problem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
+def promised_objective(
+    problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
 ) -> tuple[float, Solution]:
     """The objective that the first step from p (P,) promises, and the law at p; one simulation of each piece."""
-    walk = _walk(problem, p, tau, free)
+    walk = _refinement(problem, p, tau, free)
     state = walk.at(p, list(starts))
     return state.objective - _step(state, FIRST_DAMPING, (walk.low, walk.high))[1], state
 
 
-def _walk(problem: Problem, p: Array, tau: float, free: Mask | None) -> _Walk:
+def _refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask | None) -> _Refinement:
     """A refinement in which only what is `free` may move; default all."""
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
-    return _Walk(problem, tau, low, high, free is None)
+    return _Refinement(problem, tau, low, high, free is None)
 
 
-def _walked(walk: _Walk, state: Solution, max_steps: int, enough: float) -> Solution:
+def _refined(walk: _Refinement, state: Solution, max_steps: int, enough: float) -> Solution:
     """Steps of Levenberg and Marquardt from a state until one promises less than `enough`."""
     problem, (low, high), damping = walk.problem, (walk.low, walk.high), FIRST_DAMPING
     if any(getattr(piece, "turns", False) for piece in problem.pieces):
-        enough = max(enough, KINKED)
+        enough = max(enough, MIN_CHI2_FALL_REVERSALS)
     for _ in range(max_steps):
         least = enough * max(1.0, state.objective / max(problem.n_frames, 1))
         step, promised = _step(state, damping, (low, high))
-        if promised < least or damping > MOST_DAMPED:
+        if promised < least or damping > MAX_DAMPING:
             break
         try:
             trial = walk.stepped(state, step)
@@ -182,17 +186,17 @@ def _walked(walk: _Walk, state: Solution, max_steps: int, enough: float) -> Solu
             continue
         improved = state.objective - trial.objective
         if improved > 0:
-            state, damping = trial, max(damping * 0.01, UNDAMPED)
+            state, damping = trial, max(damping * 0.01, MIN_DAMPING)
         else:
             damping *= 100
-        if 0 < improved < least and damping == UNDAMPED:
+        if 0 < improved < least and damping == MIN_DAMPING:
             break
     return state
 
 
-def _state(problem: Problem, p: Array, starts: list[Array], tau: float) -> Solution:
+def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], tau: float) -> Solution:
     responses = problem.evaluate(p, starts)
-    held = restraint(problem.layout, p, tau)
+    held = penalty_residual(problem.layout, p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(held @ held)
     return Solution(problem, p, starts, tau, responses, objective)
 
@@ -201,9 +205,9 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     """Bounded damped least-squares step of the unknowns, and the fall of the objective that it promises."""
     n = len(state.p)
     layout = state.problem.layout
-    rows, right = _compressed(state.responses, n)
-    rows = np.vstack([rows, restraint_rows(layout, state.tau, state.p)])
-    right = np.concatenate([right, -restraint(layout, state.p, state.tau)])
+    rows, right = _triangular(state.responses, n)
+    rows = np.vstack([rows, penalty_jacobian(layout, state.tau, state.p)])
+    right = np.concatenate([right, -penalty_residual(layout, state.p, state.tau)])
     rows[:, bounds[1] <= bounds[0]] = 0.0
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
@@ -222,7 +226,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     return z / norm, gain
 
 
-def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
+def _triangular(responses: Sequence[PieceResponse], n: int) -> tuple[Array, Array]:
     """The same least-squares problem in few rows: R factors of every piece's (Jacobian, residual)."""
     rows, right = [], []
     for r in responses:
@@ -235,34 +239,34 @@ def _compressed(responses: Sequence[Response], n: int) -> tuple[Array, Array]:
     return np.vstack(rows), np.concatenate(right)
 
 
-def settle_scatter(
-    problem: Problem,
+def fit_with_scatter(
+    problem: LeastSquaresProblem,
     p: Array,
     starts: Sequence[Array],
     tau: float = 0.03,
     *,
     max_steps: int = 20,
-    enough: float = ENOUGH,
+    enough: float = MIN_CHI2_FALL,
 ) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
     solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
-    return _settled(solution, max_steps, enough)
+    return _with_settled_scatter(solution, max_steps, enough)
 
 
-def resettled(solution: Solution, tau: float) -> Solution:
+def refit_with_scatter(solution: Solution, tau: float) -> Solution:
     """The same from a law that was simulated already, to the end."""
-    return _settled(continued(solution, tau), 20, ENOUGH)
+    return _with_settled_scatter(refine_further(solution, tau), 20, MIN_CHI2_FALL)
 
 
-def _settled(solution: Solution, max_steps: int, enough: float) -> Solution:
+def _with_settled_scatter(solution: Solution, max_steps: int, enough: float) -> Solution:
     """The spread of the levels and the law at it in turn, from a law refined at some spread."""
-    for _ in range(SPREADS):
+    for _ in range(MAX_SCATTER_ESTIMATES):
         basis = solution.basis
         if not basis.random or solution.problem.layout.levels_free:
             return solution
-        data = solution.unlevelled()
+        data = solution.random_effect_data()
         old, new = solution.tau, basis.spread(basis.u.T @ data, float(data @ data))
-        solution = continued(solution, new, max_steps=max_steps, enough=enough)
+        solution = refine_further(solution, new, max_steps=max_steps, enough=enough)
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break
     return solution

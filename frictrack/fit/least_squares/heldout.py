@@ -16,18 +16,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.fit.least_squares.gauss_newton import Solution
-from frictrack.fit.least_squares.problem import Response
-from frictrack.fit.parameters import restraint, restraint_rows
+from frictrack.fit.least_squares.problem import PieceResponse
+from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.fit.segments import Piece
 from frictrack.records import Array, Mask
 
 HIDDEN_SIGMA_FACTOR = 1e9  # times sigma: a frame that does not count
-PREDICTABLE = 0.25  # variance of the prediction over the noise's, beyond which the others do not know the run
-LEAST = 1e-7  # singular value, over the largest, of a direction that is left as it stands
+MAX_PREDICTION_VARIANCE = (
+    0.25  # variance of the prediction over the noise's, beyond which the others do not know the run
+)
+MIN_SINGULAR_VALUE = 1e-7  # singular value, over the largest, of a direction that is left as it stands
 
 
 @dataclass(frozen=True)
-class _Linear:
+class _LinearRun:
     """One run about the fitted law: whitened residual (n,), sensitivities (n, P), starts (n, 2 s), and its pieces."""
 
     residual: Array
@@ -50,19 +52,19 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
     """
     runs = _by_run(solution)
     if by == "frames" or len(runs) < 2 or (by is None and not is_predictable(solution)):
-        return _rms(_evens(solution, runs)), "frames"
-    return _rms([_left_out(solution, runs, r) for r in runs]), "run"
+        return _rms(_residuals_odd_frames(solution, runs)), "frames"
+    return _rms([_residuals_left_out(solution, runs, r) for r in runs]), "run"
 
 
-def _by_run(solution: Solution) -> dict[int, _Linear]:
+def _by_run(solution: Solution) -> dict[int, _LinearRun]:
     """Every run about the fitted law, its pieces one under the other."""
-    pieces: dict[int, list[Response]] = {}
+    pieces: dict[int, list[PieceResponse]] = {}
     for r in solution.responses:
         pieces.setdefault(r.piece.run, []).append(r)
     return {run: _joined(own, len(solution.p)) for run, own in pieces.items()}
 
 
-def _joined(pieces: Sequence[Response], unknowns: int) -> _Linear:
+def _joined(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
     count = sum(len(r.r) for r in pieces)
     jac, starts = np.zeros((count, unknowns)), np.zeros((count, sum(r.q.shape[1] for r in pieces)))
     at = column = 0
@@ -71,7 +73,7 @@ def _joined(pieces: Sequence[Response], unknowns: int) -> _Linear:
         jac[rows, r.active] = r.jac
         starts[rows, column : column + r.q.shape[1]] = r.q
         at, column = rows.stop, column + r.q.shape[1]
-    return _Linear(
+    return _LinearRun(
         residual=np.concatenate([r.r for r in pieces]),
         jac=jac,
         starts=starts,
@@ -85,21 +87,21 @@ def _own(solution: Solution, run: int) -> Mask:
     return np.array([s.run == run for s in solution.problem.layout.slots])
 
 
-def _left_out(solution: Solution, runs: dict[int, _Linear], run: int) -> Array:
+def _residuals_left_out(solution: Solution, runs: dict[int, _LinearRun], run: int) -> Array:
     """Residuals, m, at the odd frames of one run, predicted by the others."""
     own, layout, tau = _own(solution, run), solution.problem.layout, solution.tau or 0.03
-    rows = [r.jac for k, r in runs.items() if k != run] + [restraint_rows(layout, tau, solution.p)]
-    right = [r.residual for k, r in runs.items() if k != run] + [-restraint(layout, solution.p, tau)]
+    rows = [r.jac for k, r in runs.items() if k != run] + [penalty_jacobian(layout, tau, solution.p)]
+    right = [r.residual for k, r in runs.items() if k != run] + [-penalty_residual(layout, solution.p, tau)]
     step = np.zeros(len(solution.p))
-    step[~own] = _solved(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
+    step[~own] = _least_squares(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
     here = runs[run]
     left = here.residual - here.jac @ step
     mine = np.concatenate([here.jac[:, own], here.starts], axis=1)
-    left = left - mine @ _solved(mine[~here.odd], left[~here.odd], mine)
+    left = left - mine @ _least_squares(mine[~here.odd], left[~here.odd], mine)
     return here.unseen(left)
 
 
-def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
+def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> list[Array]:
     """Residuals, m, at the odd frames of every run, the whole law fitted to the even ones."""
     layout, tau = solution.problem.layout, solution.tau or 0.03
     seen = []
@@ -107,22 +109,22 @@ def _evens(solution: Solution, runs: dict[int, _Linear]) -> list[Array]:
         q, _ = np.linalg.qr(r.starts[~r.odd])
         even = np.column_stack([r.jac, r.residual])[~r.odd]
         seen.append(even - q @ (q.T @ even))
-    rows = np.concatenate([*(s[:, :-1] for s in seen), restraint_rows(layout, tau, solution.p)])
-    right = np.concatenate([*(s[:, -1] for s in seen), -restraint(layout, solution.p, tau)])
-    step = _solved(rows, right, solution.jac)
+    rows = np.concatenate([*(s[:, :-1] for s in seen), penalty_jacobian(layout, tau, solution.p)])
+    right = np.concatenate([*(s[:, -1] for s in seen), -penalty_residual(layout, solution.p, tau)])
+    step = _least_squares(rows, right, solution.jac)
     out = []
     for r in runs.values():
         left = r.residual - r.jac @ step
-        left = left - r.starts @ _solved(r.starts[~r.odd], left[~r.odd], r.starts)
+        left = left - r.starts @ _least_squares(r.starts[~r.odd], left[~r.odd], r.starts)
         out.append(r.unseen(left))
     return out
 
 
-def _solved(rows: Array, right: Array, whole: Array) -> Array:
+def _least_squares(rows: Array, right: Array, whole: Array) -> Array:
     """Least squares of columns; what these rows hardly see, beside the `whole` (n, k) they are of, stays as it is."""
     norm = np.linalg.norm(whole, axis=0)
     norm[norm == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=LEAST)[0] / norm)
+    return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm)
 
 
 def _rms(parts: Sequence[Array]) -> float:
@@ -132,7 +134,7 @@ def _rms(parts: Sequence[Array]) -> float:
 def is_predictable(solution: Solution) -> bool:
     """Whether the other runs know the shared parameters well enough to predict every run."""
     layout = solution.problem.layout
-    rows = restraint_rows(layout, solution.tau or 0.03)
+    rows = penalty_jacobian(layout, solution.tau or 0.03)
     jac = {run: r.jac for run, r in _by_run(solution).items()}
     norm = np.linalg.norm(np.vstack([*jac.values(), rows]), axis=0)
     norm[norm == 0] = 1.0
@@ -143,6 +145,6 @@ def is_predictable(solution: Solution) -> bool:
         basis, _ = np.linalg.qr(jac[run][:, own])
         seen = jac[run][:, ~own] / norm[~own]
         seen = seen - basis @ (basis.T @ seen)
-        if np.mean(np.einsum("ni,ij,nj->n", seen, spread, seen)) > PREDICTABLE:
+        if np.mean(np.einsum("ni,ij,nj->n", seen, spread, seen)) > MAX_PREDICTION_VARIANCE:
             return False
     return True

@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.effects import Path
 from frictrack.errors import FrictrackError
-from frictrack.fit.parameters import Layout
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
 from frictrack.models import Model, Values
 from frictrack.records import Array
@@ -20,7 +20,7 @@ SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value 
 
 
 @dataclass(frozen=True)
-class Response:
+class PieceResponse:
     """One piece under a model: its motion, whitened residual and sensitivities, start position and speed removed.
 
     r (n,), jac (n, A) for the `active` unknowns, start (n, 2) for x0 and v0; `q`, `t` their QR factors.
@@ -46,7 +46,7 @@ class Response:
 
 
 @dataclass(frozen=True)
-class _Simulated:
+class _LastMotion:
     """The last motion of a piece, from which the next one sets out: unknowns p, start, and accelerations a (3 p,).
 
     `pushed` (3 p, A + 2) is their change per unit of the `active` unknowns and of the start.
@@ -66,7 +66,7 @@ class _Simulated:
         return self.a + change if np.max(np.abs(change)) < np.max(np.abs(self.a)) else None
 
 
-class Problem:
+class LeastSquaresProblem:
     """A model over some runs: evaluates every piece for given unknowns and starts.
 
     It `simulates` the motion, unless the measured one is taken as it is.
@@ -74,16 +74,16 @@ class Problem:
 
     simulates = True
 
-    def __init__(self, model: Model, layout: Layout, pieces: Sequence[Piece]) -> None:
+    def __init__(self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece]) -> None:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
         paths = [piece.path for piece in self.pieces]
         if lacking := [said for effect in model.effects if (said := effect.lacks(paths))]:
             raise FrictrackError("; ".join(lacking))
-        self._last = [_Simulated(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces]
+        self._last = [_LastMotion(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces]
 
-    def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
+    def over(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """The same kind of measurement under another layout, or over other pieces."""
-        return Problem(layout.model, layout, pieces)
+        return LeastSquaresProblem(layout.model, layout, pieces)
 
     @property
     def n_frames(self) -> int:
@@ -94,15 +94,15 @@ class Problem:
         """Start position and speed of every piece, read off the smoothed motion."""
         return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
 
-    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[Response]:
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it about the unknowns p (P,) and the starts [(2,)]."""
         return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
-    def _respond(self, i: int, p: Array, start: Array) -> Response:
+    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         piece = self._timed(self.pieces[i], p)
         motion, linear = self._simulate(i, piece, p, start)
         pushed, moved = self.answered(piece, p, motion, linear)
-        self._last[i] = _Simulated(p, np.array(start), motion.a, pushed, self.layout.active(piece.run))
+        self._last[i] = _LastMotion(p, np.array(start), motion.a, pushed, self.layout.active(piece.run))
         return self._seen(piece, p, (motion, linear), (motion.x_edge[piece.at], moved))
 
     def _timed(self, piece: Piece, p: Array) -> Piece:
@@ -111,14 +111,16 @@ class Problem:
             return piece
         return piece.timed(self.model.clock(self.layout.values(p, piece.run)[0]))
 
-    def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> Response:
+    def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> PieceResponse:
         """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
 
         `about` is the motion at which the law is linearised, and its linear response.
         """
         return self._seen(piece, p, about, (x, self.answered(piece, p, *about)[1]))
 
-    def _seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], shown: tuple[Array, Array]) -> Response:
+    def _seen(
+        self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], shown: tuple[Array, Array]
+    ) -> PieceResponse:
         """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
         (motion, linear), (x, moved) = about, shown
         active = self.layout.active(piece.run)
@@ -131,7 +133,7 @@ class Problem:
         residual = piece.whitened(piece.y - model_y)
         q, upper = np.linalg.qr(weighted[:, -2:])
         on_start = q.T @ weighted[:, :-2]
-        return Response(
+        return PieceResponse(
             piece=piece,
             motion=motion,
             linear=linear,
@@ -153,7 +155,7 @@ class Problem:
 
         def law(x: Array, v: Array, t: Array) -> Array:
             if not memory:
-                return piece.known - self.model.force(piece.along(x, v, level), values) / piece.mass
+                return piece.known - self.model.force(piece.path_at_nodes(x, v, level), values) / piece.mass
             force = self.model.force(replace(piece.since_start(x, v, t, level), states=states), values)
             return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
 
@@ -201,7 +203,7 @@ class Problem:
     def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
         """The path of a solved motion: its nodes, with memory after the start."""
         if not self.model.memory:
-            return piece.along(motion.x, motion.v, level)
+            return piece.path_at_nodes(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
         return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
@@ -214,12 +216,12 @@ class Problem:
         g = np.zeros((len(path.t), len(active)))
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            led = i in self.layout.led
+            led = i in self.layout.leaders
             if slot.linear and slot.effect in columns and not led:
                 g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
             elif led or not slot.linear:
                 step = _step(p[i], slot.bounds)
-                values_i, level_i = self.layout.values(_moved(p, i, step), piece.run)
+                values_i, level_i = self.layout.values(_shifted(p, i, step), piece.run)
                 path_i = replace(self._along(piece, motion, level_i), states=self._entered(piece, values_i))
                 moved = self.model.force(path_i, values_i)
                 g[:, j] = (moved - base) / step
@@ -256,10 +258,10 @@ class Problem:
         pictures = {e.name for e in self.model.effects if e.acts_on == "measurement"}
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            led = i in self.layout.led
+            led = i in self.layout.leaders
             if slot.effect in pictures or led:
                 step = 1.0 if slot.linear and not led else _step(p[i], slot.bounds)
-                direct[:, j] = (total(_moved(p, i, step), x) - shift) / step
+                direct[:, j] = (total(_shifted(p, i, step), x) - shift) / step
         return shift, slope, direct
 
 
@@ -274,7 +276,7 @@ def _step(value: float, bounds: tuple[float, float]) -> float:
     return 1e-6 * max(abs(value), 1e-3 * width if np.isfinite(width) else 1.0)
 
 
-def _moved(p: Array, i: int, step: float) -> Array:
+def _shifted(p: Array, i: int, step: float) -> Array:
     out = p.copy()
     out[i] += step
     return out

@@ -1,27 +1,27 @@
 """The fitted model linearised about the measured motion, and the scan of a candidate effect on it."""
 
-from frictrack.fit.linearised.model import Beside, Strip, beside
+from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, linearise
 from frictrack.fit.linearised.scan import (
-    ABSORBED,
-    Scan,
-    Series,
-    Short,
-    families,
-    one_series,
-    per_run_coefficients,
-    scan,
+    MIN_UNEXPLAINED_SHARE,
+    CandidateScan,
+    Float32Array,
+    ScannedSeries,
+    candidate_grids,
+    has_per_run_coefficients,
+    measured_series,
+    scan_candidate,
 )
 
 __all__ = [
-    "ABSORBED",
-    "Beside",
-    "Scan",
-    "Series",
-    "Short",
-    "Strip",
-    "beside",
-    "families",
-    "one_series",
-    "per_run_coefficients",
-    "scan",
+    "MIN_UNEXPLAINED_SHARE",
+    "CandidateScan",
+    "Float32Array",
+    "LinearisedModel",
+    "LinearisedPiece",
+    "ScannedSeries",
+    "candidate_grids",
+    "has_per_run_coefficients",
+    "linearise",
+    "measured_series",
+    "scan_candidate",
 ]

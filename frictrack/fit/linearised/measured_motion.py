@@ -18,32 +18,34 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
-from frictrack.fit.least_squares import Problem, Response, Solution
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.segments import Piece
 from frictrack.records import Array
 from frictrack.simulate.dynamics import Motion6, slopes
 
-STRENGTHS = np.geomspace(10.0, 1e9, 17)  # of the smoothing: its bandwidth from a tenth of the frame rate downwards
+SMOOTHING_STRENGTHS = np.geomspace(
+    10.0, 1e9, 17
+)  # of the smoothing: its bandwidth from a tenth of the frame rate downwards
 
 
-def traced(solution: Solution) -> Solution:
+def linearise_about_measurement(solution: Solution) -> Solution:
     """The same law linearised about the measured motion; about its own where it remembers or friction was measured."""
     problem = solution.problem
-    if not is_traced(problem):
+    if not is_linearised_about_measurement(problem):
         return solution
-    return replace(solution, responses=[_traced(problem, solution.p, r) for r in solution.responses])
+    return replace(solution, responses=[_about_measurement(problem, solution.p, r) for r in solution.responses])
 
 
-def is_traced(problem: Problem) -> bool:
+def is_linearised_about_measurement(problem: LeastSquaresProblem) -> bool:
     """Whether laws of a problem are linearised about the measured motion, at levels of one."""
     return problem.simulates and not problem.model.memory
 
 
-def _traced(problem: Problem, p: Array, response: Response) -> Response:
+def _about_measurement(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> PieceResponse:
     piece, motion, linear = response.piece, response.motion, response.linear
     level = np.array(p)
     level[problem.layout.levels] = 1.0
-    t, away = smoothed(piece, piece.coloured(response.r_full))
+    t, away = smooth_residual(piece, piece.coloured(response.r_full))
     if not away.any():
         return problem.seen(piece, level, (motion, linear), motion.x_edge[piece.at])
     bend = CubicSpline(t, away)
@@ -57,16 +59,18 @@ def _traced(problem: Problem, p: Array, response: Response) -> Response:
     return problem.seen(piece, level, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])
 
 
-def smoothed(piece: Piece, residual: Array) -> tuple[Array, Array]:
+def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
     """A residual (n,) smoothed as cross-validation asks for, and the times of its frames, those that are gone too."""
     rows = piece.at // piece.per_frame
     n = int(rows[-1]) + 1
     weight, data = np.zeros(n), np.zeros(n)
     weight[rows], data[rows] = 1.0, residual
-    bend = np.array([np.r_[0.0, 0.0, np.ones(n - 2)], np.r_[0.0, -2.0, np.full(n - 3, -4.0), -2.0], _middle(n)])
+    bend = np.array(
+        [np.r_[0.0, 0.0, np.ones(n - 2)], np.r_[0.0, -2.0, np.full(n - 3, -4.0), -2.0], _second_difference_diagonal(n)]
+    )
     wave = (2 - 2 * np.cos(np.pi * np.arange(n) / n)) ** 2
     best, out = np.inf, np.zeros(n)
-    for strength in STRENGTHS[::-1]:
+    for strength in SMOOTHING_STRENGTHS[::-1]:
         banded = strength * bend
         banded[2] += weight
         found = solveh_banded(banded, data, check_finite=False)
@@ -77,7 +81,7 @@ def smoothed(piece: Piece, residual: Array) -> tuple[Array, Array]:
     return piece.panels.edges[:: piece.per_frame], out
 
 
-def _middle(n: int) -> Array:
+def _second_difference_diagonal(n: int) -> Array:
     """Diagonal of the squared second differences of n samples."""
     out = np.full(n, 6.0)
     out[[0, -1]], out[[1, -2]] = 1.0, 5.0

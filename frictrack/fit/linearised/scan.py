@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 from frictrack.effects import Effect, Span
 from frictrack.effects.settings import Tie
 from frictrack.errors import FrictrackError
-from frictrack.fit.linearised.model import Beside, Strip, alone
+from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece, columns_one_by_one
 from frictrack.records import Array
 
-ABSORBED = 1e-10  # share of a column's square that must remain beside the model for it to count
-UNSEEN = 1e-20  # square of a whitened column per unit: a form that comes to where no run has been
+MIN_UNEXPLAINED_SHARE = 1e-10  # share of a column's square that must remain beside the model for it to count
+MIN_COLUMN_SQUARE = 1e-20  # square of a whitened column per unit: a form that comes to where no run has been
 QUADRATURES = (0.0, np.pi / 2)
-SMALL = 200  # forms times coefficients up to which the spread of the levels is profiled inside each form
-CROWD = 60_000  # samples evaluated at once: what they need stays in the cache
-Short = NDArray[np.float32]
+MAX_FORMS_PROFILED = 200  # forms times coefficients up to which the spread of the levels is profiled inside each form
+MAX_SAMPLES_AT_ONCE = 60_000  # samples evaluated at once: what they need stays in the cache
+Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class CandidateGrid:
     """All forms of one effect on a grid of its scanned parameters: G points of K coefficients.
 
     `members` are the pieces (by place) that its rows stand on, `block[i]` which block of K each writes to: per-run
@@ -62,25 +62,25 @@ class Family:
 
     def point(self, g: int) -> dict[str, float]:
         """One point, every non-linear number by name."""
-        return _followed(self.effect, self.rest | dict(zip(self.names, self.values[g].tolist(), strict=True)))
+        return _with_ties(self.effect, self.rest | dict(zip(self.names, self.values[g].tolist(), strict=True)))
 
-    def chunks(self, strips: list[Strip]) -> Iterator[slice]:
+    def chunks(self, strips: list[LinearisedPiece]) -> Iterator[slice]:
         """Points to be taken at once."""
-        longest = max(len(strips[i].way(self.effect).t) for i in self.members)
-        some = max(1, CROWD // longest)
+        longest = max(len(strips[i].path_for(self.effect).t) for i in self.members)
+        some = max(1, MAX_SAMPLES_AT_ONCE // longest)
         for first in range(0, len(self.values), some):
             yield slice(first, min(first + some, len(self.values)))
 
-    def raw(self, strip: Strip, points: Array) -> Array:
+    def raw(self, strip: LinearisedPiece, points: Array) -> Array:
         """Raw columns (P, k, m) of points (P, d) along one piece: quadrature after quadrature, column after column."""
         values: dict[str, Any] = self.rest | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
-        values = _followed(self.effect, values)
-        parts = [_formed(strip, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
+        values = _with_ties(self.effect, values)
+        parts = [_raw_columns(strip, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class CandidateScan:
     """What the forms of a family are beside a law, and their products with the data.
 
     `rest` (G, K, K) is the Gram matrix of what the pieces' bases do not explain, `own` (G, K, L) the coordinates in
@@ -88,7 +88,7 @@ class Scan:
     largest gain of every series.
     """
 
-    family: Family
+    family: CandidateGrid
     rest: Array
     own: Array
     right: Array
@@ -96,7 +96,7 @@ class Scan:
     tops: Array
 
     def schur(self, left: Array, g: slice | int = slice(None)) -> Array:
-        """Gram matrices (G, K, K) beside the model; `left` (L, L) from `Beside.left`."""
+        """Gram matrices (G, K, K) beside the model; `left` (L, L) from `LinearisedModel.residual_projector`."""
         own = self.own[g]
         return np.asarray(self.rest[g] + own @ left @ np.swapaxes(own, -1, -2))
 
@@ -119,32 +119,32 @@ def whitener(schur: Array, full: Array) -> Array:
     `full` (G, K) are the squares of the columns themselves.
     """
     size = np.sqrt(full)
-    size[full < UNSEEN] = np.inf
+    size[full < MIN_COLUMN_SQUARE] = np.inf
     unit = schur / size[:, :, None] / size[:, None, :]
     if unit.shape[1] == 1:
-        return np.asarray(1 / np.sqrt(np.maximum(unit, 0.0) + ABSORBED) / size[:, None, :])
-    unit[:, np.arange(unit.shape[1]), np.arange(unit.shape[1])] += ABSORBED
+        return np.asarray(1 / np.sqrt(np.maximum(unit, 0.0) + MIN_UNEXPLAINED_SHARE) / size[:, None, :])
+    unit[:, np.arange(unit.shape[1]), np.arange(unit.shape[1])] += MIN_UNEXPLAINED_SHARE
     return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)) / size[:, None, :])
 
 
-def families(law: Beside, effect: Effect) -> list[Family]:
+def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]:
     """The forms of one effect over the fitted runs: one family, or one per run when its scan is the run's own.
 
     Empty when the runs lack what the effect needs, see `Effect.lacks`.
     """
-    if effect.lacks([s.response.piece.path for s in law.strips]):
+    if effect.lacks([s.response.piece.path for s in law.pieces]):
         return []
     layout = law.solution.problem.layout
     if effect.single:
-        each = [[i for i, s in enumerate(law.strips) if s.run == r] for r in law.runs]
-        return [_family(law, effect, mine, layout.spans[law.strips[mine[0]].run]) for mine in each]
-    return [_family(law, effect, list(range(len(law.strips))), layout.span)]
+        each = [[i for i, s in enumerate(law.pieces) if s.run == r] for r in law.runs]
+        return [_candidate_grid(law, effect, mine, layout.spans[law.pieces[mine[0]].run]) for mine in each]
+    return [_candidate_grid(law, effect, list(range(len(law.pieces))), layout.span)]
 
 
 def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Every combination of the scanned parameters, the rest at their place for a scan."""
     names, axes, rest = _grid(effect, span)
-    return [_followed(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
+    return [_with_ties(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
 
 
 def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], list[Array], dict[str, float]]:
@@ -160,7 +160,7 @@ def _points(axes: list[Array]) -> Array:
     return np.array(points, dtype=float).reshape(len(points), len(axes))
 
 
-def _followed(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
+def _with_ties(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
     """A point of a grid where a parameter may be tied to another one of the same effect."""
     for p in effect.nonlinear:
         if p.tie:
@@ -169,7 +169,7 @@ def _followed(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
     return point
 
 
-def per_run_coefficients(effect: Effect) -> bool:
+def has_per_run_coefficients(effect: Effect) -> bool:
     """Whether the coefficients of the scan belong to the runs: per-run amplitudes, or per-run phases."""
     return any(p.per_run and (p.linear or p.role == "phase") for p in effect.parameters)
 
@@ -179,34 +179,36 @@ def _phases(effect: Effect) -> list[dict[str, float]]:
     return [dict.fromkeys(names, q) for q in QUADRATURES] if names else [{}]
 
 
-def _family(law: Beside, effect: Effect, members: list[int], span: Span) -> Family:
+def _candidate_grid(law: LinearisedModel, effect: Effect, members: list[int], span: Span) -> CandidateGrid:
     names, axes, rest = _grid(effect, span)
-    runs = sorted({law.strips[i].run for i in members})
-    own = per_run_coefficients(effect)
-    block = tuple(runs.index(law.strips[i].run) if own else 0 for i in members)
+    runs = sorted({law.pieces[i].run for i in members})
+    own = has_per_run_coefficients(effect)
+    block = tuple(runs.index(law.pieces[i].run) if own else 0 for i in members)
     phases = len(_phases(effect))
     low, high = np.array([p.bounds for p in effect.linear]).reshape(-1, 2).T
     if phases > 1 or not effect.linear:
-        k = phases * (law.strips[members[0]].modified(effect).shape[1] if effect.modifies else len(effect.linear))
+        k = phases * (
+            law.pieces[members[0]].modified_columns(effect).shape[1] if effect.modifies else len(effect.linear)
+        )
         low, high = np.full(k, -np.inf), np.full(k, np.inf)
     count = max(block) + 1
     shape = tuple(len(a) for a in axes) or (1,)
     box = np.tile(low, count), np.tile(high, count)
-    return Family(effect, names, _points(axes), shape, rest, tuple(members), block, len(low), *box)
+    return CandidateGrid(effect, names, _points(axes), shape, rest, tuple(members), block, len(low), *box)
 
 
-def _formed(strip: Strip, effect: Effect, values: dict[str, Any], count: int) -> Array:
+def _raw_columns(strip: LinearisedPiece, effect: Effect, values: dict[str, Any], count: int) -> Array:
     """Raw columns of a population; of a user's formula one by one where some are no numbers, as at a width of zero."""
     try:
         return strip.columns(effect, values, count)
     except FrictrackError:
         if effect.formula is None:
             raise
-        return alone(strip, effect, values, count)
+        return columns_one_by_one(strip, effect, values, count)
 
 
 @dataclass(eq=False)
-class Series:
+class ScannedSeries:
     """Whitened data (N, D) to be scanned, the first column the measured one, and what is known of each.
 
     `own` (L, D) are its coordinates in the pieces' bases. For every spread of the levels that is considered: `lefts`
@@ -214,52 +216,58 @@ class Series:
     restricted likelihood of the bare law.
     """
 
-    data: Short
+    data: Float32Array
     own: Array
     lefts: list[Array]
     groups: list[slice]
     profile: Array
-    beside: list[Short] = field(init=False)
+    beside: list[Float32Array] = field(init=False)
 
     def __post_init__(self) -> None:
         pairs = zip(self.lefts, self.groups, strict=True)
         self.beside = [(left @ self.own[:, mine]).astype(np.float32) for left, mine in pairs]
 
 
-def one_series(law: Beside) -> Series:
+def measured_series(law: LinearisedModel) -> ScannedSeries:
     """The data alone, at the fitted spread of the levels."""
-    data = law.solution.unlevelled()[:, None]
+    data = law.solution.random_effect_data()[:, None]
     tau = law.solution.tau
-    return Series(data.astype(np.float32), law.coordinates(data), [law.left(tau)], [slice(0, 1)], np.zeros((1, 1)))
+    return ScannedSeries(
+        data.astype(np.float32), law.coordinates(data), [law.residual_projector(tau)], [slice(0, 1)], np.zeros((1, 1))
+    )
 
 
-def scan(law: Beside, family: Family, series: Series) -> Scan:
+def scan_candidate(law: LinearisedModel, family: CandidateGrid, series: ScannedSeries) -> CandidateScan:
     """Every form of a family beside a law, and what it gains for every series.
 
     A small family is asked at every spread of the levels, since it may take over what looked like scatter.
     """
     g, size, d = len(family.values), family.size, series.data.shape[1]
-    rest, own = np.zeros((g, size, size)), np.zeros((g, size, len(law.turned)))
+    rest, own = np.zeros((g, size, size)), np.zeros((g, size, len(law.basis_coordinates)))
     right, rises, tops = np.zeros((g, size)), np.zeros(g), np.zeros(d)
-    gain = _profiled if g * size <= SMALL and len(series.lefts) > 1 else _gains
-    for part in family.chunks(law.strips):
+    gain = _gains_at_best_scatter if g * size <= MAX_FORMS_PROFILED and len(series.lefts) > 1 else _gains
+    for part in family.chunks(law.pieces):
         products = np.zeros((part.stop - part.start, size, d), dtype=np.float32)
         for i, b in zip(family.members, family.block, strict=True):
             at = slice(b * family.k, (b + 1) * family.k)
-            _add(law, family, i, part, (rest[part, at, at], own[part, at], products[:, at], series))
+            _add_piece(law, family, i, part, (rest[part, at, at], own[part, at], products[:, at], series))
         right[part] = products[:, :, 0]
         gained = gain((rest[part], own[part], products), series, (family.low, family.high))
         rises[part] = gained[:, 0]
         np.maximum(tops, gained.max(axis=0), out=tops)
-    return Scan(family, rest, own, right, rises, tops)
+    return CandidateScan(family, rest, own, right, rises, tops)
 
 
-def _add(law: Beside, family: Family, i: int, part: slice, into: tuple[Array, Array, Array, Series]) -> None:
+def _add_piece(
+    law: LinearisedModel, family: CandidateGrid, i: int, part: slice, into: tuple[Array, Array, Array, ScannedSeries]
+) -> None:
     """Add what one piece tells of some forms: Gram matrices, coordinates, products with the data."""
-    strip, (rest, own, products, series) = law.strips[i], into
+    strip, (rest, own, products, series) = law.pieces[i], into
     raw = family.raw(strip, family.values[part])
     count, k = raw.shape[:2]
-    beyond, coordinates = strip.split(strip.weighed(raw.reshape(count * k, -1), family.effect.acts_on == "measurement"))
+    beyond, coordinates = strip.split(
+        strip.whitened_rows(raw.reshape(count * k, -1), family.effect.acts_on == "measurement")
+    )
     cube = beyond.reshape(count, k, -1)
     rest += cube @ cube.transpose(0, 2, 1)
     own[:, :, law.places[i]] += coordinates.reshape(count, k, -1)
@@ -269,26 +277,28 @@ def _add(law: Beside, family: Family, i: int, part: slice, into: tuple[Array, Ar
 Products = tuple[Array, Array, Array]  # Gram matrices (G, K, K), coordinates (G, K, L), products with series (G, K, D)
 
 
-def _gains(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array | Short:
+def _gains(told: Products, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array | Float32Array:
     """Fall of chi-squared (G, D) of some forms for every series, each at its own spread."""
     out = np.empty((len(told[0]), series.data.shape[1]), dtype=np.float32)
     for left, columns, beside in zip(series.lefts, series.groups, series.beside, strict=True):
         if columns.stop > columns.start:
-            out[:, columns] = _gained(told, (left, beside), columns, bounds)
+            out[:, columns] = _gain_at_scatter(told, (left, beside), columns, bounds)
     return out
 
 
-def _profiled(told: Products, series: Series, bounds: tuple[Array, Array]) -> Array:
+def _gains_at_best_scatter(told: Products, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array:
     """The same with the spread of every series estimated again."""
     whole = slice(0, series.data.shape[1])
     best = np.full((len(told[0]), whole.stop), np.inf)
     for left, bare in zip(series.lefts, series.profile, strict=True):
         at = left, (left @ series.own).astype(np.float32)
-        np.minimum(best, bare - _gained(told, at, whole, bounds), out=best)
+        np.minimum(best, bare - _gain_at_scatter(told, at, whole, bounds), out=best)
     return np.asarray(series.profile.min(axis=0) - best)
 
 
-def _gained(told: Products, at: tuple[Array, Short], columns: slice, bounds: tuple[Array, Array]) -> Short:
+def _gain_at_scatter(
+    told: Products, at: tuple[Array, Float32Array], columns: slice, bounds: tuple[Array, Array]
+) -> Float32Array:
     """Fall of chi-squared (G, D') of some forms at one spread; `at` says what the law leaves there of coordinates.
 
     A single coefficient keeps its bounds: data that ask for the wrong sign gain nothing.
@@ -304,5 +314,5 @@ def _gained(told: Products, at: tuple[Array, Short], columns: slice, bounds: tup
         np.maximum(white, 0.0, out=white)
     if size == 1 and bounds[1][0] <= 0:
         np.minimum(white, 0.0, out=white)
-    gained: Short = np.einsum("gkd,gkd->gd", white, white)
+    gained: Float32Array = np.einsum("gkd,gkd->gd", white, white)
     return gained

@@ -1,39 +1,44 @@
 """Runs whose friction was measured: fitted to that series, without differentiation and without a mass."""
 
-from frictrack.fit.measured_friction.noise import Noise, noise_of, weighed
+from frictrack.fit.measured_friction.noise import FrictionNoise, friction_noise, weight_by_noise
 from frictrack.fit.measured_friction.problem import (
-    SeriesPiece,
-    SeriesProblem,
-    check_model,
-    common_load,
-    compact,
-    is_series,
-    measured,
-    series_pieces,
-    spans_of_series,
+    MeasuredFrictionPiece,
+    MeasuredFrictionProblem,
+    check_effects,
+    friction_pieces,
+    friction_spans,
+    is_measured_friction,
+    keep_compared_frames,
+    reference_load,
+    uses_measured_friction,
 )
-from frictrack.fit.measured_friction.solve import covariance, heldout_rms, search_series, solve_series
-from frictrack.fit.measured_friction.summary import curves, errors_of, remarks, row
+from frictrack.fit.measured_friction.solve import (
+    block_covariance,
+    fit_measured_friction,
+    heldout_rms,
+    search_measured_friction,
+)
+from frictrack.fit.measured_friction.summary import curves, errors_of, remarks, run_summary
 
 __all__ = [
-    "Noise",
-    "SeriesPiece",
-    "SeriesProblem",
-    "check_model",
-    "common_load",
-    "compact",
-    "covariance",
+    "FrictionNoise",
+    "MeasuredFrictionPiece",
+    "MeasuredFrictionProblem",
+    "block_covariance",
+    "check_effects",
     "curves",
     "errors_of",
+    "fit_measured_friction",
+    "friction_noise",
+    "friction_pieces",
+    "friction_spans",
     "heldout_rms",
-    "is_series",
-    "measured",
-    "noise_of",
+    "is_measured_friction",
+    "keep_compared_frames",
+    "reference_load",
     "remarks",
-    "row",
-    "search_series",
-    "series_pieces",
-    "solve_series",
-    "spans_of_series",
-    "weighed",
+    "run_summary",
+    "search_measured_friction",
+    "uses_measured_friction",
+    "weight_by_noise",
 ]

@@ -16,24 +16,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack.fit.least_squares import Solution, refine
-from frictrack.fit.measured_friction.problem import SeriesPiece
+from frictrack.fit.measured_friction.problem import MeasuredFrictionPiece
 from frictrack.fit.segments import Piece, Rows
-from frictrack.fit.smooth_functions import correlation_frames
+from frictrack.fit.smooth_functions import correlation_time_frames
 from frictrack.records import Array
 
-KEPT = 4  # frames kept of those that are alike
+FRAMES_PER_CORRELATION = 4  # frames kept of those that are alike
 MAX_FRAMES = 1500  # over all runs, beyond which a white series is averaged over short blocks
 MIN_STROKES = 3  # over the same places that tell what does not repeat
 MIN_SHARE = 0.5  # of the longest stroke that another one must reach to be compared with it
-TURN = 0.25  # of the range of a coordinate by which it must go back to turn
-ALIKE_SPEED = 0.1  # relative difference of the median speeds of strokes that are compared
-END = 0.005  # of a stroke at either end, where a frame more or less decides on which side of a reversal it is
-GRID = 128  # places at which strokes are compared
-SLOW = 1.3  # times the white noise beyond which what does not repeat is more: means of few strokes scatter, too
+MIN_REVERSAL_SHARE = 0.25  # of the range of a coordinate by which it must go back to turn
+MAX_SPEED_DIFFERENCE = 0.1  # relative difference of the median speeds of strokes that are compared
+STROKE_END_SHARE = (
+    0.005  # of a stroke at either end, where a frame more or less decides on which side of a reversal it is
+)
+STROKE_POINTS = 128  # places at which strokes are compared
+MIN_SLOW_NOISE_RATIO = (
+    1.3  # times the white noise beyond which what does not repeat is more: means of few strokes scatter, too
+)
 
 
 @dataclass(frozen=True)
-class Noise:
+class FrictionNoise:
     """The noise of a measured friction force.
 
     `rms` (N) is all of it and `alike` how many frames say the same thing; `white` (N) is the part from frame to frame.
@@ -46,45 +50,45 @@ class Noise:
     strokes: int = 0
 
 
-def weighed(solution: Solution) -> tuple[Solution, Noise]:
+def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     """Return the same law with every frame counted by the noise of the measurement, and that noise.
 
     Of frames that are alike only some are kept: the others say nothing that these do not. White ones are averaged where
     there are very many.
     """
-    noise = noise_of(solution)
-    every = max(int(noise.alike / KEPT), 1)
+    noise = friction_noise(solution)
+    every = max(int(noise.alike / FRAMES_PER_CORRELATION), 1)
     if every > 1:
-        pieces = [_thinned(p, every) for p in solution.problem.pieces]
-        return _over(solution, pieces, noise.rms * float(np.sqrt(noise.alike / every))), noise
+        pieces = [_every_nth_frame(p, every) for p in solution.problem.pieces]
+        return _with_pieces(solution, pieces, noise.rms * float(np.sqrt(noise.alike / every))), noise
     block = -(-solution.problem.n_frames // MAX_FRAMES)
     pieces = [_averaged(p, block) for p in solution.problem.pieces]
-    return _over(solution, pieces, noise.rms * float(np.sqrt(max(noise.alike, 1.0) / block)), block), noise
+    return _with_pieces(solution, pieces, noise.rms * float(np.sqrt(max(noise.alike, 1.0) / block)), block), noise
 
 
-def noise_of(solution: Solution) -> Noise:
+def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs together: white, or what does not repeat from stroke to stroke."""
     white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
-    apart = [d for r in solution.responses for d in _unrepeated(r.piece, r.r * r.piece.sigma)]
+    apart = [d for r in solution.responses for d in _differences_of_strokes(r.piece, r.r * r.piece.sigma)]
     if not apart:
-        return Noise(white, 1.0, white)
+        return FrictionNoise(white, 1.0, white)
     whole = np.concatenate([d for d, _ in apart])
     strokes = sum(n for _, n in apart)
     rms = float(np.sqrt(np.mean(whole**2)))
-    if rms < SLOW * white:
-        return Noise(white, 1.0, white, strokes)
-    return Noise(rms, max(correlation_frames(d) for d, _ in apart), white, strokes)
+    if rms < MIN_SLOW_NOISE_RATIO * white:
+        return FrictionNoise(white, 1.0, white, strokes)
+    return FrictionNoise(rms, max(correlation_time_frames(d) for d, _ in apart), white, strokes)
 
 
-def _unrepeated(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
+def _differences_of_strokes(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
     """What of a residual (n,) differs from stroke to stroke, end to end, and how many strokes tell; group by group."""
-    rows = piece.at if isinstance(piece, SeriesPiece) else np.arange(len(piece.t))
+    rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else np.arange(len(piece.t))
     x, v = piece.path.x[rows], np.abs(piece.path.v[rows])
     for coordinate in (x, v):
         groups = list(_groups(strokes(coordinate), coordinate, v))
         if groups:
             for group in groups:
-                yield _differences(group, coordinate, left), len(group)
+                yield _unrepeated_residual(group, coordinate, left), len(group)
             return
 
 
@@ -97,7 +101,7 @@ def strokes(coordinate: Array) -> list[Rows]:
     [2, 5]
 
     """
-    least = TURN * float(np.ptp(coordinate))
+    least = MIN_REVERSAL_SHARE * float(np.ptp(coordinate))
     turns, way, far = [0], 0, 0
     for i in range(1, len(coordinate)):
         step = coordinate[i] - coordinate[far]
@@ -121,17 +125,17 @@ def _groups(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[
         if not mine:
             continue
         usual = float(np.median([np.median(speed[s]) for s in mine]))
-        alike = [s for s in mine if abs(np.median(speed[s]) - usual) <= ALIKE_SPEED * usual]
+        alike = [s for s in mine if abs(np.median(speed[s]) - usual) <= MAX_SPEED_DIFFERENCE * usual]
         if len(alike) >= MIN_STROKES:
             yield alike
 
 
-def _differences(group: Sequence[Rows], coordinate: Array, left: Array) -> Array:
+def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, left: Array) -> Array:
     """A residual less its mean over all strokes at the same place, unbiased, end to end in time."""
     low = max(float(coordinate[s].min()) for s in group)
     high = min(float(coordinate[s].max()) for s in group)
-    low, high = low + END * (high - low), high - END * (high - low)
-    at = np.linspace(low, high, GRID)
+    low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
+    at = np.linspace(low, high, STROKE_POINTS)
     each = [_at_places(coordinate[s], left[s], at) for s in group]
     mean = np.mean(each, axis=0)
     unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
@@ -145,7 +149,7 @@ def _at_places(coordinate: Array, left: Array, at: Array) -> Array:
     return np.interp(at, coordinate[order], left[order])
 
 
-def _over(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
+def _with_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
     """The same law over other frames, all of one noise, N; faster lines than averaged frames show are left out."""
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     layout = solution.problem.layout
@@ -155,7 +159,7 @@ def _over(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int 
     return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
-def _thinned(piece: Piece, every: int) -> Piece:
+def _every_nth_frame(piece: Piece, every: int) -> Piece:
     rows = slice(None, None, every)
     return replace(
         piece, frames=piece.frames[rows], t=piece.t[rows], y=piece.y[rows], sigma=piece.sigma[rows], at=piece.at[rows]

@@ -2,7 +2,7 @@
 
 Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, since what
 remembers (presliding, lag) needs all that went before; only the moving frames are compared. At unit mass F stands in
-the place of the displacement, without a start of its own and seen as it is, so all that reads a `Problem` works.
+the place of the displacement, without a start of its own and seen as it is, so all that reads a `LeastSquaresProblem` works.
 """
 
 from __future__ import annotations
@@ -15,23 +15,31 @@ import numpy as np
 
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Response, Solution, refine
-from frictrack.fit.parameters import Layout
-from frictrack.fit.segments import Begin, Piece, Reference, begin_of, path_of_rows
-from frictrack.fit.separable import brief
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, refine
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.segments import Piece, Reference, RunContext, path_of_rows, run_context
+from frictrack.fit.separable import path_at_compared
 from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
 from frictrack.simulate.dynamics import Linear, Motion6, Panels
 
-QUIET = 1e-9  # of the largest friction: less noise than that is none
-ALONG = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # what a path has frame by frame beside x and v
-HELD = 0.5  # of the median friction: what a mass at rest must hold to be on one side
-MOVED = 3.0  # standard deviations by which a stuck mass must have crept to have moved
+MIN_NOISE_SHARE = 1e-9  # of the largest friction: less noise than that is none
+PATH_ARRAYS = (
+    "t",
+    "s",
+    "drive",
+    "lift",
+    "angle",
+    "travelled",
+    "begins",
+)  # what a path has frame by frame beside x and v
+MIN_HELD_SHARE = 0.5  # of the median friction: what a mass at rest must hold to be on one side
+MIN_CREEP_STD = 3.0  # standard deviations by which a stuck mass must have crept to have moved
 
 
-class Frames(Panels):
+class FrameNodes(Panels):
     """Nodes that are the frames of a run themselves: nothing is integrated between them."""
 
     @property
@@ -40,7 +48,7 @@ class Frames(Panels):
         return self.edges
 
 
-class Seen(Linear):
+class DirectForce(Linear):
     """The response of a force that is measured as it is: at unit mass, less the acceleration it makes."""
 
     def __init__(self) -> None:  # nothing is integrated
@@ -56,7 +64,7 @@ class Seen(Linear):
 
 
 @dataclass(frozen=True)
-class SeriesPiece(Piece):
+class MeasuredFrictionPiece(Piece):
     """One run whose friction was measured: y is that friction, N, at the compared frames, rows `at` of the path."""
 
     def refined(self, per_frame: int) -> Piece:
@@ -65,19 +73,19 @@ class SeriesPiece(Piece):
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the compared frames, for effects without memory."""
-        known = {name: getattr(self.path, name) for name in ALONG}
+        known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
         here: dict[str, Any] = {name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)}
         return replace(self.path, x=x, v=v, load=self.path.load * level, **here)
 
 
-class SeriesProblem(Problem):
-    """A model over runs whose friction was measured; the pieces are `SeriesPiece`, one per run."""
+class MeasuredFrictionProblem(LeastSquaresProblem):
+    """A model over runs whose friction was measured; the pieces are `MeasuredFrictionPiece`, one per run."""
 
     simulates = False
 
-    def over(self, layout: Layout, pieces: Sequence[Piece]) -> Problem:
+    def over(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """The same kind of measurement under another layout, or over other pieces."""
-        return SeriesProblem(layout.model, layout, pieces)
+        return MeasuredFrictionProblem(layout.model, layout, pieces)
 
     def first_starts(self) -> list[Array]:
         """None has a start that could be unknown."""
@@ -85,22 +93,22 @@ class SeriesProblem(Problem):
 
     def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
         """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
-        return piece.along(motion.x, motion.v, level)
+        return piece.path_at_nodes(motion.x, motion.v, level)
 
-    def _respond(self, i: int, p: Array, start: Array) -> Response:
+    def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         piece, layout = self.pieces[i], self.layout
         path = piece.path
         motion = Motion6(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
         active = layout.active(piece.run)
         values, level = layout.values(p, piece.run)
-        force = self.model.force(piece.along(path.x, path.v, level), values)[piece.at]
+        force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
         jac = -self._inputs(piece, p, motion, active)[piece.at] / piece.sigma[:, None]
         none = np.zeros((0, 0))
-        return Response(
+        return PieceResponse(
             piece=piece,
             motion=motion,
-            linear=Seen(),
+            linear=DirectForce(),
             active=active,
             model_y=force,
             shift_slope=np.zeros_like(force),
@@ -113,29 +121,29 @@ class SeriesProblem(Problem):
         )
 
 
-def compact(solution: Solution) -> Solution:
+def keep_compared_frames(solution: Solution) -> Solution:
     """The same law along the compared frames alone, where friction was measured and nothing in the law remembers.
 
     What lies between frames of which few are kept says nothing then, but takes time.
     """
     problem = solution.problem
-    if not is_series(problem) or problem.model.memory:
+    if not is_measured_friction(problem) or problem.model.memory:
         return solution
-    pieces = [_shortened(p) for p in problem.pieces]
+    pieces = [_compared_frames_of(p) for p in problem.pieces]
     if all(new is old for new, old in zip(pieces, problem.pieces, strict=True)):
         return solution
     short, held = problem.over(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
     return refine(short, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
-def _shortened(piece: Piece) -> Piece:
+def _compared_frames_of(piece: Piece) -> Piece:
     """A piece whose path holds its compared frames alone, where they are few."""
-    path = brief(piece, piece.path.x, piece.path.v, 1.0)
+    path = path_at_compared(piece, piece.path.x, piece.path.v, 1.0)
     if path is None:
         return piece
     return replace(
         piece,
-        panels=Frames(path.t),
+        panels=FrameNodes(path.t),
         at=np.arange(len(path.t)),
         x_hat=path.x,
         v_hat=path.v,
@@ -145,12 +153,12 @@ def _shortened(piece: Piece) -> Piece:
     )
 
 
-def is_series(problem: Problem) -> bool:
+def is_measured_friction(problem: LeastSquaresProblem) -> bool:
     """Whether friction itself was measured."""
-    return isinstance(problem, SeriesProblem)
+    return isinstance(problem, MeasuredFrictionProblem)
 
 
-def measured(runs: Sequence[Run], domain: str | None) -> bool:
+def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
     """Whether these runs are fitted to their measured friction; they are unless the displacement is asked for.
 
     Raises FrictrackError where only some runs have it.
@@ -166,7 +174,7 @@ def measured(runs: Sequence[Run], domain: str | None) -> bool:
     return True
 
 
-def check_model(model: Model) -> None:
+def check_effects(model: Model) -> None:
     """Raises FrictrackError (usage) for an effect on a picture, which a measured friction does not have."""
     pictures = [e.name for e in model.effects if e.acts_on == "measurement"]
     if pictures:
@@ -177,23 +185,23 @@ def check_model(model: Model) -> None:
         )
 
 
-def common_load(runs: Sequence[Run]) -> float:
+def reference_load(runs: Sequence[Run]) -> float:
     """The normal load at which newtons are quoted, N: the first run's; NaN where it is not known of every run."""
     known = [np.nan if run.load is None else run.load for run in runs]
     return float(known[0]) if np.all(np.isfinite(known)) else float("nan")
 
 
-def series_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
+def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
     """One piece per run, all in units of one noise: residuals in N count alike.
 
     `reference` is the normal load at which newtons are quoted, N; NaN where it is not known of every run.
     """
     noise = float(np.sqrt(np.mean([_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
-    return [_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
+    return [_friction_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
 
 
-def spans_of_series(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
+def friction_spans(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
     """How far every run reaches in time since release, place and speed."""
     return tuple(_span(piece, fps) for piece in pieces)
 
@@ -210,25 +218,25 @@ def _noise(run: Run) -> float:
     series = np.asarray(run.friction_N, dtype=float)
     known = np.isfinite(series)
     sigma = float(np.nan_to_num(noise_level(series, known)[0]))
-    return max(sigma, QUIET * float(np.max(np.abs(series[known]), initial=0.0)), 1e-12)
+    return max(sigma, MIN_NOISE_SHARE * float(np.max(np.abs(series[known]), initial=0.0)), 1e-12)
 
 
-def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
+def _friction_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
     rows = np.flatnonzero(free & np.isfinite(series))
     rows = rows[rows > 0]  # the first frame says on which side friction held before
     known = np.flatnonzero(np.isfinite(series))
     whole = np.interp(np.arange(len(series)), known, series[known])
-    begin = begin_of(run, Reference(run.mass or 1.0, 1.0))
+    begin = run_context(run, Reference(run.mass or 1.0, 1.0))
     path = _measured_path(run, begin, whole, load)
-    return SeriesPiece(
+    return MeasuredFrictionPiece(
         run=index,
         frames=rows,
         t=path.t[rows],
         y=series[rows],
         sigma=np.full(len(rows), noise),
-        panels=Frames(path.t),
+        panels=FrameNodes(path.t),
         at=rows,
         per_frame=1,
         x_hat=path.x,
@@ -242,11 +250,11 @@ def _piece(run: Run, index: int, noise: float, load: float) -> Piece:
     )
 
 
-def _measured_path(run: Run, begin: Begin, force: Array, load: float) -> Path:
+def _measured_path(run: Run, begin: RunContext, force: Array, load: float) -> Path:
     """The measured motion from the first frame to the last: its friction may turn on any of the way before."""
     t, x, v = run.motion.t - begin.release, np.asarray(run.motion.x), _velocity(run)
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) * (v[1:] != 0))])
-    held = float(np.sign(force[0])) if abs(force[0]) > HELD * np.median(np.abs(force)) else 0.0
+    held = float(np.sign(force[0])) if abs(force[0]) > MIN_HELD_SHARE * np.median(np.abs(force)) else 0.0
     known = path_of_rows(run, np.arange(len(t)), t, begin)
     gone = slid - slid[int(np.searchsorted(t, 0.0))]
     return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=gone, begins=x)
@@ -259,7 +267,7 @@ def _velocity(run: Run) -> Array:
     for s in stretches(~is_moving(run)):
         first, last = s.start, s.stop - 1
         crept = motion.x[last] - motion.x[first]
-        sure = abs(crept) > MOVED * float(np.hypot(motion.sigma_x[first], motion.sigma_x[last]))
+        sure = abs(crept) > MIN_CREEP_STD * float(np.hypot(motion.sigma_x[first], motion.sigma_x[last]))
         v[s] = crept / (motion.t[last] - motion.t[first]) if sure and last > first else 0.0
     return v
 

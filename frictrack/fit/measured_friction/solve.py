@@ -15,43 +15,53 @@ import numpy as np
 from scipy.stats import t as student
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.global_search import searched, spread_of
+from frictrack.fit.global_search import search_parameters, searched_scatter
 from frictrack.fit.least_squares import (
     HIDDEN_SIGMA_FACTOR,
     Solution,
     covariance_of,
+    fit_with_scatter,
     is_predictable,
     refine,
-    settle_scatter,
 )
-from frictrack.fit.measured_friction.problem import SeriesProblem, spans_of_series
-from frictrack.fit.parameters import Layout, restraint_rows
+from frictrack.fit.measured_friction.problem import MeasuredFrictionProblem, friction_spans
+from frictrack.fit.parameters import ParameterLayout, penalty_jacobian
 from frictrack.fit.segments import Piece
-from frictrack.fit.separable import Along, Block, Misfit, Projected, Reduced, State, brief, picked, search_of
+from frictrack.fit.separable import (
+    DataBlock,
+    PopulationMisfit,
+    ProjectedProblem,
+    ReducedPopulationMisfit,
+    SeparableModel,
+    SeparableSolution,
+    path_at_compared,
+    rows_at_compared,
+    variable_projection,
+)
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
-PICKS = 3  # points of a grid that are refined
-TRIALS = 200  # points of a grid over what reshapes dry friction, at most
-LONGER = 2.0  # times the likeness of the residual: length of a block
-FEWEST = 8  # blocks that a run is cut into at least
-BATCHES = 2  # blocks per unknown at least
-Z95 = 1.96
+MAX_GRID_STARTS = 3  # points of a grid that are refined
+MAX_GRID_POINTS = 200  # points of a grid over what reshapes dry friction, at most
+BLOCK_CORRELATION_TIMES = 2.0  # times the likeness of the residual: length of a block
+MIN_BLOCKS = 8  # blocks that a run is cut into at least
+MIN_BLOCKS_PER_UNKNOWN = 2  # blocks per unknown at least
+NORMAL_QUANTILE_975 = 1.96
 
 
-def solve_series(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
+def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
 
     Raises FrictrackError when the runs lack what an effect needs.
     """
     layout = _layout(model, pieces, names, fps)
-    along = Along(layout, [_block(p) for p in pieces])
-    state = _reshaped(Projected(along, along.data), search_of(along)())
-    problem = SeriesProblem(model, layout, pieces)
-    return settle_scatter(problem, along.law(state.numbers, state.coefficients), problem.first_starts())
+    separable = SeparableModel(layout, [_block(p) for p in pieces])
+    state = _reshaped(ProjectedProblem(separable, separable.data), variable_projection(separable)())
+    problem = MeasuredFrictionProblem(model, layout, pieces)
+    return fit_with_scatter(problem, separable.law(state.numbers, state.coefficients), problem.first_starts())
 
 
-def search_series(
+def search_measured_friction(
     model: Model,
     pieces: Sequence[Piece],
     known: tuple[tuple[str, ...], float],
@@ -64,57 +74,57 @@ def search_series(
     """
     (names, fps), (method, over, rng) = known, how
     layout = _layout(model, pieces, names, fps)
-    kind = Reduced if over == "nonlinear" else Misfit
+    kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
     misfit = kind(layout, [_block(p) for p in pieces], unit=float(pieces[0].sigma[0]) ** 2)
-    optima, costs = searched(misfit, method, rng, np.ones(len(layout.slots)))
-    problem = SeriesProblem(model, layout, pieces)
+    optima, costs = search_parameters(misfit, method, rng, np.ones(len(layout.slots)))
+    problem = MeasuredFrictionProblem(model, layout, pieces)
     held = np.zeros(len(layout.slots), dtype=bool)
-    tau = spread_of(layout, optima[0])
+    tau = searched_scatter(layout, optima[0])
     return refine(problem, optima[0], problem.first_starts(), tau=tau, free=held, max_steps=0), (optima, costs)
 
 
-def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Layout:
+def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> ParameterLayout:
     lacking = [e.lacks([p.path for p in pieces]) for e in model.effects]
     if any(lacking):
         raise FrictrackError(next(filter(None, lacking)))
-    return Layout(model, names, spans_of_series(pieces, fps))
+    return ParameterLayout(model, names, friction_spans(pieces, fps))
 
 
-def _block(piece: Piece) -> Block:
+def _block(piece: Piece) -> DataBlock:
     """The compared frames of a run as the search sees them."""
     weight = 1.0 / piece.sigma
-    return Block(
+    return DataBlock(
         run=piece.run,
         path=piece.path,
         data=piece.y * weight,
-        forward=lambda rows: picked(rows, piece.at) * weight,
-        picture=lambda rows: np.zeros_like(picked(rows, piece.at)),
+        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
         friction=-piece.a_hat / piece.path.load,
-        brief=brief(piece, piece.path.x, piece.path.v, 1.0),
+        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
     )
 
 
-def _reshaped(problem: Projected, state: State) -> State:
+def _reshaped(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
     """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
-    for g, group in enumerate(problem.along.groups):
+    for g, group in enumerate(problem.separable.groups):
         if not any(e.modifies and not e.linear for e in group.model.effects):
             continue
         found = [problem.at(numbers, state, {g}) for numbers in _grid(problem, state.numbers, g)]
-        best = sorted(found, key=lambda s: s.misfit)[:PICKS]
+        best = sorted(found, key=lambda s: s.misfit)[:MAX_GRID_STARTS]
         state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
     return state
 
 
-def _grid(problem: Projected, numbers: Array, g: int) -> list[Array]:
+def _grid(problem: ProjectedProblem, numbers: Array, g: int) -> list[Array]:
     """Numbers (P,) at the points of a coarse grid over the scanned ones of a group."""
     layout = problem.layout
     scanned = {}
-    for i in problem.along.groups[g].numbers:
+    for i in problem.separable.groups[g].numbers:
         slot = layout.slots[i]
         parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
         if parameter.scan is not None:
             scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
-    most = max(int(TRIALS ** (1 / max(len(scanned), 1))), 2)
+    most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)
     axes = [axis[np.linspace(0, len(axis) - 1, min(most, len(axis))).round().astype(int)] for axis in scanned.values()]
     out = []
     for point in product(*axes):
@@ -123,7 +133,7 @@ def _grid(problem: Projected, numbers: Array, g: int) -> list[Array]:
     return out
 
 
-def likeness(r: Array) -> int:
+def correlated_frames(r: Array) -> int:
     """Frames over which a residual (n,) is alike: where its autocorrelation falls below 1/e; 0 for white noise."""
     n = len(r)
     if n < 8:
@@ -139,20 +149,20 @@ def likeness(r: Array) -> int:
 
 def blocks(solution: Solution) -> list[list[slice]]:
     """Every run cut into blocks of frames: longer than the residual is alike, enough of them for the unknowns."""
-    enough = max(FEWEST, -(-BATCHES * len(solution.p) // len(solution.responses)))
-    return [_cut(len(r.r), likeness(r.r), enough) for r in solution.responses]
+    enough = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * len(solution.p) // len(solution.responses)))
+    return [_blocks_of_frames(len(r.r), correlated_frames(r.r), enough) for r in solution.responses]
 
 
-def _cut(n: int, alike: int, enough: int) -> list[slice]:
-    length = min(max(int(np.ceil(LONGER * alike)), 1), max(n // enough, 1))
+def _blocks_of_frames(n: int, alike: int, enough: int) -> list[slice]:
+    length = min(max(int(np.ceil(BLOCK_CORRELATION_TIMES * alike)), 1), max(n // enough, 1))
     edges = np.linspace(0, n, max(n // length, 1) + 1).round().astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-def covariance(solution: Solution) -> Array:
+def block_covariance(solution: Solution) -> Array:
     """Covariance of the unknowns (P, P): that of white noise where the residual is, else the scatter of blocks."""
     plain, _ = covariance_of(solution)
-    if all(likeness(r.r) == 0 for r in solution.responses):
+    if all(correlated_frames(r.r) == 0 for r in solution.responses):
         return plain
     pulls = []
     for r, cut in zip(solution.responses, blocks(solution), strict=True):
@@ -160,8 +170,8 @@ def covariance(solution: Solution) -> Array:
             pulls.append(np.zeros(len(solution.p)))
             pulls[-1][r.active] = r.jac[rows].T @ r.r[rows]
     count = len(pulls)
-    widen = (student.ppf(0.975, count - 1) / Z95) ** 2 * count / (count - 1)
-    held = restraint_rows(solution.problem.layout, solution.tau or 0.03)
+    widen = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
     each = np.array(pulls)
     return np.asarray(plain @ (widen * each.T @ each + held.T @ held) @ plain)
 
@@ -173,9 +183,11 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
     Otherwise the even blocks of all runs fit and the odd ones score. `by` asks for one of the two.
     """
     problem = solution.problem
-    hidden = [_odd(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]
+    hidden = [_odd_blocks(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]
     if by == "frames" or len(problem.pieces) < 2 or (by is None and not is_predictable(solution)):
-        half = problem.over(problem.layout, [_without(p, h) for p, h in zip(problem.pieces, hidden, strict=True)])
+        half = problem.over(
+            problem.layout, [_with_hidden_frames(p, h) for p, h in zip(problem.pieces, hidden, strict=True)]
+        )
         found = refine(half, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=10)
         return _rms(found, hidden), "frames"
     squares = [_left_out(solution, i, h) ** 2 for i, h in enumerate(hidden)]
@@ -189,18 +201,18 @@ def _left_out(solution: Solution, i: int, hidden: Mask) -> float:
     own = np.array([s.run == piece.run for s in layout.slots])
     others = problem.over(layout, [p for p in problem.pieces if p is not piece])
     known = refine(others, solution.p, others.first_starts(), tau=solution.tau or 0.03, free=~own, max_steps=10)
-    alone = problem.over(replace(layout, levels_free=True), [_without(piece, hidden)])
+    alone = problem.over(replace(layout, levels_free=True), [_with_hidden_frames(piece, hidden)])
     return _rms(refine(alone, known.p, alone.first_starts(), free=own, max_steps=10), [hidden])
 
 
-def _odd(n: int, cut: Sequence[slice]) -> Mask:
+def _odd_blocks(n: int, cut: Sequence[slice]) -> Mask:
     out = np.zeros(n, dtype=bool)
     for rows in cut[1::2]:
         out[rows] = True
     return out
 
 
-def _without(piece: Piece, hidden: Mask) -> Piece:
+def _with_hidden_frames(piece: Piece, hidden: Mask) -> Piece:
     return replace(piece, sigma=np.where(hidden, HIDDEN_SIGMA_FACTOR, 1.0) * piece.sigma)
 
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from frictrack.fit.least_squares import Response, Solution
-from frictrack.fit.measured_friction.noise import Noise
-from frictrack.fit.measured_friction.problem import SeriesPiece
-from frictrack.fit.measured_friction.solve import likeness
+from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.measured_friction.noise import FrictionNoise
+from frictrack.fit.measured_friction.problem import MeasuredFrictionPiece
+from frictrack.fit.measured_friction.solve import correlated_frames
 from frictrack.records import Array, Curve, Run
 
-MONOTONE = 0.99  # rank correlation with time from which a series goes one way
-DRIFTING = 1.5  # times the white noise from which slow misfit is worth a remark
-UNKNOWN = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
+MIN_RANK_CORRELATION = 0.99  # rank correlation with time from which a series goes one way
+MIN_DRIFT_RATIO = 1.5  # times the white noise from which slow misfit is worth a remark
+DISPLACEMENT_ERRORS = ("rms_displacement_um", "rms_acceleration", "sse_acceleration")  # without a mass and a film
 
 
 def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, ...]:
@@ -24,10 +24,10 @@ def curves(solution: Solution, runs: Sequence[Run], role: str) -> tuple[Curve, .
     return tuple(_curve(solution, r, runs[r.piece.run], role) for r in solution.responses)
 
 
-def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve:
+def _curve(solution: Solution, response: PieceResponse, run: Run, role: str) -> Curve:
     piece, model = response.piece, solution.problem.model
     values, level = solution.problem.layout.values(solution.p, piece.run)
-    path = piece.along(piece.path.x, piece.path.v, level)
+    path = piece.path_at_nodes(piece.path.x, piece.path.v, level)
     parts = {
         name: np.asarray(block @ model.coefficients(name, values))[piece.at]
         for name, block in model.force_columns(path, values).items()
@@ -47,23 +47,23 @@ def _curve(solution: Solution, response: Response, run: Run, role: str) -> Curve
     )
 
 
-def errors_of(responses: Sequence[Response]) -> dict[str, Any]:
+def errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
     """Errors of a law over some runs, in N; what needs a displacement of the model is null."""
     left = np.concatenate([r.piece.y - r.model_y for r in responses])
     force = np.concatenate([r.piece.y for r in responses])
-    return dict.fromkeys(UNKNOWN) | {
+    return dict.fromkeys(DISPLACEMENT_ERRORS) | {
         "rms_N": _rms(left),
-        "noise_N": white(responses),
+        "noise_N": white_noise(responses),
         "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
     }
 
 
-def white(responses: Sequence[Response]) -> float:
+def white_noise(responses: Sequence[PieceResponse]) -> float:
     """White noise of the cell, N, rms."""
     return _rms(np.concatenate([r.piece.sigma for r in responses]))
 
 
-def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
+def run_summary(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
     """One run in the JSON of `fit`: level, noise, over how long the residual is alike, errors."""
     response = next(r for r in solution.responses if r.piece.run == index)
     _, level = solution.problem.layout.values(solution.p, index)
@@ -73,15 +73,15 @@ def row(solution: Solution, index: int, run: Run, role: str) -> dict[str, Any]:
         "role": role,
         "level": level,
         "noise_um": None,
-        "noise_N": white([response]),
-        "correlated_s": likeness(response.r) * interval,
+        "noise_N": white_noise([response]),
+        "correlated_s": correlated_frames(response.r) * interval,
         "segments": 1,
         "segment_s": float(response.piece.t[-1] - response.piece.t[0]),
         "errors": errors_of([response]),
     }
 
 
-def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
+def remarks(solution: Solution, runs: Sequence[Run], noise: FrictionNoise) -> list[str]:
     """Say what a diagnosis on a measured friction rests on: its noise, and what a drifting sensor would explain."""
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if all(_goes_one_way(r) for r in solution.responses):
@@ -96,7 +96,7 @@ def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
             f"noise {noise.rms:.2g} N rms, alike over {noise.alike * interval:.2g} s: what does not repeat between "
             f"{noise.strokes} strokes over the same places (white noise {noise.white:.2g} N)"
         )
-    elif not noise.strokes and left > DRIFTING * noise.white:
+    elif not noise.strokes and left > MIN_DRIFT_RATIO * noise.white:
         slow = float(np.sqrt(left**2 - noise.white**2))
         out.append(
             f"noise {noise.white:.2g} N rms from frame to frame; no stroke is repeated, so slow misfit counts as "
@@ -106,12 +106,12 @@ def remarks(solution: Solution, runs: Sequence[Run], noise: Noise) -> list[str]:
     return out
 
 
-def _goes_one_way(response: Response) -> bool:
+def _goes_one_way(response: PieceResponse) -> bool:
     """Whether place and speed of a record rise or fall with time throughout, but for their noise."""
     piece = response.piece
-    rows = piece.at if isinstance(piece, SeriesPiece) else slice(None)
+    rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else slice(None)
     series = piece.path.x[rows], np.abs(piece.path.v[rows])
-    return all(abs(float(spearmanr(piece.t, q).statistic)) > MONOTONE for q in series if np.ptp(q) > 0)
+    return all(abs(float(spearmanr(piece.t, q).statistic)) > MIN_RANK_CORRELATION for q in series if np.ptp(q) > 0)
 
 
 def _rms(values: Array) -> float:

@@ -1,41 +1,57 @@
 """The parameter vector: its layout, constraints between parameters, friction levels of the runs, an unknown mass."""
 
-from frictrack.fit.parameters.constraints import MASS, follow, quoted
-from frictrack.fit.parameters.layout import LEVEL, MIN_RUNS, Layout, Slot, balanced, settle, told
-from frictrack.fit.parameters.level_scatter import (
-    Basis,
-    basis_of,
-    prior_departure,
-    prior_misfit,
-    prior_rows,
-    restraint,
-    restraint_rows,
+from frictrack.fit.parameters.constraints import MASS, apply_constraints, quoted_value
+from frictrack.fit.parameters.layout import (
+    LEVEL,
+    MIN_RUNS_FOR_SCATTER,
+    ParameterLayout,
+    Slot,
+    canonical_form,
+    known_value,
+    normalise_levels,
 )
-from frictrack.fit.parameters.mass import MASS_EFFECT, friction_law, is_sought, ratio, rescaled, weighed, with_mass
+from frictrack.fit.parameters.level_scatter import (
+    JacobianBasis,
+    jacobian_basis,
+    penalty_jacobian,
+    penalty_residual,
+    prior_jacobian,
+    prior_misfit,
+    prior_residual,
+)
+from frictrack.fit.parameters.mass import (
+    MASS_EFFECT,
+    is_mass_unknown,
+    mass_ratio,
+    rescale_to_mass,
+    with_fitted_mass,
+    with_mass,
+    without_mass,
+)
 
 __all__ = [
     "LEVEL",
     "MASS",
     "MASS_EFFECT",
-    "MIN_RUNS",
-    "Basis",
-    "Layout",
+    "MIN_RUNS_FOR_SCATTER",
+    "JacobianBasis",
+    "ParameterLayout",
     "Slot",
-    "balanced",
-    "basis_of",
-    "follow",
-    "friction_law",
-    "is_sought",
-    "prior_departure",
+    "apply_constraints",
+    "canonical_form",
+    "is_mass_unknown",
+    "jacobian_basis",
+    "known_value",
+    "mass_ratio",
+    "normalise_levels",
+    "penalty_jacobian",
+    "penalty_residual",
+    "prior_jacobian",
     "prior_misfit",
-    "prior_rows",
-    "quoted",
-    "ratio",
-    "rescaled",
-    "restraint",
-    "restraint_rows",
-    "settle",
-    "told",
-    "weighed",
+    "prior_residual",
+    "quoted_value",
+    "rescale_to_mass",
+    "with_fitted_mass",
     "with_mass",
+    "without_mass",
 ]

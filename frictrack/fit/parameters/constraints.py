@@ -22,12 +22,12 @@ Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; n
 
 
 @dataclass(frozen=True)
-class Rule:
+class Constraint:
     """One parameter that is not sought: its quoted value, or the parameter that it is tied to."""
 
     effect: Effect
     parameter: Parameter
-    told: float | Tie
+    value: float | Tie
 
     @property
     def quoted(self) -> bool:
@@ -35,46 +35,54 @@ class Rule:
         return self.parameter.name in self.effect.quoted
 
 
-def rules_of(model: Model) -> tuple[Rule, ...]:
+def constraints_of(model: Model) -> tuple[Constraint, ...]:
     """Rules in the order in which they can be followed; `Model.check_ties` has looked for circles."""
-    rules = []
+    constraints = []
     for effect in model.effects:
         for p in effect.parameters:
             if p.tie is not None:
-                rules.append(Rule(effect, p, Tie.read(p.tie)))
-            elif p.fixed is not None and (p.name in effect.quoted or (MASS in model and _is_force(effect, p))):
-                rules.append(Rule(effect, p, p.fixed))
-    waiting = [r for r in rules if not r.quoted]
-    ordered: list[Rule] = []
+                constraints.append(Constraint(effect, p, Tie.read(p.tie)))
+            elif p.fixed is not None and (
+                p.name in effect.quoted or (MASS in model and _is_force_coefficient(effect, p))
+            ):
+                constraints.append(Constraint(effect, p, p.fixed))
+    waiting = [r for r in constraints if not r.quoted]
+    ordered: list[Constraint] = []
     while waiting:
         names = {(r.effect.name, r.parameter.name) for r in waiting}
-        ready = [r for r in waiting if not isinstance(r.told, Tie) or (r.told.effect, r.told.parameter) not in names]
+        ready = [r for r in waiting if not isinstance(r.value, Tie) or (r.value.effect, r.value.parameter) not in names]
         if not ready:
             raise FrictrackError("expected ties that end at a free parameter but got a circle", usage=True)
         ordered += ready
         waiting = [r for r in waiting if r not in ready]
-    return (*ordered, *(r for r in rules if r.quoted))
+    return (*ordered, *(r for r in constraints if r.quoted))
 
 
-def follow(model: Model, rules: tuple[Rule, ...], values: Values) -> None:
-    """Fill in what the rules say, in place."""
+def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values: Values) -> None:
+    """Fill in what the constraints say, in place."""
     q = unit_of_mass(values)
-    for rule in rules:
-        told = rule.told
-        wanted = told.factor * quoted(model, values, told.effect, told.parameter) if isinstance(told, Tie) else told
-        name = rule.parameter.name
-        if rule.quoted:
-            wanted = _sought(model, rule, wanted, values)
-        values[rule.effect.name][name] = wanted * q if _is_force(rule.effect, rule.parameter) else wanted
+    for constraint in constraints:
+        known = constraint.value
+        wanted = (
+            known.factor * quoted_value(model, values, known.effect, known.parameter)
+            if isinstance(known, Tie)
+            else known
+        )
+        name = constraint.parameter.name
+        if constraint.quoted:
+            wanted = _internal_value(model, constraint, wanted, values)
+        values[constraint.effect.name][name] = (
+            wanted * q if _is_force_coefficient(constraint.effect, constraint.parameter) else wanted
+        )
 
 
-def quoted(model: Model, values: Values, effect: str, parameter: str) -> Any:
+def quoted_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
     """The value of a parameter as it is quoted."""
     of = next(e for e in model.effects if e.name == effect)
     if parameter in of.quoted and of.quote is not None:
-        own, flat = _plain(model, values, of)
+        own, flat = _values_in_newtons(model, values, of)
         return of.quote(own, flat)[parameter]
-    q = unit_of_mass(values) if _is_force(of, of.parameter(parameter)) else 1.0
+    q = unit_of_mass(values) if _is_force_coefficient(of, of.parameter(parameter)) else 1.0
     return values[effect][parameter] / q
 
 
@@ -83,11 +91,11 @@ def unit_of_mass(values: Mapping[str, Mapping[str, Any]]) -> Any:
     return 1.0 + values[MASS]["m"] if "m" in values.get(MASS, {}) else 1.0
 
 
-def _plain(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any], dict[str, Any]]:
+def _values_in_newtons(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any], dict[str, Any]]:
     """Values of one effect and of all, by address, forces in newtons."""
     q = unit_of_mass(values)
     flat = {
-        f"{e.name}.{p.name}": values[e.name][p.name] / (q if _is_force(e, p) else 1.0)
+        f"{e.name}.{p.name}": values[e.name][p.name] / (q if _is_force_coefficient(e, p) else 1.0)
         for e in model.effects
         for p in e.parameters
         if p.name in values[e.name]
@@ -95,16 +103,18 @@ def _plain(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any]
     return {p.name: flat[f"{effect.name}.{p.name}"] for p in effect.parameters if p.name in values[effect.name]}, flat
 
 
-def _is_force(effect: Effect, p: Parameter) -> bool:
+def _is_force_coefficient(effect: Effect, p: Parameter) -> bool:
     return p.linear and effect.acts_on == "force" and effect.name != MASS
 
 
-def _sought(model: Model, rule: Rule, wanted: Any, values: Values) -> Any:
+def _internal_value(model: Model, constraint: Constraint, wanted: Any, values: Values) -> Any:
     """What must be sought so that the parameter is quoted as `wanted`: quotes are straight lines or reciprocals."""
-    name, quote = rule.parameter.name, rule.effect.quote
+    name, quote = constraint.parameter.name, constraint.effect.quote
     assert quote is not None
-    own, flat = _plain(model, values, rule.effect)
-    one, two, three = (quote(own | {name: u}, flat | {f"{rule.effect.name}.{name}": u})[name] for u in (1.0, 2.0, 3.0))
+    own, flat = _values_in_newtons(model, values, constraint.effect)
+    one, two, three = (
+        quote(own | {name: u}, flat | {f"{constraint.effect.name}.{name}": u})[name] for u in (1.0, 2.0, 3.0)
+    )
     if np.allclose(three - two, two - one, rtol=1e-9):
         return 1.0 + (wanted - one) / (two - one)
     return one / wanted

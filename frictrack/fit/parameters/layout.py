@@ -10,12 +10,12 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.effects.settings import Tie
-from frictrack.fit.parameters.constraints import MASS, Rule, follow, quoted, rules_of
+from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, quoted_value
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
-MIN_RUNS = 4  # fewer cannot tell how levels scatter: theirs are free about a mean of one
+MIN_RUNS_FOR_SCATTER = 4  # fewer cannot tell how levels scatter: theirs are free about a mean of one
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParameterLayout:
     """The unknowns of a model over some runs.
 
-    `fixed` holds values that are known; `rules` say what follows from unknowns (ties). `led` are the places of unknowns
+    `fixed` holds values that are known; `constraints` say what follows from unknowns (ties). `leaders` are the places of unknowns
     that others follow: the law answers them with more than their own columns.
     `absent` holds pairs (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
     """
@@ -62,38 +62,38 @@ class Layout:
     levels_free: bool = False  # hold neither the levels' spread nor their mean (a run predicted by the others)
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
-    rules: tuple[Rule, ...] = field(init=False)
-    led: frozenset[int] = field(init=False)
+    constraints: tuple[Constraint, ...] = field(init=False)
+    leaders: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", _told(self.model, self.span))
+        object.__setattr__(self, "model", _with_known_values(self.model, self.span))
         slots: list[Slot] = []
         fixed: dict[tuple[str, str], float] = {}
         for effect in self.model.effects:
             for p in effect.parameters:
-                held = told(p, self.span)
+                held = known_value(p, self.span)
                 if held is not None:
                     fixed[effect.name, p.name] = held
                 if held is not None or p.tie is not None:
                     continue
                 for run in self._runs_of(effect, p.per_run):
-                    bounds = reach(p, self.span if run is None else self.spans[run])
+                    bounds = search_bounds(p, self.span if run is None else self.spans[run])
                     slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
         if len(self.run_names) > 1 and self.scales:
             slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
         object.__setattr__(self, "slots", tuple(slots))
         object.__setattr__(self, "fixed", fixed)
-        object.__setattr__(self, "rules", rules_of(self.model))
-        object.__setattr__(self, "led", frozenset(self._leaders()))
+        object.__setattr__(self, "constraints", constraints_of(self.model))
+        object.__setattr__(self, "leaders", frozenset(self._leaders()))
 
     def _leaders(self) -> list[int]:
         """Places of the unknowns that others follow."""
         targets, whole = set(), False
-        for rule in self.rules:
-            whole = whole or rule.quoted
-            if isinstance(rule.told, Tie):
-                targets.add((rule.told.effect, rule.told.parameter))
-        scaled = any(not isinstance(r.told, Tie) for r in self.rules)
+        for constraint in self.constraints:
+            whole = whole or constraint.quoted
+            if isinstance(constraint.value, Tie):
+                targets.add((constraint.value.effect, constraint.value.parameter))
+        scaled = any(not isinstance(r.value, Tie) for r in self.constraints)
         return [
             i
             for i, s in enumerate(self.slots)
@@ -108,7 +108,7 @@ class Layout:
     @property
     def span(self) -> Span:
         """How far all runs reach together."""
-        return together(self.spans)
+        return common_span(self.spans)
 
     @property
     def scales(self) -> bool:
@@ -162,7 +162,7 @@ class Layout:
         for e in self.model.effects:  # a cause that this run does not show
             if (e.name, run) in self.absent:
                 out[e.name] |= {q.name: 0.0 if q.linear else 1.0 for q in e.parameters if q.per_run}
-        follow(self.model, self.rules, out)
+        apply_constraints(self.model, self.constraints, out)
         return out, level
 
     def quoted(self, p: Array) -> dict[str, float]:
@@ -178,7 +178,7 @@ class Layout:
         curved = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
         each = [self.values(p, run)[0] for run in range(len(self.run_names))] if curved else []
         for e, r in curved:
-            found = [quoted(self.model, values, e.name, r.name) for values in each]
+            found = [quoted_value(self.model, values, e.name, r.name) for values in each]
             if self.own(e, r):
                 there = [run for run in self._runs_of(e, True) if run is not None]
                 out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in there}
@@ -231,21 +231,27 @@ class Layout:
         raise KeyError((effect, parameter, run))
 
 
-def _told(model: Model, span: Span) -> Model:
+def _with_known_values(model: Model, span: Span) -> Model:
     """The model with those parameters fixed that the runs tell."""
     known = [
-        e.adjusted(**{p.name: {"fixed": told(p, span)} for p in e.parameters if p.free and told(p, span) is not None})
+        e.adjusted(
+            **{
+                p.name: {"fixed": known_value(p, span)}
+                for p in e.parameters
+                if p.free and known_value(p, span) is not None
+            }
+        )
         for e in model.effects
     ]
     return replace(model, effects=tuple(known))
 
 
-def told(p: Parameter, span: Span) -> float | None:
+def known_value(p: Parameter, span: Span) -> float | None:
     """The value of a parameter that is fixed, or that the runs tell; None where it is free."""
     return p.fixed if p.fixed is not None or p.known is None else p.known(span)
 
 
-def reach(p: Parameter, span: Span) -> tuple[float, float]:
+def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
     """Bounds of a parameter for these runs: its own, and where it has none, one step beyond its scan."""
     low, high = p.bounds
     if p.scan is None:
@@ -258,7 +264,7 @@ def reach(p: Parameter, span: Span) -> tuple[float, float]:
     return low, high
 
 
-def together(spans: Sequence[Span]) -> Span:
+def common_span(spans: Sequence[Span]) -> Span:
     """The span of several runs."""
     return Span(
         duration=max(s.duration for s in spans),
@@ -272,7 +278,7 @@ def together(spans: Sequence[Span]) -> Span:
     )
 
 
-def settle(layout: Layout, p: Array) -> Array:
+def canonical_form(layout: ParameterLayout, p: Array) -> Array:
     """The same law in its plain form: amplitudes positive, phases between -pi and pi.
 
     What others follow, and a phase between narrower bounds, stays as it is.
@@ -280,8 +286,10 @@ def settle(layout: Layout, p: Array) -> Array:
     p = np.array(p, dtype=float)
     for effect in layout.model.effects:
         phases = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) == "phase"]
-        sizes = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _SIZES]
-        if layout.led & {*phases, *sizes} or any(np.ptp(layout.slots[i].bounds) < 2 * np.pi - 1e-9 for i in phases):
+        sizes = [
+            i for i, s in enumerate(layout.slots) if s.effect == effect.name and _role(effect, s) in _AMPLITUDE_ROLES
+        ]
+        if layout.leaders & {*phases, *sizes} or any(np.ptp(layout.slots[i].bounds) < 2 * np.pi - 1e-9 for i in phases):
             continue
         if phases and len(sizes) == 1 and p[sizes[0]] < 0:
             p[sizes[0]] *= -1
@@ -294,7 +302,7 @@ def settle(layout: Layout, p: Array) -> Array:
     return p
 
 
-def balanced(layout: Layout, p: Array) -> Array:
+def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     """The same law with levels about one: their common factor is given to the coefficients that carry the load.
 
     The factor is the one that brings the levels closest to one, or their mean where too few runs leave only that held;
@@ -303,7 +311,7 @@ def balanced(layout: Layout, p: Array) -> Array:
     levels = layout.levels
     if not levels or layout.levels_free or layout.anchored:
         return p
-    few = len(levels) < MIN_RUNS
+    few = len(levels) < MIN_RUNS_FOR_SCATTER
     factor = float(np.mean(p[levels])) if few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
     p = np.array(p)
     p[levels] /= factor
@@ -317,7 +325,7 @@ def balanced(layout: Layout, p: Array) -> Array:
     return p
 
 
-_SIZES = ("amplitude", "depth")
+_AMPLITUDE_ROLES = ("amplitude", "depth")
 
 
 def _role(effect: Effect, slot: Slot) -> str:

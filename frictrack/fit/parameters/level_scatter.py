@@ -13,14 +13,14 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from frictrack.fit.parameters.constraints import MASS
-from frictrack.fit.parameters.layout import MIN_RUNS, Layout
+from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.records import Array
 
-TAU = (1e-4, 0.5)  # where the relative spread of the level is looked for
+SCATTER_BOUNDS = (1e-4, 0.5)  # where the relative spread of the level is looked for
 
 
 @dataclass(frozen=True)
-class Basis:
+class JacobianBasis:
     """A linearised model J (N, P): its orthonormal basis and the prior on the friction levels in it.
 
     Directions that the data do not see at all are dropped, the levels following along them. `prior` is the level rows
@@ -58,12 +58,12 @@ class Basis:
             tau = float(np.exp(log_tau))
             return float(self.misfit(on_basis[:, None], np.array([total]), tau)[0]) + self.logdet(tau)
 
-        low, high = (float(np.log(tau)) for tau in TAU)
+        low, high = (float(np.log(tau)) for tau in SCATTER_BOUNDS)
         found = minimize_scalar(objective, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
         return float(np.exp(found.x))
 
 
-def basis_of(jac: Array, levels: list[int], known: Array | None = None) -> Basis:
+def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) -> JacobianBasis:
     """Orthonormal basis of a whitened Jacobian (N, P) whose columns `levels` are friction levels.
 
     `known` (m, P) are the rows of parameters' priors.
@@ -73,16 +73,16 @@ def basis_of(jac: Array, levels: list[int], known: Array | None = None) -> Basis
     u, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
     keep = s > 1e-9 * s[0]
     back = vt[keep].T / s[keep] / norm[:, None]  # unknowns per unit of basis coordinate
-    random = len(levels) >= MIN_RUNS
+    random = len(levels) >= MIN_RUNS_FOR_SCATTER
     seen, unseen = back[levels], (vt[~keep].T / norm[:, None])[levels]
     if not random and levels:
         seen, unseen = seen.mean(axis=0, keepdims=True), unseen.mean(axis=0, keepdims=True)
-    seen, gone = _followed(seen, unseen)
+    seen, gone = _levels_near_one(seen, unseen)
     held = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
-    return Basis(u[:, keep], seen.T @ seen, len(levels) - gone, random, held)
+    return JacobianBasis(u[:, keep], seen.T @ seen, len(levels) - gone, random, held)
 
 
-def _followed(seen: Array, unseen: Array) -> tuple[Array, int]:
+def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
     """Levels per unit of the basis (m, P') where directions that no data see bring them as near to one as they can.
 
     `unseen` (m, d) are levels per unit of such directions: all levels up and Coulomb friction down is one. Also how
@@ -93,7 +93,7 @@ def _followed(seen: Array, unseen: Array) -> tuple[Array, int]:
     return seen - taken @ (taken.T @ seen), taken.shape[1]
 
 
-def restraint_rows(layout: Layout, tau: float, p: Array | None = None) -> Array:
+def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None) -> Array:
     """Rows (m, P) of what is known beside the runs: the levels about one, then the priors of parameters.
 
     Each level to within tau, or their mean when there are too few runs. `p` (P,) is where priors are linearised, which
@@ -105,29 +105,29 @@ def restraint_rows(layout: Layout, tau: float, p: Array | None = None) -> Array:
     if layout.levels_free or not levels:
         held = pick[:0]
     else:
-        held = pick / tau if len(levels) >= MIN_RUNS else pick.mean(axis=0, keepdims=True) * 1e4
-    return np.vstack([held, prior_rows(layout, p)])
+        held = pick / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else pick.mean(axis=0, keepdims=True) * 1e4
+    return np.vstack([held, prior_jacobian(layout, p)])
 
 
-def restraint(layout: Layout, p: Array, tau: float) -> Array:
-    """Departure of the unknowns p (P,) from what is known beside the runs, as `restraint_rows` weighs it, (m,)."""
+def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:
+    """Departure of the unknowns p (P,) from what is known beside the runs, as `penalty_jacobian` weighs it, (m,)."""
     at_one = np.array(p)
     at_one[layout.levels] = 1.0
     count = len(layout.priors)
-    levels = restraint_rows(layout, tau, p) @ (p - at_one)
-    return np.concatenate([levels[: len(levels) - count], prior_departure(layout, p)])
+    levels = penalty_jacobian(layout, tau, p) @ (p - at_one)
+    return np.concatenate([levels[: len(levels) - count], prior_residual(layout, p)])
 
 
-def prior_departure(layout: Layout, p: Array) -> Array:
+def prior_residual(layout: ParameterLayout, p: Array) -> Array:
     """Departure of every parameter that has a prior from its mean, in standard deviations, (m,)."""
     if not layout.priors:
         return np.empty(0)
     shown = layout.quoted(p)
-    return np.array([(_nearest(shown[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
+    return np.array([(_wrapped(shown[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
 
 
-def prior_rows(layout: Layout, p: Array | None = None) -> Array:
-    """Derivative of `prior_departure` in the unknowns, (m, P)."""
+def prior_jacobian(layout: ParameterLayout, p: Array | None = None) -> Array:
+    """Derivative of `prior_residual` in the unknowns, (m, P)."""
     rows = np.zeros((len(layout.priors), len(layout.slots)))
     curved = [q for q in layout.priors if q.slot is None]
     for row, q in zip(rows, layout.priors, strict=True):
@@ -135,37 +135,37 @@ def prior_rows(layout: Layout, p: Array | None = None) -> Array:
             row[q.slot] = 1 / q.std
     if curved:
         which = [i for i, q in enumerate(layout.priors) if q.slot is None]
-        rows[which] = _differences(layout, _anywhere(layout) if p is None else p)[which]
+        rows[which] = _differences(layout, _regular_point(layout) if p is None else p)[which]
     return rows
 
 
-def _anywhere(layout: Layout) -> Array:
+def _regular_point(layout: ParameterLayout) -> Array:
     """Unknowns (P,) at which no quotient vanishes, the mass as it is counted."""
     return np.array([0.0 if s.effect == MASS else 1.0 for s in layout.slots])
 
 
-def _differences(layout: Layout, p: Array) -> Array:
-    base = prior_departure(layout, p)
+def _differences(layout: ParameterLayout, p: Array) -> Array:
+    base = prior_residual(layout, p)
     out = np.zeros((len(base), len(p)))
     for i in range(len(p)):
         step = np.zeros(len(p))
         step[i] = 1e-6 * max(abs(p[i]), 1e-3)
-        out[:, i] = (prior_departure(layout, p + step) - base) / step[i]
+        out[:, i] = (prior_residual(layout, p + step) - base) / step[i]
     return out
 
 
-def prior_misfit(layout: Layout, points: Array) -> Array:
+def prior_misfit(layout: ParameterLayout, points: Array) -> Array:
     """Sum of squared departures from priors of a population of unknowns (n, P), shape (n,)."""
     total = np.zeros(len(points))
     for q in layout.priors:
         if q.slot is not None:
-            total += (_nearest(points[:, q.slot] - q.mean, q.phase) / q.std) ** 2
+            total += (_wrapped(points[:, q.slot] - q.mean, q.phase) / q.std) ** 2
     if any(q.slot is None for q in layout.priors):
         curved = np.array([q.slot is None for q in layout.priors])
-        total += np.array([np.sum(prior_departure(layout, p)[curved] ** 2) for p in points])
+        total += np.array([np.sum(prior_residual(layout, p)[curved] ** 2) for p in points])
     return total
 
 
-def _nearest(departure: Any, phase: bool) -> Any:
+def _wrapped(departure: Any, phase: bool) -> Any:
     """A departure, that of a phase the short way round."""
     return (departure + np.pi) % (2 * np.pi) - np.pi if phase else departure

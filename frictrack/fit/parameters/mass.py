@@ -19,11 +19,11 @@ from frictrack.effects import Effect, Parameter, Path
 from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
 from frictrack.fit.parameters.constraints import MASS
-from frictrack.fit.parameters.layout import Layout
+from frictrack.fit.parameters.layout import ParameterLayout
 from frictrack.models import Model
 from frictrack.records import Array, Run
 
-HEAVIEST = 1e-6  # q at the heaviest mass that is looked for
+MIN_MASS_RATIO = 1e-6  # q at the heaviest mass that is looked for
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -35,13 +35,13 @@ MASS_EFFECT = Effect(
     name=MASS,
     acts_on="force",
     equation="",
-    parameters=(Parameter("m", "kg", (HEAVIEST - 1.0, np.inf), linear=True),),
+    parameters=(Parameter("m", "kg", (MIN_MASS_RATIO - 1.0, np.inf), linear=True),),
     columns=columns,
     what="The mass that slides, where it was not weighed but the drive was measured.",
 )
 
 
-def is_sought(runs: Sequence[Run]) -> bool:
+def is_mass_unknown(runs: Sequence[Run]) -> bool:
     """Whether the mass of these runs is to be fitted.
 
     Raises FrictrackError when that cannot be: no measured drive, or only some runs were weighed.
@@ -77,18 +77,18 @@ def with_mass(model: Model) -> Model:
     return Model((*model.effects, MASS_EFFECT))
 
 
-def friction_law(model: Model) -> Model:
+def without_mass(model: Model) -> Model:
     """The law without its mass."""
     return Model(tuple(e for e in model.effects if e.name != MASS))
 
 
-def ratio(layout: Layout, p: Array) -> float:
+def mass_ratio(layout: ParameterLayout, p: Array) -> float:
     """Unit of mass over the mass, q, for unknowns p (P,); 1 where the mass is known."""
     found = [i for i, s in enumerate(layout.slots) if s.effect == MASS]
     return 1.0 + float(p[found[0]]) if found else 1.0
 
 
-def rescaled(layout: Layout, p: Array, q: float) -> Array:
+def rescale_to_mass(layout: ParameterLayout, p: Array, q: float) -> Array:
     """Unknowns p (P,) of the same law once the mass is counted in units q times smaller."""
     out = np.array(p, dtype=float)
     forces = {e.name for e in layout.model.effects if e.acts_on == "force"}
@@ -100,6 +100,6 @@ def rescaled(layout: Layout, p: Array, q: float) -> Array:
     return out
 
 
-def weighed(run: Run, mass: float) -> Run:
+def with_fitted_mass(run: Run, mass: float) -> Run:
     """The run with the fitted mass, where it had none."""
     return run if run.mass is not None or run.drive is None else replace(run, mass=mass)

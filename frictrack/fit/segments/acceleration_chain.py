@@ -19,7 +19,7 @@ from frictrack.records import Array, Mask, Run
 
 
 @dataclass(frozen=True)
-class Chain:
+class AccelerationChain:
     """Low-pass and double difference of one piece: a linear map from its n frames to m accelerations, m/s^2.
 
     The frames within the run's guard of either end are smoothed but not compared.
@@ -45,13 +45,13 @@ class Chain:
         out: Array = (self.weight[:, None] * self.factor.answer(self.second.T @ columns))[self.rows]
         return out
 
-    def only(self, rows: Mask) -> Chain:
+    def only(self, rows: Mask) -> AccelerationChain:
         """The same chain, compared only at the marked frames (n,) of the piece."""
         use = rows[self.kept]
         return replace(self, second=self.second[use], sigma_a=self.sigma_a[use], kept=self.kept[use])
 
 
-def chain_of(run: Run, piece: Piece) -> Chain:
+def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
     """The chain of one piece at the cut-off of its run."""
     grid = frame_grid(piece.t)
     n, m = len(piece.t), run.motion.guard
@@ -67,14 +67,14 @@ def chain_of(run: Run, piece: Piece) -> Chain:
     second = csr_array(
         (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
     )
-    return Chain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
+    return AccelerationChain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
 
 
-def noise_of(chains: Sequence[Chain]) -> float:
+def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:
     """Root mean square noise of all compared accelerations, m/s^2."""
     return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
 
 
-def chains_of(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[Chain]:
+def acceleration_chains(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[AccelerationChain]:
     """The chains of all pieces."""
-    return [chain_of(runs[piece.run], piece) for piece in pieces]
+    return [acceleration_chain(runs[piece.run], piece) for piece in pieces]

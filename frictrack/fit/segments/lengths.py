@@ -10,7 +10,7 @@ covariance of its coefficients is at most about
 since what a segment holds beyond the noise may all point along a coefficient (Cauchy-Schwarz; it is the usual
 sandwich with every residual in the worst place). The length of the smallest determinant is taken: without an
 excess the whole run, otherwise the one that balances what is forgotten with what is not modelled. A long record that is
-followed through its reversals is cut into segments of `TURNING` frames, each with its memory of the motion before.
+followed through its reversals is cut into segments of `REVERSAL_SEGMENT_FRAMES` frames, each with its memory of the motion before.
 """
 
 from __future__ import annotations
@@ -27,12 +27,16 @@ from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run
 
-SHORTEST = 2 * MIN_FRAMES  # frames: shorter ones spend a quarter of what they hold on their start
-EXCESS = 2.33  # standard deviations of chi-squared, 1 %
-SEEN = 1e-6  # of the largest singular value, below which a direction of the law is left out
-TURNING = 512  # frames per segment of a long record that is followed through its reversals: the price grows faster
-UNKNOWN = 100  # first frames of one that began before: what a law remembers there is not known, they only tell it
-QUARTERS = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter is held
+MIN_SEGMENT_FRAMES = 2 * MIN_FRAMES  # frames: shorter ones spend a quarter of what they hold on their start
+EXCESS_STD = 2.33  # standard deviations of chi-squared, 1 %
+MIN_SINGULAR_VALUE = 1e-6  # of the largest singular value, below which a direction of the law is left out
+REVERSAL_SEGMENT_FRAMES = (
+    512  # frames per segment of a long record that is followed through its reversals: the price grows faster
+)
+MIN_HISTORY_FRAMES = (
+    100  # first frames of one that began before: what a law remembers there is not known, they only tell it
+)
+SCAN_QUANTILES = (0.25, 0.5, 0.75)  # of a scan, at which a non-linear parameter is held
 
 
 def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
@@ -41,82 +45,84 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
     if any(p.slack for p in sections):  # only the loss over many swings tells the friction of a mass that swings
         return 0
     if any(p.turns for p in sections):
-        return TURNING if whole > 2 * TURNING else 0
+        return REVERSAL_SEGMENT_FRAMES if whole > 2 * REVERSAL_SEGMENT_FRAMES else 0
     if run.drive is None:
         return 0
-    ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= SHORTEST)]
-    if len(ladder) == 1 or not any(_is_plain(e) for e in model.effects):
+    ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= MIN_SEGMENT_FRAMES)]
+    if len(ladder) == 1 or not any(_is_known_before_fit(e) for e in model.effects):
         return 0
-    rows = [_compared(model, p) for p in sections]
-    keep = _directions(rows, sections)
+    rows = [_linear_model(model, p) for p in sections]
+    keep = _distinguishable_directions(rows, sections)
     doubt = float(noise_level(run.displacement.x, run.displacement.valid)[1])
-    merits = [_merit([(c @ keep, y) for c, y in rows], sections, n, doubt) for n in ladder]
+    merits = [_log_covariance([(c @ keep, y) for c, y in rows], sections, n, doubt) for n in ladder]
     return ladder[int(np.argmin(merits))]
 
 
-def divided(sections: Sequence[Piece], n: int) -> list[Piece]:
+def cut_into_segments(sections: Sequence[Piece], n: int) -> list[Piece]:
     """Stretches cut into segments of about n frames; n = 0 leaves them as they are."""
     if not n:
         return list(sections)
     out = []
     for piece in sections:
-        first = UNKNOWN if piece.turns and not piece.slack and _is_unknown(piece) else 0
-        cuts = [c + first for c in _cuts(len(piece.t) - first, n)]
+        first = MIN_HISTORY_FRAMES if piece.turns and not piece.slack and _history_is_unknown(piece) else 0
+        cuts = [c + first for c in _cut_rows(len(piece.t) - first, n)]
         out += [replace(piece.part(int(c[0]), int(c[-1]) + 1), cut=True) for c in cuts]
     return out
 
 
-def knows_its_past(piece: Piece) -> bool:
+def has_known_history(piece: Piece) -> bool:
     """Whether a piece begins at rest, or after enough of the motion to tell what a law with memory has kept of it."""
     before = piece.path.before
-    return bool(piece.path.s[0] == 0 or (before is not None and before.shape[1] >= UNKNOWN))
+    return bool(piece.path.s[0] == 0 or (before is not None and before.shape[1] >= MIN_HISTORY_FRAMES))
 
 
-def _is_unknown(piece: Piece) -> bool:
+def _history_is_unknown(piece: Piece) -> bool:
     """Whether nothing is known of the motion before a piece that moves from its first frame on."""
     before = piece.path.before
     return bool(piece.path.s[0] != 0 and (before is None or before.shape[1] < 2))
 
 
-def _cuts(frames: int, n: int) -> list[Rows]:
+def _cut_rows(frames: int, n: int) -> list[Rows]:
     return np.array_split(np.arange(frames), max(1, round(frames / n)) if n else 1)
 
 
-def _compared(model: Model, piece: Piece) -> tuple[Array, Array]:
+def _linear_model(model: Model, piece: Piece) -> tuple[Array, Array]:
     """Displacement (n, K) per unit coefficient and measured displacement (n,) less the known one, in units of sigma."""
-    nodes = piece.along(piece.x_hat, piece.v_hat, 1.0)
+    nodes = piece.path_at_nodes(piece.x_hat, piece.v_hat, 1.0)
     span = spans_of([replace(piece, run=0)], 1, 1 / float(np.median(np.diff(piece.t))))[0]
-    forces = [e.columns(nodes, held) for e in model.effects if _is_plain(e) for held in _held(e, span)]
+    forces = [
+        e.columns(nodes, held) for e in model.effects if _is_known_before_fit(e) for held in _held_values(e, span)
+    ]
     inputs = np.column_stack([*forces, piece.known])
     twice = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
     white = piece.whitened(np.column_stack([twice[:, :-1] / piece.mass, piece.y - twice[:, -1]]))
     return white[:, :-1], white[:, -1]
 
 
-def _is_plain(effect: Effect) -> bool:
+def _is_known_before_fit(effect: Effect) -> bool:
     """Whether an effect is known well enough along the measured motion before it is fitted."""
     return effect.acts_on == "force" and not effect.modifies and not any(p.role == "phase" for p in effect.parameters)
 
 
-def _held(effect: Effect, span: Span) -> list[dict[str, float]]:
+def _held_values(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Values of the non-linear parameters: the fixed ones, and others at the quarters of their scan."""
     each = [
-        [p.fixed] if p.fixed is not None else list(np.quantile(p.scan(span), QUARTERS)) if p.scan else [0.0]
+        [p.fixed] if p.fixed is not None else list(np.quantile(p.scan(span), SCAN_QUANTILES)) if p.scan else [0.0]
         for p in effect.nonlinear
     ]
     return [dict(zip((p.name for p in effect.nonlinear), point, strict=True)) for point in product(*each)]
 
 
-def _directions(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece]) -> Array:
+def _distinguishable_directions(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece]) -> Array:
     """Combinations of the coefficients (K, K') that the run can tell apart."""
-    jac = np.concatenate([_unstarted(c, p, np.arange(len(p.t))) for (c, _), p in zip(rows, sections, strict=True)])
+    jac = np.concatenate([_without_start(c, p, np.arange(len(p.t))) for (c, _), p in zip(rows, sections, strict=True)])
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
-    return np.asarray(vt[s > SEEN * s[0]].T / norm[:, None])
+    return np.asarray(vt[s > MIN_SINGULAR_VALUE * s[0]].T / norm[:, None])
 
 
-def _unstarted(columns: Array, piece: Piece, rows: Rows) -> Array:
+def _without_start(columns: Array, piece: Piece, rows: Rows) -> Array:
     """Rows of columns without what a start position and speed explain."""
     t = piece.t - piece.t[rows].mean()
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(t), t]))[rows])
@@ -124,12 +130,12 @@ def _unstarted(columns: Array, piece: Piece, rows: Rows) -> Array:
     return np.asarray(taken - q @ (q.T @ taken))
 
 
-def _merit(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: int, doubt: float) -> float:
+def _log_covariance(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: int, doubt: float) -> float:
     """Logarithm of the determinant of the law's covariance with segments of n frames."""
     blocks = [
-        _unstarted(np.column_stack([c, y]), piece, cut)
+        _without_start(np.column_stack([c, y]), piece, cut)
         for (c, y), piece in zip(rows, sections, strict=True)
-        for cut in _cuts(len(piece.t), n)
+        for cut in _cut_rows(len(piece.t), n)
     ]
     gram = np.sum([b.T @ b for b in blocks], axis=0)
     # chi-squared from a triangular factor: normal equations would lose it beside a displacement of many sigma
@@ -137,10 +143,10 @@ def _merit(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: in
     k = len(gram) - 1
     chi2, frames = float(upper[k, k] ** 2), sum(len(b) for b in blocks)
     _, information = np.linalg.slogdet(gram[:k, :k])
-    return k * float(np.log1p(excess(chi2, frames - 2 * len(blocks) - k, len(blocks), doubt))) - float(information)
+    return k * float(np.log1p(excess_chi2(chi2, frames - 2 * len(blocks) - k, len(blocks), doubt))) - float(information)
 
 
-def excess(chi2: float, degrees: int, segments: int, doubt: float) -> float:
+def excess_chi2(chi2: float, degrees: int, segments: int, doubt: float) -> float:
     """Significant excess of chi-squared per segment; `doubt` is the relative error of the noise."""
-    threshold = degrees + EXCESS * float(np.sqrt(2 * degrees + (2 * doubt * degrees) ** 2))
+    threshold = degrees + EXCESS_STD * float(np.sqrt(2 * degrees + (2 * doubt * degrees) ** 2))
     return max(chi2 - threshold, 0.0) / segments

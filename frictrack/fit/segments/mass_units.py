@@ -11,7 +11,7 @@ from frictrack.fit.segments.pieces import Piece
 from frictrack.records import Array
 
 
-def guessed(pieces: Sequence[Piece]) -> float:
+def guess_mass(pieces: Sequence[Piece]) -> float:
     """A first mass, kg: least squares of the smoothed acceleration on drive, direction and speed.
 
     `pieces` are held in units of any mass. Where drive and acceleration do not go together, their ratio by size.
@@ -29,7 +29,7 @@ def _drive(piece: Piece) -> Array:
     return np.zeros_like(piece.known) if piece.path.drive is None else piece.path.drive
 
 
-def in_units(piece: Piece, mass: float) -> Piece:
+def in_mass_units(piece: Piece, mass: float) -> Piece:
     """The same piece with its equation of motion in units of another mass."""
     drive = _drive(piece)
     known = piece.known - drive / piece.mass + drive / mass

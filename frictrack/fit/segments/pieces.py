@@ -14,8 +14,8 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from frictrack.effects import Path, Span
 from frictrack.effects.memory import headings
 from frictrack.errors import FrictrackError
-from frictrack.fit.segments.release import Begin, Reference, begin_of
-from frictrack.fit.segments.swings import joined
+from frictrack.fit.segments.release import Reference, RunContext, run_context
+from frictrack.fit.segments.swings import join_swings
 from frictrack.fit.segments.whitening import Whitening
 from frictrack.friction import free_section, is_moving, moving_sections
 from frictrack.motion import noise_level
@@ -90,7 +90,7 @@ class Piece:
         """Standard deviation of all noise at the frames (n,), m."""
         return np.hypot(self.sigma, self.correlated[0]) if self.correlated else self.sigma
 
-    def along(self, x: Array, v: Array, level: float) -> Path:
+    def path_at_nodes(self, x: Array, v: Array, level: float) -> Path:
         """The path at the nodes for a given motion and friction level."""
         s = self._direction(v) if self.turns else self.path.s
         return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
@@ -113,7 +113,7 @@ class Piece:
 
     def refined(self, per_frame: int) -> Piece:
         """The same piece with more panels per frame."""
-        edges, at = _cut_time(self.t, per_frame)
+        edges, at = _panel_edges(self.t, per_frame)
         panels = Panels(edges)
         old, new = self.panels.t, panels.t
         moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
@@ -159,7 +159,7 @@ class Piece:
         at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
         path = replace(
             self.path,
-            before=_until(self.way, self.t[start]),
+            before=_motion_until(self.way, self.t[start]),
             **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
             s=self._onward(low, high),
             **self._series(lambda q: q[nodes]),
@@ -191,10 +191,12 @@ class Piece:
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
 
-def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning: bool = False) -> list[Piece]:
+def pieces_of(
+    run: Run, index: int, free: Mask, reference: Reference, *, through_reversals: bool = False
+) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    Under a law that passes stops and reversals (`turning`), a run that has some, and a measured drive, is one piece. A
+    Under a law that passes stops and reversals (`through_reversals`), a run that has some, and a measured drive, is one piece. A
     mass that is to be fitted is counted in units of the reference.
     Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
     """
@@ -206,12 +208,12 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
     white = float(noise_level(disp.x, use, noise)[0])
     noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
-    begin = begin_of(run, reference)
+    begin = run_context(run, reference)
     sections = moving_sections(run)
-    if turning and run.drive is not None and _stops(sections):
-        return [_turning(run, index, noise, begin)]
+    if through_reversals and run.drive is not None and _stops_or_reverses(sections):
+        return [_through_reversals(run, index, noise, begin)]
     made = []
-    for section, slack in joined(run, sections):
+    for section, slack in join_swings(run, sections):
         rows = np.arange(len(disp))[section]
         rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
         if len(rows) >= MIN_FRAMES:
@@ -225,12 +227,12 @@ def pieces_of(run: Run, index: int, free: Mask, reference: Reference, *, turning
     return made
 
 
-def _stops(sections: Sequence[slice]) -> bool:
+def _stops_or_reverses(sections: Sequence[slice]) -> bool:
     """Whether a run that moves in these stretches stops or reverses, and moves on for more than a flicker."""
     return sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1
 
 
-def _turning(run: Run, index: int, noise: Array, begin: Begin) -> Piece:
+def _through_reversals(run: Run, index: int, noise: Array, begin: RunContext) -> Piece:
     """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
     disp = run.displacement
     use = disp.valid & np.isfinite(disp.x)
@@ -249,14 +251,14 @@ def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
     """
     if run.drive is not None:
         noise = relative_noise(run.displacement.sigma_x, run.displacement.valid)
-        return _turning(run, index, noise, begin_of(run, reference))
+        return _through_reversals(run, index, noise, run_context(run, reference))
     free, _ = free_section(run)
     rows = np.flatnonzero(free & np.isfinite(run.displacement.x))
     noise = relative_noise(run.displacement.sigma_x, free)
-    return _piece(run, index, rows, noise, begin_of(run, reference))
+    return _piece(run, index, rows, noise, run_context(run, reference))
 
 
-def _cut_time(t: Array, per_frame: int) -> tuple[Array, Rows]:
+def _panel_edges(t: Array, per_frame: int) -> tuple[Array, Rows]:
     """Edges of panels through the frame times t (n,), none longer than a frame, and which edge each frame is."""
     interval = np.diff(t)
     count = per_frame * np.maximum(1, np.rint(interval / np.median(interval)).astype(int))
@@ -284,15 +286,15 @@ def _at_times(series: Callable[[Array], Array] | None, by: float) -> Callable[[A
     return None if series is None else lambda t: series(t / by)
 
 
-def _until(way: Array, t: float) -> Array:
+def _motion_until(way: Array, t: float) -> Array:
     """The part of a motion (3, k) up to a time."""
     return way[:, : int(np.searchsorted(way[0], t, side="right"))]
 
 
-def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piece:
+def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: RunContext) -> Piece:
     mass = float(run.mass or begin.reference.mass)
     t = run.displacement.t[rows] - begin.release
-    edges, at = _cut_time(t, begin.per_frame)
+    edges, at = _panel_edges(t, begin.per_frame)
     panels = Panels(edges)
     nodes = panels.t
     motion = run.motion
@@ -317,7 +319,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: Begin) -> Piec
         path=path,
         mass=mass,
         way=begin.way,
-        angle=_read(times, begin.angle, t),
+        angle=_interpolated(times, begin.angle, t),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         step=run.displacement.resolution,
         shake=run.displacement.shake,
@@ -332,13 +334,13 @@ def _locked(run: Run, rows: Rows, noise: Array) -> float:
     return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
 
 
-def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
+def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: RunContext) -> Path:
     """What is known of a run along the nodes of one piece, whose motion is still to come."""
     motion = run.motion
     times = motion.t - begin.release
-    drive_at = None if run.drive is None else _held(CubicSpline(times, run.drive), times)
+    drive_at = None if run.drive is None else _held_values(CubicSpline(times, run.drive), times)
     still = np.zeros_like(nodes)
-    before = _until(begin.way, run.displacement.t[rows[0]] - begin.release)
+    before = _motion_until(begin.way, run.displacement.t[rows[0]] - begin.release)
     row = max(before.shape[1] - 1, 0)
     return Path(
         t=nodes,
@@ -353,7 +355,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
         drive_at=drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
         gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
-        angle=_read(times, begin.angle, nodes),
+        angle=_interpolated(times, begin.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,
         travelled=float(begin.slid[row]),
@@ -362,7 +364,7 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: Begin) -> Path:
     )
 
 
-def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
+def _held_values(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
     """A series that keeps its first and last value outside the times at which it is known."""
 
     def at(t: Array) -> Array:
@@ -371,7 +373,7 @@ def _held(series: Callable[[Array], Array], times: Array) -> Callable[[Array], A
     return at
 
 
-def _read(times: Array, series: Array | None, t: Array) -> Array | None:
+def _interpolated(times: Array, series: Array | None, t: Array) -> Array | None:
     return None if series is None else np.interp(t, times, series)
 
 

@@ -11,8 +11,8 @@ from frictrack.calibration.shake import above_noise
 from frictrack.friction import CERTAIN, MOVING, is_moving, release_time
 from frictrack.records import GRAVITY, Array, Run
 
-KNOWN = 0.5  # share of frames in which a series must be known to count
-RESTS = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
+MIN_KNOWN_SHARE = 0.5  # share of frames in which a series must be known to count
+MAX_REST_SPEED_SHARE = 0.1  # of the highest speed: a record that begins with certainly less begins at rest
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
 
 
 @dataclass(frozen=True)
-class Begin:
+class RunContext:
     """What the pieces of one run share: the reference, its release (s), and the smoothed motion since then."""
 
     reference: Reference
@@ -45,12 +45,14 @@ class Begin:
     angle: Array | None  # rad in every frame of the run, as far as it stands out of its noise
 
 
-def begin_of(run: Run, reference: Reference) -> Begin:
+def run_context(run: Run, reference: Reference) -> RunContext:
     """What the pieces of a run share."""
-    return Begin(reference, *_way(run), 1, _turned(run.motion.t, run.displacement.angle))
+    return RunContext(
+        reference, *_motion_since_release(run), 1, _significant_angle(run.motion.t, run.displacement.angle)
+    )
 
 
-def _way(run: Run) -> tuple[float, Array, Array]:
+def _motion_since_release(run: Run) -> tuple[float, Array, Array]:
     """Release, smoothed motion since then (3, k), and the distance slid, steps at rest left out (k,).
 
     A run that was seen to rest before begins with that rest: what remembers knows that nothing had moved.
@@ -58,7 +60,7 @@ def _way(run: Run) -> tuple[float, Array, Array]:
     release, motion = release_time(run), run.motion
     moves, since = is_moving(run), motion.t >= release
     way = np.stack([motion.t - release, motion.x, motion.v])
-    if rest := _rest(run):
+    if rest := _frames_at_rest(run):
         way[1:, :rest] = np.array([[np.mean(motion.x[:rest])], [0.0]])
         since[:rest] = True
     way = way[:, since]
@@ -69,7 +71,7 @@ def _way(run: Run) -> tuple[float, Array, Array]:
     return release, way, slid
 
 
-def _rest(run: Run) -> int:
+def _frames_at_rest(run: Run) -> int:
     """Frames at the beginning of a record in which a free mass rests; none where it slides from the first one.
 
     The first frame alone tells it where the smoothed motion, bent at its end, is never slow for certain. What a load
@@ -82,17 +84,21 @@ def _rest(run: Run) -> int:
     rows = still if len(still) else np.array([0])
     v, sigma = motion.v[rows], motion.sigma_v[rows]
     at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
-    return int(rows[-1]) + 1 if at_most < RESTS * float(np.max(np.abs(motion.v[certain]), initial=0.0)) else 0
+    return (
+        int(rows[-1]) + 1
+        if at_most < MAX_REST_SPEED_SHARE * float(np.max(np.abs(motion.v[certain]), initial=0.0))
+        else 0
+    )
 
 
-def _turned(times: Array, angle: Array) -> Array | None:
+def _significant_angle(times: Array, angle: Array) -> Array | None:
     """The angle of the target (n,) as far as it stands out of its noise, gaps bridged; None where most is unknown.
 
     One frame's pixels give place and angle together: with its noise the angle would follow that of the place. Where
     nothing stands out the target rests, at whatever angle: that is no angle at all.
     """
     known = np.isfinite(angle)
-    if np.mean(known) <= KNOWN:
+    if np.mean(known) <= MIN_KNOWN_SHARE:
         return None
     bridged = np.interp(times, times[known], angle[known])
     middle = float(np.mean(bridged))

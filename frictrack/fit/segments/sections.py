@@ -14,19 +14,22 @@ from frictrack.motion import CorrelatedNoise, correlated_noise
 from frictrack.records import Array, Run
 
 
-def sections_of(runs: Sequence[Run], reference: Reference, *, turning: bool) -> list[list[Piece]]:
+def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals: bool) -> list[list[Piece]]:
     """The stretches of every run that a law can be followed along: of one direction, unless it passes turns."""
-    sections = [pieces_of(run, i, free_section(run)[0], reference, turning=turning) for i, run in enumerate(runs)]
+    sections = [
+        pieces_of(run, i, free_section(run)[0], reference, through_reversals=through_reversals)
+        for i, run in enumerate(runs)
+    ]
     open_ = [not run.noise and not run.displacement.resolution for run in runs]  # neither stated nor that of a rounding
     even = [i for i, own in enumerate(open_) if own]
-    found = correlated_noise([_longest(sections[i]) for i in even])
+    found = correlated_noise([_longest_gapless(sections[i]) for i in even])
     if found is not None:
         for i, rms in zip(even, found.rms.tolist(), strict=True):
             sections[i] = [_correlated(p, found, rms) for p in sections[i]]
     return sections
 
 
-def _longest(section: Sequence[Piece]) -> Array:
+def _longest_gapless(section: Sequence[Piece]) -> Array:
     """The measured places of the longest stretch of a run without a missing frame."""
     parts = [part for p in section for part in np.split(p.y, np.flatnonzero(np.diff(p.frames) != 1) + 1)]
     return max(parts, key=len)

@@ -15,7 +15,7 @@ from frictrack.friction import reverses_freely
 from frictrack.records import Run
 
 
-def joined(run: Run, sections: Sequence[slice]) -> list[tuple[slice, float]]:
+def join_swings(run: Run, sections: Sequence[slice]) -> list[tuple[slice, float]]:
     """Join neighbouring stretches of a run across the reversals of a swing.
 
     Parameters

@@ -6,31 +6,38 @@
     state = Projected(along, along.data).refine(Projected(along, along.data).at(p), groups)     from a known start
 
 `displacement_block(piece)` and `chain_block(piece, chain, noise)` serve films in either domain.
-`search_of(along)(data)` searches other data (M,) along the same motion with the tables of the first.
+`variable_projection(along)(data)` searches other data (M,) along the same motion with the tables of the first.
 """
 
-from frictrack.fit.separable.blocks import Block, brief, chain_block, displacement_block, force_block, picked
-from frictrack.fit.separable.constrained import Tied, search_of
-from frictrack.fit.separable.model import Along
-from frictrack.fit.separable.newton import Projected, State
-from frictrack.fit.separable.population import Misfit, Reduced
+from frictrack.fit.separable.blocks import (
+    DataBlock,
+    chain_block,
+    displacement_block,
+    force_block,
+    path_at_compared,
+    rows_at_compared,
+)
+from frictrack.fit.separable.constrained import ConstrainedVariableProjection, variable_projection
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
 from frictrack.fit.separable.scan_tables import is_scannable
-from frictrack.fit.separable.varpro import Search
+from frictrack.fit.separable.varpro import VariableProjection
 
 __all__ = [
-    "Along",
-    "Block",
-    "Misfit",
-    "Projected",
-    "Reduced",
-    "Search",
-    "State",
-    "Tied",
-    "brief",
+    "ConstrainedVariableProjection",
+    "DataBlock",
+    "PopulationMisfit",
+    "ProjectedProblem",
+    "ReducedPopulationMisfit",
+    "SeparableModel",
+    "SeparableSolution",
+    "VariableProjection",
     "chain_block",
     "displacement_block",
     "force_block",
     "is_scannable",
-    "picked",
-    "search_of",
+    "path_at_compared",
+    "rows_at_compared",
+    "variable_projection",
 ]

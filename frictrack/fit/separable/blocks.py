@@ -15,20 +15,22 @@ from scipy.fft import dct
 from scipy.interpolate import CubicSpline
 
 from frictrack.effects import Path
-from frictrack.fit.segments import Chain, Piece
+from frictrack.fit.segments import AccelerationChain, Piece
 from frictrack.records import Array
 
-PASSED = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
-VISIBLE = 2.0  # times the cut-off: beyond, it leaves less than a sixtieth, too little to look for
-SPARSE = 2  # samples of a path for each that is compared, from which these are worth a path of their own
+PASSBAND_FACTOR = 3.2  # times the cut-off: beyond, the chain leaves less than a thousandth
+SCAN_BAND_FACTOR = 2.0  # times the cut-off: beyond, it leaves less than a sixtieth, too little to look for
+MIN_SAMPLES_PER_COMPARED = (
+    2  # samples of a path for each that is compared, from which these are worth a path of their own
+)
 Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class DataBlock:
     """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white with standard deviation one.
 
-    `path` at the n samples, `brief` at the compared ones alone where these are few: enough for what remembers nothing,
+    `path` at the n samples, `path_at_compared` at the compared ones alone where these are few: enough for what remembers nothing,
     whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the reference load; `rest`
     the part of the squared data that no force along the path changes; `highest` the frequency up to which lines are
     looked for, Hz.
@@ -42,13 +44,13 @@ class Block:
     friction: Array
     rest: float = 0.0
     highest: float = np.inf
-    brief: Path | None = None
+    compared_path: Path | None = None
 
 
-def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> Block:
+def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> DataBlock:
     """A force series: measured friction (n,) along a path, N, with its standard deviation; nothing in between."""
     weight = np.broadcast_to(1.0 / np.asarray(sigma, dtype=float), friction.shape)
-    return Block(
+    return DataBlock(
         run=run,
         path=path,
         data=friction * weight,
@@ -58,7 +60,7 @@ def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> 
     )
 
 
-def displacement_block(piece: Piece) -> Block:
+def displacement_block(piece: Piece) -> DataBlock:
     """Displacements of a piece, start position and speed removed."""
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
     twice = double_integral(piece.t)
@@ -69,7 +71,7 @@ def displacement_block(piece: Piece) -> Block:
         return clean
 
     known = np.interp(piece.t, piece.panels.t, piece.known)
-    return Block(
+    return DataBlock(
         run=piece.run,
         path=path_of(piece),
         data=picture(piece.y - twice(known)),
@@ -79,13 +81,13 @@ def displacement_block(piece: Piece) -> Block:
     )
 
 
-def chain_block(piece: Piece, chain: Chain, noise: float) -> Block:
+def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
     """Accelerations of a piece through the papers' chain, in units of `noise`.
 
     The force enters by its cosines as far as the chain lets them pass, so that the map is one small matrix.
     """
     t = piece.t
-    k = min(len(t), int(2 * (t[-1] - t[0]) * PASSED * chain.cutoff) + 8)
+    k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
     cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
     known = np.interp(t, piece.panels.t, piece.known)
     twice = CubicSpline(t, np.column_stack([cosines, known])).antiderivative(2)(t)
@@ -93,19 +95,19 @@ def chain_block(piece: Piece, chain: Chain, noise: float) -> Block:
     measured = chain.apply((piece.y - twice[:, k])[:, None])[:, 0] / noise
     data = basis.T @ measured
     through = -cosines @ response.T
-    return Block(
+    return DataBlock(
         run=piece.run,
         path=path_of(piece),
         data=data,
         forward=lambda rows: rows @ through,
-        picture=lambda rows: _each(rows, lambda x: chain.apply(x) / noise) @ basis,
+        picture=lambda rows: _map_rows(rows, lambda x: chain.apply(x) / noise) @ basis,
         friction=_friction(piece),
         rest=max(float(measured @ measured - data @ data), 0.0),
-        highest=VISIBLE * chain.cutoff,
+        highest=SCAN_BAND_FACTOR * chain.cutoff,
     )
 
 
-def picked(rows: Array, at: NDArray[np.int_]) -> Array:
+def rows_at_compared(rows: Array, at: NDArray[np.int_]) -> Array:
     """Rows (..., n) at the compared samples `at` (m,); those that hold these alone stay as they are.
 
     Examples
@@ -119,9 +121,9 @@ def picked(rows: Array, at: NDArray[np.int_]) -> Array:
     return rows if rows.shape[-1] == len(at) else rows[..., at]
 
 
-def brief(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
+def path_at_compared(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
     """The path of a motion x, v (n,) at the compared frames alone; None where they are most of its samples."""
-    if SPARSE * len(piece.at) > len(piece.path.t):
+    if MIN_SAMPLES_PER_COMPARED * len(piece.at) > len(piece.path.t):
         return None
     return piece.at_frames(x[piece.at], v[piece.at], level)
 
@@ -159,6 +161,6 @@ def _friction(piece: Piece) -> Array:
     return np.interp(piece.t, piece.panels.t, force)
 
 
-def _each(rows: Array, chain: Callable[[Array], Array]) -> Array:
+def _map_rows(rows: Array, chain: Callable[[Array], Array]) -> Array:
     flat = chain(rows.reshape(-1, rows.shape[-1]).T).T
     return flat.reshape(*rows.shape[:-1], -1)

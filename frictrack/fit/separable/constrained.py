@@ -15,94 +15,100 @@ from itertools import product
 import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
-from frictrack.fit.parameters import Layout, told
-from frictrack.fit.separable.model import Along
-from frictrack.fit.separable.newton import Projected, State
-from frictrack.fit.separable.relaxed import Relaxed
-from frictrack.fit.separable.varpro import Search
+from frictrack.fit.parameters import ParameterLayout, known_value
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.relaxed import RelaxedWaves
+from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
 
-PLACES = (3, 6, 8)  # steps from the end of the scan of what parts share: where waves are looked for
-VALUES = 10  # the last ones of that scan, at all of which slow waves are looked for
-STARTS = 4  # sets of waves that are tied, at most
-WORSE = 1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
-TRIALS = 5  # places of two slow waves that are followed down
-AGAIN = 8  # the same beside the best law
+SCAN_PLACES_FROM_END = (3, 6, 8)  # steps from the end of the scan of what parts share: where waves are looked for
+LAST_VALUES = 10  # the last ones of that scan, at all of which slow waves are looked for
+MAX_WAVE_SETS = 4  # sets of waves that are tied, at most
+MAX_RELAXED_MISFIT_RATIO = (
+    1.5  # times the misfit of the best tied law: a relaxed one beyond, although freer, has the wrong waves
+)
+MAX_SLOW_PLACES = 5  # places of two slow waves that are followed down
+MAX_SLOW_PLACES_AGAIN = 8  # the same beside the best law
 FIRST, LAST = 4, 30  # steps before a law may be given up, and in all
-FAR = 4.0  # times the best misfit: given up after the first steps
-ROUGHLY = 1e-4  # of the misfit that a step must promise while laws are compared
-SAME = 0.25  # periods in a run within which two waves are one
+MAX_MISFIT_RATIO = 4.0  # times the best misfit: given up after the first steps
+ROUGH_MIN_FALL = 1e-4  # of the misfit that a step must promise while laws are compared
+SAME_WAVE_PERIODS = 0.25  # periods in a run within which two waves are one
 
 
-def search_of(along: Along) -> Search | Tied:
+def variable_projection(separable: SeparableModel) -> VariableProjection | ConstrainedVariableProjection:
     """The search that finds a model's law along the measured motion."""
-    return Tied(along) if any(e.relaxed for e in along.layout.model.effects) else Search(along)
+    return (
+        ConstrainedVariableProjection(separable)
+        if any(e.relaxed for e in separable.layout.model.effects)
+        else VariableProjection(separable)
+    )
 
 
-class Tied:
+class ConstrainedVariableProjection:
     """The search for a law with a relaxed effect. Reused for many data sets, it keeps its tables."""
 
-    def __init__(self, along: Along, tau: float = 0.03) -> None:
-        self.along, self.tau = along, tau
-        self.effect = next(e for e in along.layout.model.effects if e.relaxed)
-        length = {r: sum(len(b.data) for b in along.blocks if b.run == r) for r in along.runs}
-        self.runs = sorted(along.runs, key=lambda r: -length[r])
-        self.single = {r: _alone(along, r, along.layout.model) for r in self.runs}
+    def __init__(self, separable: SeparableModel, tau: float = 0.03) -> None:
+        self.separable, self.tau = separable, tau
+        self.effect = next(e for e in separable.layout.model.effects if e.relaxed)
+        length = {r: sum(len(b.data) for b in separable.blocks if b.run == r) for r in separable.runs}
+        self.runs = sorted(separable.runs, key=lambda r: -length[r])
+        self.single = {r: _single_run(separable, r, separable.layout.model) for r in self.runs}
         first = self.single[self.runs[0]]
-        commons = _commons(along.layout, self.effect)
+        commons = _shared_values(separable.layout, self.effect)
         last = len(commons)
-        places = {max(last - k, 0) for k in PLACES}
-        some = sorted(places | set(range(max(last - VALUES, 0), last)))
-        self.relaxed = [Relaxed(first, self.effect, commons[i]) for i in some]
+        places = {max(last - k, 0) for k in SCAN_PLACES_FROM_END}
+        some = sorted(places | set(range(max(last - LAST_VALUES, 0), last)))
+        self.relaxed = [RelaxedWaves(first, self.effect, commons[i]) for i in some]
         self.places = [r for i, r in zip(some, self.relaxed, strict=True) if i in places]
 
-    def __call__(self, data: Array | None = None) -> State:
+    def __call__(self, data: Array | None = None) -> SeparableSolution:
         """The law that explains data (M,), default the blocks' own, best."""
-        data = self.along.data if data is None else data
+        data = self.separable.data if data is None else data
         state = self._first(self._of(self.runs[0], data))
         first = self.single[self.runs[0]]
-        if first is self.along:
+        if first is self.separable:
             return state
         found = dict(zip(first.layout.names, first.law(state.numbers, state.coefficients), strict=True))
         for run in self.runs[1:]:
             found = self._own(run, found, self._of(run, data)) | found
-        problem = Projected(self.along, data, self.tau)
-        numbers = np.array([found.get(name, 1.0) for name in self.along.layout.names])
+        problem = ProjectedProblem(self.separable, data, self.tau)
+        numbers = np.array([found.get(name, 1.0) for name in self.separable.layout.names])
         return problem.refine(problem.at(numbers), steps=LAST)
 
-    def idle(self, state: State, price: float) -> frozenset[tuple[str, int]]:
+    def idle(self, state: SeparableSolution, price: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
-        return Search(self.along, self.tau).idle(state, price)
+        return VariableProjection(self.separable, self.tau).idle(state, price)
 
     def _own(self, run: int, found: dict[str, float], data: Array) -> dict[str, float]:
         """What is a run's own, by address, where all that it shares with the others is found."""
-        held = Model(tuple(_held(e, found) for e in self.along.layout.model.effects))
-        along = _alone(self.along, run, held)
+        held = Model(tuple(_with_fixed_values(e, found) for e in self.separable.layout.model.effects))
+        separable = _single_run(self.separable, run, held)
         effect = next(e for e in held.effects if e.relaxed)
         common = {name: found.get(f"{effect.name}.{name}", v) for name, v in self.relaxed[0].common.items()}
-        relaxed = Relaxed(along, effect, common)
+        relaxed = RelaxedWaves(separable, effect, common)
         _, p = min(relaxed.laws(data), key=lambda law: law[0])
-        state = self._followed(Projected(along, data), [p, *(q for _, q in relaxed.places(p, data))], None)
-        return dict(zip(along.layout.names, along.law(state.numbers, state.coefficients), strict=True))
+        state = self._followed(ProjectedProblem(separable, data), [p, *(q for _, q in relaxed.places(p, data))], None)
+        return dict(zip(separable.layout.names, separable.law(state.numbers, state.coefficients), strict=True))
 
     def _of(self, run: int, data: Array) -> Array:
-        pairs = zip(self.along.blocks, self.along.slices, strict=True)
+        pairs = zip(self.separable.blocks, self.separable.slices, strict=True)
         return np.concatenate([data[s] for block, s in pairs if block.run == run])
 
-    def _first(self, data: Array) -> State:
+    def _first(self, data: Array) -> SeparableSolution:
         """The law of the longest run."""
         first = self.single[self.runs[0]]
-        problem = Projected(first, data)
-        best: State | None = None
+        problem = ProjectedProblem(first, data)
+        best: SeparableSolution | None = None
         for misfit, p in self._starts(data):
-            if best is not None and misfit > WORSE * best.misfit:
+            if best is not None and misfit > MAX_RELAXED_MISFIT_RATIO * best.misfit:
                 break
-            best = self._followed(problem, [p, *self._slow(p, data)[:TRIALS]], best)
+            best = self._followed(problem, [p, *self._slow(p, data)[:MAX_SLOW_PLACES]], best)
         assert best is not None
         p = first.law(best.numbers, best.coefficients)
         for q in [p, *self.relaxed[0].exchanged(p)]:
-            best = self._followed(problem, self._slow(q, data)[:AGAIN], best)
+            best = self._followed(problem, self._slow(q, data)[:MAX_SLOW_PLACES_AGAIN], best)
         return problem.refine(best, steps=LAST)
 
     def _starts(self, data: Array) -> list[tuple[float, Array]]:
@@ -111,9 +117,9 @@ class Tied:
         chosen: list[tuple[float, Array]] = []
         for misfit, p in found:
             mine = self.relaxed[0].fast(p)
-            if all(np.any(np.abs(mine - self.relaxed[0].fast(q)) > SAME) for _, q in chosen):
+            if all(np.any(np.abs(mine - self.relaxed[0].fast(q)) > SAME_WAVE_PERIODS) for _, q in chosen):
                 chosen.append((misfit, p))
-        return chosen[:STARTS]
+        return chosen[:MAX_WAVE_SETS]
 
     def _slow(self, p: Array, data: Array) -> list[Array]:
         """A law (P,) with the slowest waves of two sums elsewhere, the place that looks best first."""
@@ -121,36 +127,38 @@ class Tied:
         costs = np.array([c for c, _ in found])
         return [found[i][1] for i in np.argsort(costs)]
 
-    def _followed(self, problem: Projected, trials: Iterable[Array], best: State | None) -> State:
+    def _followed(
+        self, problem: ProjectedProblem, trials: Iterable[Array], best: SeparableSolution | None
+    ) -> SeparableSolution:
         for p in trials:
-            state = problem.refine(problem.at(p), steps=FIRST, enough=ROUGHLY)
-            if best is not None and state.misfit > FAR * best.misfit:
+            state = problem.refine(problem.at(p), steps=FIRST, enough=ROUGH_MIN_FALL)
+            if best is not None and state.misfit > MAX_MISFIT_RATIO * best.misfit:
                 continue
             below = np.inf if best is None else best.misfit
-            state = problem.refine(state, steps=LAST, enough=ROUGHLY, below=below)
+            state = problem.refine(state, steps=LAST, enough=ROUGH_MIN_FALL, below=below)
             if best is None or state.misfit < best.misfit:
                 best = state
         assert best is not None
         return best
 
 
-def _alone(along: Along, run: int, model: Model) -> Along:
+def _single_run(separable: SeparableModel, run: int, model: Model) -> SeparableModel:
     """One run by itself, without a level of its own."""
-    layout = along.layout
+    layout = separable.layout
     if len(layout.run_names) == 1 and model is layout.model:
-        return along
+        return separable
     absent = frozenset((e, 0) for e, r in layout.absent if r == run)
-    alone = Layout(model, (layout.run_names[run],), (layout.spans[run],), absent)
-    return Along(alone, [replace(b, run=0) for b in along.blocks if b.run == run])
+    alone = ParameterLayout(model, (layout.run_names[run],), (layout.spans[run],), absent)
+    return SeparableModel(alone, [replace(b, run=0) for b in separable.blocks if b.run == run])
 
 
-def _held(effect: Effect, found: dict[str, float]) -> Effect:
+def _with_fixed_values(effect: Effect, found: dict[str, float]) -> Effect:
     """An effect with those non-linear numbers fixed that the runs share."""
     known = {q.name: found.get(f"{effect.name}.{q.name}") for q in effect.nonlinear if q.free}
     return effect.adjusted(**{name: {"fixed": value} for name, value in known.items() if value is not None})
 
 
-def _commons(layout: Layout, effect: Effect) -> list[dict[str, float]]:
+def _shared_values(layout: ParameterLayout, effect: Effect) -> list[dict[str, float]]:
     """Values worth trying of what several parts share."""
     shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
     axes = [_axis(q, layout.span) for q in shared]
@@ -158,7 +166,7 @@ def _commons(layout: Layout, effect: Effect) -> list[dict[str, float]]:
 
 
 def _axis(q: Parameter, span: Span) -> Sequence[float]:
-    known = told(q, span)
+    known = known_value(q, span)
     if known is not None:
         return [known]
     return [1.0] if q.scan is None else list(q.scan(span))

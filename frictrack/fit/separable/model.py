@@ -1,6 +1,6 @@
 """A model along the measured motion: rows that its coefficients multiply, as functions of the non-linear numbers.
 
-Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a `Group`). A
+Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a `EffectGroup`). A
 wave of one amplitude and one phase enters as its two quadratures, which are linear; where the phase belongs to the
 runs, every run has its own pair, and the amplitude they share is left to the refinement.
 """
@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path
 from frictrack.effects.settings import Tie
-from frictrack.fit.parameters import Layout, follow
-from frictrack.fit.separable.blocks import Block
+from frictrack.fit.parameters import ParameterLayout, apply_constraints
+from frictrack.fit.separable.blocks import DataBlock
 from frictrack.models import Model
 from frictrack.records import Array
 
 Indices = NDArray[np.int_]
 Values = dict[str, dict[str, Any]]
 QUADRATURES = (0.0, np.pi / 2)
-NONE: Indices = np.zeros(0, dtype=int)
+NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Coefficient:
 
 
 @dataclass(frozen=True)
-class Group:
+class EffectGroup:
     """Effects that are evaluated together; `numbers` are positions in the layout of what their columns depend on.
 
     Those of a wave's `phases` are apart: its quadratures do not depend on them.
@@ -67,7 +67,7 @@ class Group:
 
 
 @dataclass(eq=False)
-class Along:
+class SeparableModel:
     """A layout over blocks, ready to be evaluated for one law or a population.
 
     `free` are the positions in the layout of the non-linear numbers that are searched: all but levels and the phases
@@ -75,9 +75,9 @@ class Along:
     that run, -1 for none.
     """
 
-    layout: Layout
-    blocks: Sequence[Block]
-    groups: list[Group] = field(init=False)
+    layout: ParameterLayout
+    blocks: Sequence[DataBlock]
+    groups: list[EffectGroup] = field(init=False)
     coefficients: list[Coefficient] = field(init=False)
     place: list[dict[int, Indices]] = field(init=False)
     free: list[int] = field(init=False)
@@ -85,7 +85,7 @@ class Along:
     def __post_init__(self) -> None:
         self.blocks = list(self.blocks)
         self.runs = sorted({b.run for b in self.blocks})
-        self.groups = [self._group(effects) for effects in _clusters(self.layout.model)]
+        self.groups = [self._group(effects) for effects in _coupled_effects(self.layout.model)]
         self.coefficients = []
         self.place = [self._placed(group) for group in self.groups]
         self.free = sorted({i for g in self.groups for i in g.numbers})
@@ -100,13 +100,13 @@ class Along:
 
     # --- where numbers stand
 
-    def _group(self, effects: list[Effect]) -> Group:
+    def _group(self, effects: list[Effect]) -> EffectGroup:
         wave = len(effects) == 1 and self.is_wave(effects[0])
         phases = {(e.name, q.name) for e in effects for q in e.nonlinear if wave and q.role == "phase"}
         wanted = {(e.name, q.name) for e in effects for q in e.nonlinear} - phases
         wanted |= set(self._leaders(wanted))
         where = self._positions(wanted), self._positions(phases)
-        return Group(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", *where)
+        return EffectGroup(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", *where)
 
     def _positions(self, wanted: set[tuple[str, str]]) -> tuple[int, ...]:
         slots = enumerate(self.layout.slots)
@@ -114,9 +114,9 @@ class Along:
 
     def _leaders(self, followers: set[tuple[str, str]]) -> Iterable[tuple[str, str]]:
         """Parameters that others are tied to, directly or through further ties."""
-        for rule in self.layout.rules:
-            if (rule.effect.name, rule.parameter.name) in followers and isinstance(rule.told, Tie):
-                leader = rule.told.effect, rule.told.parameter
+        for constraint in self.layout.constraints:
+            if (constraint.effect.name, constraint.parameter.name) in followers and isinstance(constraint.value, Tie):
+                leader = constraint.value.effect, constraint.value.parameter
                 yield leader
                 yield from self._leaders({leader})
 
@@ -132,9 +132,9 @@ class Along:
             if s.effect == effect.name and s.parameter in (sizes[0].name, phases[0].name)
         ]
         free = {self.layout.slots[i].parameter for i in mine} == {sizes[0].name, phases[0].name}
-        return free and not self.layout.led & set(mine)
+        return free and not self.layout.leaders & set(mine)
 
-    def _placed(self, group: Group) -> dict[int, Indices]:
+    def _placed(self, group: EffectGroup) -> dict[int, Indices]:
         place: dict[int, list[int]] = {run: [] for run in self.runs}
         for effect in group.model.effects:
             for p in effect.linear:
@@ -199,7 +199,7 @@ class Along:
     def _way(self, g: int, b: int) -> Path:
         """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
         block = self.blocks[b]
-        return block.path if block.brief is None or self.groups[g].model.memory else block.brief
+        return block.path if block.compared_path is None or self.groups[g].model.memory else block.compared_path
 
     def _path(self, g: int, b: int, p: int, level: float) -> Path:
         path = self._way(g, b) if p == 1 else self.end_to_end(g, b, p)
@@ -208,12 +208,12 @@ class Along:
     def _values(self, g: int, b: int, numbers: Array) -> Values:
         """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
         n, run = len(self._way(g, b).t), self.blocks[b].run
-        if self.layout.rules:
+        if self.layout.constraints:
             return self._followed(g, b, numbers)
         fixed, places = self._plan(g, run)
         values = {name: own.copy() for name, own in fixed.items()}
         for i, effect, parameter, deep in places:
-            values[effect][parameter] = spread(numbers[:, i], n, deep)
+            values[effect][parameter] = repeat_values(numbers[:, i], n, deep)
         return values
 
     def _plan(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
@@ -225,7 +225,7 @@ class Along:
                 for q in e.nonlinear:
                     fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
             places = [
-                (i, s.effect, s.parameter, _deep(group.model, s.effect, s.parameter))
+                (i, s.effect, s.parameter, _is_depth(group.model, s.effect, s.parameter))
                 for i in (*group.numbers, *group.phases)
                 if (s := layout.slots[i]).run in (None, run)
             ]
@@ -233,7 +233,7 @@ class Along:
         return self._plans[g, run]
 
     def _followed(self, g: int, b: int, numbers: Array) -> Values:
-        """The same where some follow others: every number first, then what the rules say."""
+        """The same where some follow others: every number first, then what the constraints say."""
         model, block = self.layout.model, self.blocks[b]
         whole: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
         for (effect, name), value in self.layout.fixed.items():
@@ -241,10 +241,10 @@ class Along:
         for i, s in enumerate(self.layout.slots):
             if s.effect in whole and s.run in (None, block.run) and not s.linear:
                 whole[s.effect][s.parameter] = numbers[:, i]
-        follow(model, tuple(r for r in self.layout.rules if not r.parameter.linear), whole)
+        apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), whole)
         mine, n = self.groups[g].model, len(self._way(g, b).t)
         return {
-            e.name: {q.name: spread(whole[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
+            e.name: {q.name: repeat_values(whole[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
             for e in mine.effects
         }
 
@@ -287,7 +287,7 @@ class Along:
         return p
 
 
-def spread(each: Array, n: int, deep: bool = False) -> Any:
+def repeat_values(each: Array, n: int, deep: bool = False) -> Any:
     """Values (P,) of a population frame by frame, (P n,); a single one stays a number.
 
     A depth multiplies whole columns (n, k), so that it stands as (P n, 1).
@@ -303,11 +303,11 @@ def _by_individual(columns: Array, p: int) -> Array:
     return columns.T.reshape(columns.shape[1], p, -1).transpose(1, 0, 2)
 
 
-def _deep(model: Model, effect: str, parameter: str) -> bool:
+def _is_depth(model: Model, effect: str, parameter: str) -> bool:
     return next(e for e in model.effects if e.name == effect).parameter(parameter).role == "depth"
 
 
-def _clusters(model: Model) -> list[list[Effect]]:
+def _coupled_effects(model: Model) -> list[list[Effect]]:
     """Effects that are evaluated together: modifiers with all that they modify, the others by themselves."""
     kinds = {k for e in model.effects for k in e.modifies}
     joined = [e for e in model.effects if e.modifies or e.kind in kinds]

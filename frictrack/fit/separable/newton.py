@@ -13,20 +13,20 @@ from itertools import count
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from frictrack.fit.parameters import LEVEL, restraint_rows
-from frictrack.fit.separable.model import NONE, Along, Indices
+from frictrack.fit.parameters import LEVEL, penalty_jacobian
+from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
 from frictrack.records import Array, Mask
 
-STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns
+RELATIVE_STEP = 1e-6  # of a number, or of a thousandth of its box, for derivatives of columns
 RIDGE = 1e-12  # of the columns' mean square, where two of them are alike
-FIRST_DAMPING, MOST_DAMPED, LEAST_DAMPED = 1e-6, 1e6, 1e-10
-HOPE = 3.0  # times what a step promises: the most that a law is trusted to fall yet
+FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
+MAX_PROMISE_FACTOR = 3.0  # times what a step promises: the most that a law is trusted to fall yet
 
 Change = tuple[int, int, Array]  # group, block, change of its rows (columns, m) per unit of a number
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class LevelSlopes:
     """How a law answers the levels of R runs: rows (R, M) per unit of each, and what else is known of them.
 
     `held` (R, R) is the precision with which they are held, `pull` (R,) half the slope of the misfit downwards.
@@ -38,7 +38,7 @@ class Levels:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SeparableSolution:
     """One law: numbers (P_layout,), rows (K, M), coefficients (K,), which of these may move, and the misfit.
 
     `misfit` is the sum of squared residuals and of what holds the levels about one. Rows that are `out` take no part.
@@ -54,11 +54,11 @@ class State:
     misfit: float
     out: Mask
     stamps: tuple[int, ...]
-    levels: Levels
+    levels: LevelSlopes
     changes: dict[int, list[Change]] = field(default_factory=dict)
 
 
-def bounded(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
+def bounded_coefficients(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, Mask]:
     """Minimise c' G c - 2 c' u within bounds: coefficients (K,), and which of them stand at no bound."""
     size = np.sqrt(gram.diagonal())
     dead = size == 0
@@ -78,14 +78,14 @@ def bounded(gram: Array, right: Array, low: Array, high: Array) -> tuple[Array, 
     return c, (c > low) & (c < high) & ~dead
 
 
-class Projected:
+class ProjectedProblem:
     """The projected problem of one data set (M,): laws and their refinement. `tau` is the spread of the levels."""
 
     _stamps = count(1)
 
-    def __init__(self, along: Along, data: Array, tau: float = 0.03) -> None:
-        self.along, self.data, self.tau = along, data, tau
-        self.layout = along.layout
+    def __init__(self, separable: SeparableModel, data: Array, tau: float = 0.03) -> None:
+        self.separable, self.data, self.tau = separable, data, tau
+        self.layout = separable.layout
         self.levels = self.layout.levels
         self.low, self.high = self.layout.bounds
         effects = {e.name: e for e in self.layout.model.effects}
@@ -95,8 +95,8 @@ class Projected:
         self.low[turning], self.high[turning] = -np.inf, np.inf  # a phase goes round
         self._held, self._aim = self._known(tau)
         width = self.high - self.low
-        self._least = STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
-        self._loaded = np.array([c.loaded for c in along.coefficients], dtype=bool)
+        self._least = RELATIVE_STEP * np.where(np.isfinite(width), 1e-3 * width, 1.0)
+        self._loaded = np.array([c.loaded for c in separable.coefficients], dtype=bool)
         self._firm = self._held[:, self.levels].T @ self._held[:, self.levels]
 
     def _known(self, tau: float) -> tuple[Array, Array]:
@@ -106,24 +106,24 @@ class Projected:
         """
         levels = np.zeros(len(self.low))
         levels[self.levels] = 1.0
-        rows = restraint_rows(self.layout, tau)
+        rows = penalty_jacobian(self.layout, tau)
         rows = rows[: len(rows) - len(self.layout.priors)]
-        plain = [q for q in self.layout.priors if q.slot in self.along.free]
+        plain = [q for q in self.layout.priors if q.slot in self.separable.free]
         more = np.zeros((len(plain), len(levels)))
         for row, q in zip(more, plain, strict=True):
             row[q.slot] = 1 / q.std
         return np.vstack([rows, more]), np.concatenate([rows @ levels, [q.mean / q.std for q in plain]])
 
-    def nothing(self, numbers: Array) -> State:
+    def nothing(self, numbers: Array) -> SeparableSolution:
         """No law at all: rows of zeros."""
-        k = len(self.along.coefficients)
-        zero = np.zeros((k, self.along.size))
+        k = len(self.separable.coefficients)
+        zero = np.zeros((k, self.separable.size))
         none = np.zeros(k, dtype=bool)
-        still = Levels(np.zeros((len(self.levels), self.along.size)), self._firm, np.zeros(len(self.levels)))
-        stamps = (0,) * len(self.along.groups)
-        return State(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, stamps, still)
+        still = LevelSlopes(np.zeros((len(self.levels), self.separable.size)), self._firm, np.zeros(len(self.levels)))
+        stamps = (0,) * len(self.separable.groups)
+        return SeparableSolution(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, stamps, still)
 
-    def without(self, state: State, coefficients: Indices) -> State:
+    def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
         """The same law with some of its rows gone, the others' coefficients solved again."""
         out = state.out.copy()
         out[coefficients] = True
@@ -132,10 +132,10 @@ class Projected:
     def at(
         self,
         numbers: Array,
-        known: State | None = None,
+        known: SeparableSolution | None = None,
         groups: Iterable[int] | None = None,
         taken: Indices | None = None,
-    ) -> State:
+    ) -> SeparableSolution:
         """The law of given numbers (P_layout,); rows of groups other than `groups` are taken from `known`.
 
         `taken` (default all of these groups) are the coefficients that take part from now on, if they did not before.
@@ -145,115 +145,115 @@ class Projected:
         changes, stamps = dict(base.changes), list(base.stamps)
         if self.levels:
             self._relevel(base.numbers, numbers, rows, (changes, stamps))
-        for g in range(len(self.along.groups)) if groups is None else groups:
+        for g in range(len(self.separable.groups)) if groups is None else groups:
             self._evaluate(g, numbers, rows, changes)
             stamps[g] = next(self._stamps)
-            out[self.along.coefficients_of(g) if taken is None else taken] = False
+            out[self.separable.coefficients_of(g) if taken is None else taken] = False
         return self._solved(numbers, rows, out, (tuple(stamps), changes))
 
     def _relevel(self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]) -> None:
         """Carry what follows the friction levels along with them: rows, changes, and stamps of the groups touched."""
-        along, (changes, stamps) = self.along, kept
+        separable, (changes, stamps) = self.separable, kept
         factor = new[self.levels] / old[self.levels]
         if np.all(factor == 1.0):
             return
-        for block, cut in zip(along.blocks, along.slices, strict=True):
+        for block, cut in zip(separable.blocks, separable.slices, strict=True):
             rows[self._loaded, cut] *= factor[block.run]
         for i, own in changes.items():
             changes[i] = [(g, b, change * self._follows(g, b, factor)) for g, b, change in own]
-        for g in range(len(along.groups)):
-            if self._loaded[along.coefficients_of(g)].any():
+        for g in range(len(separable.groups)):
+            if self._loaded[separable.coefficients_of(g)].any():
                 stamps[g] = next(self._stamps)
 
     def _follows(self, g: int, b: int, factor: Array) -> Array:
         """By how much the columns of a group change with the levels of the runs, (columns, 1)."""
-        run = self.along.blocks[b].run
-        at = self.along.place[g][run]
+        run = self.separable.blocks[b].run
+        at = self.separable.place[g][run]
         return np.where((at >= 0) & self._loaded[at], factor[run], 1.0)[:, None]
 
     def _evaluate(self, g: int, numbers: Array, rows: Array, changes: dict[int, list[Change]]) -> None:
         """Rows of one group and how they answer its numbers, all from one evaluation."""
-        along, group = self.along, self.along.groups[g]
+        separable, group = self.separable, self.separable.groups[g]
         for i in group.numbers:
             changes[i] = [c for c in changes.get(i, []) if c[0] != g]
-        for b, block in enumerate(along.blocks):
-            mine = [i for i in group.numbers if along.layout.slots[i].run in (None, block.run)]
+        for b, block in enumerate(separable.blocks):
+            mine = [i for i in group.numbers if separable.layout.slots[i].run in (None, block.run)]
             moved = np.tile(numbers, (1 + len(mine), 1))
-            steps = np.maximum(STEP * np.abs(numbers[mine]), self._least[mine])
+            steps = np.maximum(RELATIVE_STEP * np.abs(numbers[mine]), self._least[mine])
             moved[np.arange(1, len(moved)), mine] += steps
             level = float(numbers[self.levels[block.run]]) if self.levels else 1.0
-            made = along.rows(g, b, moved, level)
-            at = along.place[g][block.run]
+            made = separable.rows(g, b, moved, level)
+            at = separable.place[g][block.run]
             kept = at >= 0
-            rows[at[kept], along.slices[b]] = made[0, kept]
+            rows[at[kept], separable.slices[b]] = made[0, kept]
             for j, i in enumerate(mine):
                 changes[i].append((g, b, (made[1 + j] - made[0]) / steps[j]))
 
     def _solved(
         self, numbers: Array, rows: Array, out: Mask, kept: tuple[tuple[int, ...], dict[int, list[Change]]]
-    ) -> State:
+    ) -> SeparableSolution:
         gram, right = rows @ rows.T, rows @ self.data
         if out.any():
             gram[out], gram[:, out], right[out] = 0.0, 0.0, 0.0
-        c, moving = bounded(gram, right, self.along.low, self.along.high)
+        c, moving = bounded_coefficients(gram, right, self.separable.low, self.separable.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
         away = self._held @ numbers - self._aim
         misfit += float(away @ away)
         levels = self._levels(numbers, rows, c, (residual, away))
-        return State(numbers, rows, c, moving, residual, misfit, out, kept[0], levels, kept[1])
+        return SeparableSolution(numbers, rows, c, moving, residual, misfit, out, kept[0], levels, kept[1])
 
-    def _levels(self, numbers: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> Levels:
+    def _levels(self, numbers: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
         """How a law answers its levels; `left` is its residual, and how far its numbers are from what is known."""
-        along, slope = self.along, np.zeros((len(self.levels), self.along.size))
+        separable, slope = self.separable, np.zeros((len(self.levels), self.separable.size))
         residual, away = left
         if self.levels:
             dry = c[self._loaded] @ rows[self._loaded]
-            for block, cut in zip(along.blocks, along.slices, strict=True):
+            for block, cut in zip(separable.blocks, separable.slices, strict=True):
                 slope[block.run, cut] = dry[cut] / numbers[self.levels[block.run]]
-        return Levels(slope, self._firm, slope @ residual - self._held[:, self.levels].T @ away)
+        return LevelSlopes(slope, self._firm, slope @ residual - self._held[:, self.levels].T @ away)
 
     def refine(
         self,
-        state: State,
+        state: SeparableSolution,
         groups: Iterable[int] | None = None,
         *,
         steps: int = 12,
         enough: float = 1e-5,
         below: float = np.inf,
-    ) -> State:
+    ) -> SeparableSolution:
         """Levenberg-Marquardt over the numbers of some groups (default all) and the levels.
 
         Ends when a step promises less than a share `enough` of the misfit, or no hope is left to come below `below`.
         """
-        chosen = sorted(set(range(len(self.along.groups)) if groups is None else groups))
-        free = sorted({i for g in chosen for i in self.along.groups[g].numbers}) + self.levels
-        touched = [g for g in chosen if self.along.groups[g].numbers]
+        chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
+        free = sorted({i for g in chosen for i in self.separable.groups[g].numbers}) + self.levels
+        touched = [g for g in chosen if self.separable.groups[g].numbers]
         damping = FIRST_DAMPING
         linear = self._linearised(state, free) if free else None
         for _ in range(steps if free else 0):
             assert linear is not None
             step, promised = self._step(state, linear, free, damping)
-            hopeless = state.misfit - HOPE * promised > below
-            if promised < enough * state.misfit or damping > MOST_DAMPED or hopeless:
+            hopeless = state.misfit - MAX_PROMISE_FACTOR * promised > below
+            if promised < enough * state.misfit or damping > MAX_DAMPING or hopeless:
                 break
             numbers = state.numbers.copy()
             numbers[free] += step
-            trial = self.at(numbers, state, touched, NONE)
+            trial = self.at(numbers, state, touched, NO_INDICES)
             if trial.misfit < state.misfit:
-                state, linear, damping = trial, self._linearised(trial, free), max(0.1 * damping, LEAST_DAMPED)
+                state, linear, damping = trial, self._linearised(trial, free), max(0.1 * damping, MIN_DAMPING)
             else:
                 damping = max(30 * damping, 1e-3)
         return state
 
-    def _linearised(self, state: State, free: list[int]) -> tuple[Array, Array]:
+    def _linearised(self, state: SeparableSolution, free: list[int]) -> tuple[Array, Array]:
         """Normal matrix (d, d) and gradient (d,) of the free numbers beside the coefficients."""
-        slope = np.zeros((len(free), self.along.size))
+        slope = np.zeros((len(free), self.separable.size))
         slope[[i in self.levels for i in free]] = state.levels.rows
         for row, i in zip(slope, free, strict=True):
             for g, b, change in state.changes.get(i, []):
-                at = self.along.place[g][self.along.blocks[b].run]
-                row[self.along.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
+                at = self.separable.place[g][self.separable.blocks[b].run]
+                row[self.separable.slices[b]] += np.where(at >= 0, state.coefficients[at], 0.0) @ change
         rows = state.rows[state.moving]
         normal, gradient = slope @ slope.T, slope @ state.residual
         if len(rows):
@@ -269,7 +269,9 @@ class Projected:
             gradient = gradient - held.T @ (self._held @ state.numbers - self._aim)
         return normal, gradient
 
-    def _step(self, state: State, linear: tuple[Array, Array], free: list[int], damping: float) -> tuple[Array, float]:
+    def _step(
+        self, state: SeparableSolution, linear: tuple[Array, Array], free: list[int], damping: float
+    ) -> tuple[Array, float]:
         """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""
         normal, gradient = linear
         own = normal.diagonal()

@@ -1,7 +1,7 @@
 """The misfit of a whole population of laws at once, each evaluated along the measured motion.
 
-Over all unknowns, the papers' way (`Misfit`), or over the non-linear numbers alone, the coefficients solved for every
-individual (`Reduced`). The levels of several runs are not searched: each is the one of least squares, held about one.
+Over all unknowns, the papers' way (`PopulationMisfit`), or over the non-linear numbers alone, the coefficients solved for every
+individual (`ReducedPopulationMisfit`). The levels of several runs are not searched: each is the one of least squares, held about one.
 """
 
 from __future__ import annotations
@@ -11,52 +11,56 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.parameters import LEVEL, Layout, follow, prior_misfit
-from frictrack.fit.separable.blocks import Block
-from frictrack.fit.separable.model import NONE, Along, Indices
+from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, prior_misfit
+from frictrack.fit.separable.blocks import DataBlock
+from frictrack.fit.separable.model import NO_INDICES, Indices, SeparableModel
 from frictrack.records import Array
 
-CROWD = 20  # laws evaluated at once: what they need stays in the cache
+MAX_AT_ONCE = 20  # laws evaluated at once: what they need stays in the cache
 RIDGE = 1e-9  # of the columns' mean square, where two of them are alike
-ROUNDS = 6  # of putting coefficients on their bounds and releasing them
+MAX_PIVOT_ROUNDS = 6  # of putting coefficients on their bounds and releasing them
 
 
-class Misfit:
+class PopulationMisfit:
     """Squared misfit of a population over all unknowns but levels. Called with points (P, d), it returns (P,).
 
     `searched` are the places of the d unknowns in the layout; `unit` turns whitened squares into the unit in which the
     misfit is quoted; levels are held about one to within `tau`.
     """
 
-    def __init__(self, layout: Layout, blocks: Sequence[Block], *, tau: float = 0.03, unit: float = 1.0) -> None:
-        self.along, self.layout, self.tau, self.unit = Along(layout, blocks), layout, tau, unit
-        runs = {None, *self.along.runs}
+    def __init__(
+        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
+    ) -> None:
+        self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
+        runs = {None, *self.separable.runs}
         self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
         self._constant = [
-            {g: self.along.rows(g, b, np.zeros((1, len(layout.slots))))[0] for g in self._still()}
-            for b in range(len(self.along.blocks))
+            {g: self.separable.rows(g, b, np.zeros((1, len(layout.slots))))[0] for g in self._still()}
+            for b in range(len(self.separable.blocks))
         ]
 
     @property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[DataBlock]:
         """What is compared."""
-        return list(self.along.blocks)
+        return list(self.separable.blocks)
 
     def __call__(self, points: Array) -> Array:
         """Misfits (P,)."""
-        return _by_crowd(points, lambda some: self.evaluate(some)[0])
+        return _in_chunks(points, lambda some: self.evaluate(some)[0])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Misfits (P,) and the levels that go with them, (P, runs)."""
         whole = self.whole(points)
-        total = np.full(len(points), sum(b.rest for b in self.along.blocks))
+        total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
         levels = np.ones((len(points), len(self.layout.run_names)))
         with np.errstate(over="ignore", invalid="ignore"):
-            for run in self.along.runs:
-                parts = [self._explained(b, whole) for b, block in enumerate(self.along.blocks) if block.run == run]
-                data = np.concatenate([block.data for block in self.along.blocks if block.run == run])
+            for run in self.separable.runs:
+                parts = [self._explained(b, whole) for b, block in enumerate(self.separable.blocks) if block.run == run]
+                data = np.concatenate([block.data for block in self.separable.blocks if block.run == run])
                 dry, other = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
-                cost, levels[:, run] = _levelled(data - dry - other, dry, self.tau if self.layout.levels else None)
+                cost, levels[:, run] = _with_best_level(
+                    data - dry - other, dry, self.tau if self.layout.levels else None
+                )
                 total += cost
         if self.layout.priors:
             total += prior_misfit(self.layout, whole)
@@ -74,21 +78,21 @@ class Misfit:
 
     def _still(self) -> list[int]:
         """Groups whose columns are the same for every individual."""
-        return [g for g, group in enumerate(self.along.groups) if not group.numbers and not group.phases]
+        return [g for g, group in enumerate(self.separable.groups) if not group.numbers and not group.phases]
 
     def _explained(self, b: int, whole: Array) -> tuple[Array, Array]:
         """What the laws explain of one block, (P, m) each: what follows the friction level, and the rest."""
-        along, block = self.along, self.along.blocks[b]
+        separable, block = self.separable, self.separable.blocks[b]
         sums: dict[tuple[bool, bool], Array] = {}  # pictured, loaded: force or shift (P, n)
         dry, other = np.zeros((len(whole), len(block.data))), np.zeros((len(whole), len(block.data)))
-        for g, group in enumerate(along.groups):
+        for g, group in enumerate(separable.groups):
             sizes, loaded = self._sizes(g, block.run, whole)
             levelled = loaded & bool(self.layout.levels)
             if g in self._constant[b]:
                 dry += sizes * levelled @ self._constant[b][g]
                 other += sizes * ~levelled @ self._constant[b][g]
                 continue
-            rows = along.phased(g, b, whole)
+            rows = separable.phased(g, b, whole)
             for which in (levelled, ~levelled):
                 if which.any():
                     key = group.pictured, bool(levelled[which][0])
@@ -106,12 +110,12 @@ class Misfit:
 
     def _sizes(self, g: int, run: int, whole: Array) -> tuple[Array, Any]:
         """Values (P, k) of the linear parameters of a group in one run, and which follow the level."""
-        effects = self.along.groups[g].model.effects
+        effects = self.separable.groups[g].model.effects
         pairs = [(e, q) for e in effects for q in e.linear]
-        values = self._values(run, whole) if self.layout.rules else None
+        values = self._values(run, whole) if self.layout.constraints else None
         out = np.zeros((len(whole), len(pairs)))
         for j, (e, q) in enumerate(pairs):
-            i = self.along.position(e.name, q.name, run)
+            i = self.separable.position(e.name, q.name, run)
             if i is not None:
                 out[:, j] = whole[:, i]
             elif values is not None:
@@ -130,41 +134,47 @@ class Misfit:
             slot = self.layout.slots[i]
             if slot.effect != LEVEL:
                 values[slot.effect][slot.parameter] = whole[:, i]
-        follow(model, self.layout.rules, values)
+        apply_constraints(model, self.layout.constraints, values)
         return values
 
 
-class Reduced:
+class ReducedPopulationMisfit:
     """Squared misfit of a population over the non-linear numbers alone. Called with points (P, d), it returns (P,).
 
     A wave's phase is no number: its two quadratures are linear. Where a phase belongs to the runs, its amplitude is
     free in each of them here.
     """
 
-    def __init__(self, layout: Layout, blocks: Sequence[Block], *, tau: float = 0.03, unit: float = 1.0) -> None:
-        self.along, self.layout, self.tau, self.unit = Along(layout, blocks), layout, tau, unit
-        along = self.along
-        self.searched = along.free
-        self._varying = [g for g, group in enumerate(along.groups) if group.numbers]
-        still = [i for g in range(len(along.groups)) if g not in self._varying for i in along.coefficients_of(g)]
+    def __init__(
+        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
+    ) -> None:
+        self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
+        separable = self.separable
+        self.searched = separable.free
+        self._varying = [g for g, group in enumerate(separable.groups) if group.numbers]
+        still = [
+            i for g in range(len(separable.groups)) if g not in self._varying for i in separable.coefficients_of(g)
+        ]
         self._still = np.array(still, dtype=int)
-        rows = np.zeros((len(along.coefficients), along.size))
-        for g in set(range(len(along.groups))) - set(self._varying):
-            for b, block in enumerate(along.blocks):
-                at = along.place[g][block.run]
-                rows[at[at >= 0], along.slices[b]] = along.rows(g, b, np.ones((1, len(layout.slots))))[0, at >= 0]
+        rows = np.zeros((len(separable.coefficients), separable.size))
+        for g in set(range(len(separable.groups))) - set(self._varying):
+            for b, block in enumerate(separable.blocks):
+                at = separable.place[g][block.run]
+                rows[at[at >= 0], separable.slices[b]] = separable.rows(g, b, np.ones((1, len(layout.slots))))[
+                    0, at >= 0
+                ]
         self._rows = rows
-        self._gram, self._right = rows @ rows.T, rows @ along.data
-        self._square = float(along.data @ along.data) + sum(b.rest for b in along.blocks)
+        self._gram, self._right = rows @ rows.T, rows @ separable.data
+        self._square = float(separable.data @ separable.data) + sum(b.rest for b in separable.blocks)
 
     @property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[DataBlock]:
         """What is compared."""
-        return list(self.along.blocks)
+        return list(self.separable.blocks)
 
     def __call__(self, points: Array) -> Array:
         """Misfits (P,)."""
-        return _by_crowd(points, lambda some: self.evaluate(some)[0])
+        return _in_chunks(points, lambda some: self.evaluate(some)[0])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Misfits (P,) and the levels that go with them, (P, runs)."""
@@ -174,11 +184,11 @@ class Reduced:
             bent = (gram @ c[:, :, None])[:, :, 0]
             cost = self._square - 2 * np.einsum("pk,pk->p", c, right) + np.einsum("pk,pk->p", c, bent)
             return np.maximum(cost, 0.0) * self.unit, levels
-        total = np.full(len(points), sum(b.rest for b in self.along.blocks))
-        for run in self.along.runs:
+        total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
+        for run in self.separable.runs:
             dry, other = self._explained(run, c, made)
-            data = np.concatenate([b.data for b in self.along.blocks if b.run == run])
-            cost, levels[:, run] = _levelled(data - dry - other, dry, self.tau)
+            data = np.concatenate([b.data for b in self.separable.blocks if b.run == run])
+            cost, levels[:, run] = _with_best_level(data - dry - other, dry, self.tau)
             total += cost
         return total * self.unit, levels
 
@@ -190,7 +200,7 @@ class Reduced:
         """All unknowns (P, P_layout) of points (P, d), levels one."""
         numbers = self._numbers(points)
         pairs = zip(numbers, self.coefficients(points), strict=True)
-        return np.array([self.along.law(p, c) for p, c in pairs])
+        return np.array([self.separable.law(p, c) for p, c in pairs])
 
     def _numbers(self, points: Array) -> Array:
         out = np.ones((len(points), len(self.layout.slots)))
@@ -199,29 +209,29 @@ class Reduced:
 
     def _solved(self, points: Array) -> tuple[Array, Array, Array, list[tuple[Array, Indices]]]:
         """Coefficients (P, K), Gram matrices (P, K, K), products with the data (P, K), and the rows that vary."""
-        along, numbers = self.along, self._numbers(points)
+        separable, numbers = self.separable, self._numbers(points)
         gram = np.repeat(self._gram[None], len(points), axis=0)
         right = np.repeat(self._right[None], len(points), axis=0)
         made: list[tuple[Array, Indices]] = []
-        for b, block in enumerate(along.blocks):
-            places = [along.place[g][block.run] for g in self._varying]
-            at = np.concatenate([NONE, *places])
+        for b, block in enumerate(separable.blocks):
+            places = [separable.place[g][block.run] for g in self._varying]
+            at = np.concatenate([NO_INDICES, *places])
             rows = np.empty((len(points), len(at), len(block.data)))
             j = 0
             for g in self._varying:
-                for part in along.parts(g, b, numbers):
+                for part in separable.parts(g, b, numbers):
                     rows[:, j : j + part.shape[1]] = part
                     j += part.shape[1]
             shown = at >= 0
             made.append((rows, at) if shown.all() else (rows[:, shown], at[shown]))
             self._add(b, *made[b], (gram, right))
-        return _bounded(gram, right, along.low, along.high), gram, right, made
+        return _bounded(gram, right, separable.low, separable.high), gram, right, made
 
     def _add(self, b: int, rows: Array, at: Indices, into: tuple[Array, Array]) -> None:
         """Add one block's products: rows (P, k, m), which are the coefficients `at`."""
         gram, right = into
-        cut = self.along.slices[b]
-        beside = np.vstack([self._rows[self._still][:, cut], self.along.data[cut]])
+        cut = self.separable.slices[b]
+        beside = np.vstack([self._rows[self._still][:, cut], self.separable.data[cut]])
         flat = (rows.reshape(-1, rows.shape[2]) @ beside.T).reshape(len(rows), rows.shape[1], -1)
         right[:, at] += flat[:, :, -1]
         gram[:, at[:, None], self._still] += flat[:, :, :-1]
@@ -230,14 +240,14 @@ class Reduced:
 
     def _explained(self, run: int, c: Array, made: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
         """What the laws explain of one run, (P, m) each: what follows the level, and the rest."""
-        along = self.along
-        loaded = np.array([k.loaded for k in along.coefficients], dtype=bool)
+        separable = self.separable
+        loaded = np.array([k.loaded for k in separable.coefficients], dtype=bool)
         parts = []
-        for b, block in enumerate(along.blocks):
+        for b, block in enumerate(separable.blocks):
             if block.run != run:
                 continue
             sides = [
-                c[:, self._still] * w[self._still] @ self._rows[self._still][:, along.slices[b]]
+                c[:, self._still] * w[self._still] @ self._rows[self._still][:, separable.slices[b]]
                 for w in (loaded, ~loaded)
             ]
             rows, at = made[b]
@@ -248,7 +258,7 @@ class Reduced:
         return dry, other
 
 
-def _levelled(residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array]:
+def _with_best_level(residual: Array, dry: Array, tau: float | None) -> tuple[Array, Array]:
     """Squared residuals (P,) of one run at its best level, and the level: dry friction times 1 + d, d of spread tau."""
     if tau is None:
         return np.einsum("pm,pm->p", residual, residual), np.ones(len(residual))
@@ -267,14 +277,14 @@ def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
     c = np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size
     bad = np.flatnonzero(np.any((c < low) | (c > high), axis=1))
     if len(bad):
-        c[bad] = _pivoted(unit[bad], right[bad] / size[bad], low * size[bad], high * size[bad]) / size[bad]
+        c[bad] = _pivot_on_bounds(unit[bad], right[bad] / size[bad], low * size[bad], high * size[bad]) / size[bad]
     return c
 
 
-def _pivoted(unit: Array, right: Array, low: Array, high: Array) -> Array:
+def _pivot_on_bounds(unit: Array, right: Array, low: Array, high: Array) -> Array:
     held = np.broadcast_to(low == high, right.shape).copy()
     value = np.where(held, low, 0.0)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_PIVOT_ROUNDS):
         system = np.where(held[:, :, None] | held[:, None, :], 0.0, unit)
         rest = np.where(held, value, right - np.einsum("pkj,pj->pk", unit, np.where(held, value, 0.0)))
         k = np.arange(right.shape[1])
@@ -290,6 +300,6 @@ def _pivoted(unit: Array, right: Array, low: Array, high: Array) -> Array:
     return np.clip(c, low, high)
 
 
-def _by_crowd(points: Array, cost: Any) -> Array:
-    parts = np.array_split(points, max(1, -(-len(points) // CROWD)))
+def _in_chunks(points: Array, cost: Any) -> Array:
+    parts = np.array_split(points, max(1, -(-len(points) // MAX_AT_ONCE)))
     return np.concatenate([cost(part) for part in parts])

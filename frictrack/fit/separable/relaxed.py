@@ -12,18 +12,18 @@ from scipy.ndimage import minimum_filter
 
 from frictrack.effects import Effect
 from frictrack.effects.base import Part
-from frictrack.fit.separable.model import Along
-from frictrack.fit.separable.newton import Projected, State
-from frictrack.fit.separable.varpro import ROUGH, Search
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.varpro import ROUGH_STEPS, VariableProjection
 from frictrack.models import Model
 from frictrack.records import Array
 
-SLOW = 2.1  # periods in a run up to which a wave counts as slow
-CLOSE = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
-STEP = 0.1  # periods between the frequencies of a slow wave
+MAX_SLOW_PERIODS = 2.1  # periods in a run up to which a wave counts as slow
+MAX_PAIR_PLACES = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
+RELATIVE_STEP = 0.1  # periods between the frequencies of a slow wave
 PHASES = 16  # round the circle
 TURN = np.arange(PHASES) * 2 * np.pi / PHASES - np.pi
-ALIKE = 1e-5  # of their squares: what must be left of two sums for both to count
+MIN_DIFFERENCE_SHARE = 1e-5  # of their squares: what must be left of two sums for both to count
 ROUND = np.array([np.cos(TURN), np.sin(TURN)])  # a wave of any phase from its two quadratures
 
 
@@ -37,24 +37,24 @@ class Wave:
     phase: str
 
 
-class Relaxed:
+class RelaxedWaves:
     """One run at given values of what the parts share."""
 
-    def __init__(self, whole: Along, effect: Effect, common: Mapping[str, float]) -> None:
+    def __init__(self, whole: SeparableModel, effect: Effect, common: Mapping[str, float]) -> None:
         self.whole, self.effect, self.common = whole, effect, common
         self.parts = {f"{effect.name}.{part.effect.name}": part for part in effect.relaxed}
-        made = [_made(name, part, effect, common) for name, part in self.parts.items()]
+        made = [_effect_of_part(name, part, effect, common) for name, part in self.parts.items()]
         law = Model(tuple(q for e in whole.layout.model.effects for q in (made if e.name == effect.name else [e])))
-        self.along = Along(replace(whole.layout, model=law), whole.blocks)
-        self.search = Search(self.along)
+        self.separable = SeparableModel(replace(whole.layout, model=law), whole.blocks)
+        self.search = VariableProjection(self.separable)
         self.waves = list(self._waves())
-        self.slow = np.arange(STEP / 2, SLOW, STEP) / whole.layout.span.duration
+        self.slow = np.arange(RELATIVE_STEP / 2, MAX_SLOW_PERIODS, RELATIVE_STEP) / whole.layout.span.duration
         self.groups = {w.g for w in self.waves}
         self._rows: dict[str, Array] = {}
         self._products: dict[tuple[str, str], tuple[Any, ...]] = {}
 
     def _waves(self) -> Iterator[Wave]:
-        for g, group in enumerate(self.along.groups):
+        for g, group in enumerate(self.separable.groups):
             part = self.parts.get(group.names[0])
             if part is not None and group.wave:
                 names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
@@ -67,11 +67,11 @@ class Relaxed:
 
     def laws(self, data: Array) -> list[tuple[float, Array]]:
         """Laws of data (M,), as found and with waves of two sums exchanged: misfits, and numbers (P,) of the whole."""
-        problem = Projected(self.along, data)
+        problem = ProjectedProblem(self.separable, data)
         state = self.search.completed(problem)
         found = [state]
         for one, other in combinations(self.waves, 2):
-            at = [self.along.groups[w.g].numbers for w in (one, other)]
+            at = [self.separable.groups[w.g].numbers for w in (one, other)]
             if one.size == other.size or not all(at):
                 continue
             i, j = at[0][0], at[1][0]
@@ -79,14 +79,14 @@ class Relaxed:
                 numbers = state.numbers.copy()
                 numbers[[i, j]] = numbers[[j, i]]
                 moved = problem.at(numbers, state, {one.g, other.g})
-                found.append(problem.refine(moved, steps=ROUGH, enough=1e-3))
+                found.append(problem.refine(moved, steps=ROUGH_STEPS, enough=1e-3))
         return [(s.misfit, self._whole(s)) for s in found]
 
-    def _whole(self, state: State) -> Array:
+    def _whole(self, state: SeparableSolution) -> Array:
         """Numbers (P,) of the whole law that has the waves of a relaxed one."""
-        law = self.along.law(state.numbers, state.coefficients)
+        law = self.separable.law(state.numbers, state.coefficients)
         known = {(self.effect.name, name): value for name, value in self.common.items()}
-        for slot, value in zip(self.along.layout.slots, law, strict=True):
+        for slot, value in zip(self.separable.layout.slots, law, strict=True):
             part = self.parts.get(slot.effect)
             if part is None:
                 known[slot.effect, slot.parameter] = float(value)
@@ -103,14 +103,14 @@ class Relaxed:
         out = []
         for size in dict.fromkeys(w.size for w in self.waves):
             periods = sorted(self._value(p, w.frequency) * duration for w in self.waves if w.size == size)
-            out += [f if f > SLOW else 0.0 for f in periods]
+            out += [f if f > MAX_SLOW_PERIODS else 0.0 for f in periods]
         return np.array(out)
 
     def exchanged(self, p: Array) -> Iterator[Array]:
         """A law (P,) with two waves of two sums exchanged that stand close to each other."""
         for one, other in combinations(self.waves, 2):
             f, g = (self._value(p, w.frequency) for w in (one, other))
-            near = abs(f - g) * self.whole.layout.span.duration < CLOSE
+            near = abs(f - g) * self.whole.layout.span.duration < MAX_PAIR_PLACES
             if one.size != other.size and near and max(f, g) > self.slow[-1]:
                 q = p.copy()
                 self._put(q, one, g, self._value(p, other.phase))
@@ -128,13 +128,13 @@ class Relaxed:
         one, other = pair
         plain = self._plain(p, pair)
         a, b, aa, bb, ab = self._beside(pair, plain)
-        r, q = (_short(_beyond(self._others(p, w), plain)) for w in pair)
-        y = _short(_beyond(data, plain))
-        g11, u1 = (r @ r + 2 * _turned(a @ r) + aa)[:, None], (r @ y + _turned(a @ y))[:, None]
-        g22, u2 = q @ q + 2 * _turned(b @ q) + bb, q @ y + _turned(b @ y)
-        g12 = ab + (r @ q + _turned(a @ q))[:, None]
-        g12 += _turned(b @ r)
-        det = np.maximum(g11 * g22 - g12 * g12, ALIKE * g11 * g22)
+        r, q = (_compressed_rows(_without_basis(self._others(p, w), plain)) for w in pair)
+        y = _compressed_rows(_without_basis(data, plain))
+        g11, u1 = (r @ r + 2 * _over_phases(a @ r) + aa)[:, None], (r @ y + _over_phases(a @ y))[:, None]
+        g22, u2 = q @ q + 2 * _over_phases(b @ q) + bb, q @ y + _over_phases(b @ y)
+        g12 = ab + (r @ q + _over_phases(a @ q))[:, None]
+        g12 += _over_phases(b @ r)
+        det = np.maximum(g11 * g22 - g12 * g12, MIN_DIFFERENCE_SHARE * g11 * g22)
         c1, c2 = g22 * u1 - g12 * u2, g11 * u2 - g12 * u1
         gain = (c1 * u1 + c2 * u2) / det
         gain[(c1 <= 0) | (c2 <= 0)] = 0.0
@@ -160,11 +160,11 @@ class Relaxed:
         """
         key = pair[0].frequency, pair[1].frequency
         if key not in self._products or not np.array_equal(self._products[key][0], plain):
-            a, b = (_short(_beyond(self._form(w), plain)) for w in pair)
+            a, b = (_compressed_rows(_without_basis(self._form(w), plain)) for w in pair)
             aa, bb = (np.einsum("ap,fab,bp->fp", ROUND, x @ x.transpose(0, 2, 1), ROUND).ravel() for x in (a, b))
             n = a.shape[-1]
             across = (a.reshape(-1, n) @ b.reshape(-1, n).T).reshape(len(a), 2, len(b), 2)
-            ab = np.einsum("ap,fagb,bq->fpgq", _short(ROUND), across, _short(ROUND), optimize=True)
+            ab = np.einsum("ap,fagb,bq->fpgq", _compressed_rows(ROUND), across, _compressed_rows(ROUND), optimize=True)
             self._products[key] = plain, a, b, aa, bb, np.ascontiguousarray(ab.reshape(len(a) * PHASES, -1))
         return self._products[key][1:]
 
@@ -187,15 +187,15 @@ class Relaxed:
         return self._rows[key]
 
     def _quadratures(self, w: Wave, frequencies: Array) -> Array:
-        numbers = np.ones((len(frequencies), len(self.along.layout.slots)))
-        for i in self.along.groups[w.g].numbers:
+        numbers = np.ones((len(frequencies), len(self.separable.layout.slots)))
+        for i in self.separable.groups[w.g].numbers:
             numbers[:, i] = frequencies
-        rows = [self.along.rows(w.g, b, numbers) for b in range(len(self.along.blocks))]
+        rows = [self.separable.rows(w.g, b, numbers) for b in range(len(self.separable.blocks))]
         return np.concatenate(rows, axis=2)
 
     def _others(self, p: Array, w: Wave) -> Array:
         """The other waves of the sum of `w`, (M,)."""
-        out = np.zeros(self.along.size)
+        out = np.zeros(self.separable.size)
         for q in self.waves:
             if q.size == w.size and q is not w:
                 phase = self._value(p, q.phase)
@@ -206,10 +206,10 @@ class Relaxed:
     def _plain(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
         """An orthonormal basis (k, M) of all that stands beside two sums, at the numbers of a law (P,)."""
         known = {(s.effect, s.parameter): float(v) for s, v in zip(self.whole.layout.slots, p, strict=True)}
-        numbers = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.along.layout.slots]])
+        numbers = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
         rows = []
-        for g in set(range(len(self.along.groups))) - self.groups:
-            each = [self.along.rows(g, b, numbers)[0] for b in range(len(self.along.blocks))]
+        for g in set(range(len(self.separable.groups))) - self.groups:
+            each = [self.separable.rows(g, b, numbers)[0] for b in range(len(self.separable.blocks))]
             rows.append(np.concatenate(each, axis=1))
         for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
             w = next(w for w in self.waves if w.size == size)
@@ -217,27 +217,27 @@ class Relaxed:
             turn = self._value(p, w.phase)
             rows.append((self._others(p, w) + np.cos(turn) * own[0] + np.sin(turn) * own[1])[None])
         if not rows:
-            return np.zeros((0, self.along.size))
+            return np.zeros((0, self.separable.size))
         q, _ = np.linalg.qr(np.concatenate(rows).T)
         return np.asarray(q.T)
 
 
-def _beyond(rows: Array, basis: Array) -> Array:
+def _without_basis(rows: Array, basis: Array) -> Array:
     """What an orthonormal basis (k, M) leaves of rows (..., M)."""
     return np.asarray(rows - (rows @ basis.T) @ basis)
 
 
-def _short(rows: Array) -> Array:
+def _compressed_rows(rows: Array) -> Array:
     """In single precision: it only says where to look."""
     return rows.astype(np.float32)
 
 
-def _turned(products: Array) -> Array:
+def _over_phases(products: Array) -> Array:
     """Products of waves at all phases, (F PHASES,), from those of their quadratures (F, 2)."""
-    return np.asarray((products @ _short(ROUND)).ravel())
+    return np.asarray((products @ _compressed_rows(ROUND)).ravel())
 
 
-def _made(name: str, part: Part, effect: Effect, common: Mapping[str, float]) -> Effect:
+def _effect_of_part(name: str, part: Part, effect: Effect, common: Mapping[str, float]) -> Effect:
     """A part as it is searched: bounds and fixed values of the whole, what is shared held."""
     own = []
     for q, called in zip(part.effect.parameters, part.names, strict=True):

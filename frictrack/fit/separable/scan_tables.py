@@ -12,36 +12,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.effects import Effect
-from frictrack.fit.separable.model import Along
-from frictrack.fit.separable.newton import State
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.newton import SeparableSolution
 from frictrack.records import Array, Mask
 
-ABSORBED = 1e-6  # share of a column's square that must remain beside the law for it to count
-APART = 3  # steps of the grid within which a second pick is the same one
-CROWD = 64  # forms evaluated at once
+MIN_UNEXPLAINED_SHARE = 1e-6  # share of a column's square that must remain beside the law for it to count
+MIN_GRID_STEPS_APART = 3  # steps of the grid within which a second pick is the same one
+MAX_AT_ONCE = 64  # forms evaluated at once
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class ScanGrid:
     """Points of a scan: `values` (G, d) of the parameters `names`, and where they stand on their axes, (G, d)."""
 
     names: tuple[str, ...]
     values: Array
     steps: NDArray[np.int_]
 
-    def shortened(self) -> Grid:
+    def shortened(self) -> ScanGrid:
         """The grid without its last point."""
-        return Grid(self.names, self.values[:-1], self.steps[:-1])
+        return ScanGrid(self.names, self.values[:-1], self.steps[:-1])
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ScanTable:
     """Rows of every form: of block b (G c_b, m_b), its columns being coefficients `at[b]` of the C of a form.
 
     In single precision: they only say where to look.
     """
 
-    grid: Grid
+    grid: ScanGrid
     rows: list[NDArray[np.float32]]
     at: list[NDArray[np.int_]]
     gram: Array  # (G, C, C)
@@ -50,18 +50,18 @@ class Table:
     measured: list[Array] = field(default_factory=list)  # the last data and the products with them
     joint: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
 
-    def against(self, along: Along, state: State, data: Array) -> tuple[Array, Array]:
+    def against(self, separable: SeparableModel, state: SeparableSolution, data: Array) -> tuple[Array, Array]:
         """Inner products with the rows of a law and of its R levels (G, C, K + R), and with its residual (G, C)."""
         k = len(state.coefficients)
         out = np.zeros((*self.gram.shape[:2], k + len(state.levels.rows)))
         for g, stamp in enumerate(state.stamps):
-            mine = along.coefficients_of(g)
+            mine = separable.coefficients_of(g)
             if self.crosses.get(g, (None,))[0] != stamp:
-                self.crosses[g] = stamp, self._products(along.slices, state.rows[mine])
+                self.crosses[g] = stamp, self._products(separable.slices, state.rows[mine])
             out[:, :, mine] = self.crosses[g][1]
         if not self.measured or self.measured[0] is not data:
-            self.measured[:] = [data, self._products(along.slices, data[None])[:, :, 0]]
-        out[:, :, k:] = self._products(along.slices, state.levels.rows)
+            self.measured[:] = [data, self._products(separable.slices, data[None])[:, :, 0]]
+        out[:, :, k:] = self._products(separable.slices, state.levels.rows)
         return out, self.measured[1] - out[:, :, :k] @ state.coefficients
 
     def neighbours(self) -> Array:
@@ -88,15 +88,15 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class TableScan:
     """What every form gains beside a law, (G,), and its coefficients (G, C)."""
 
-    grid: Grid
+    grid: ScanGrid
     gains: Array
     coefficients: Array
 
     def picks(self, most: int) -> list[int]:
-        """Forms of the largest gains, none within `APART` steps of a better one."""
+        """Forms of the largest gains, none within `MIN_GRID_STEPS_APART` steps of a better one."""
         chosen: list[int] = []
         left = self.gains.copy()
         for _ in range(most):
@@ -104,15 +104,15 @@ class Scan:
             if left[best] <= 0:
                 break
             chosen.append(best)
-            left[np.all(np.abs(self.grid.steps - self.grid.steps[best]) <= APART, axis=1)] = 0.0
+            left[np.all(np.abs(self.grid.steps - self.grid.steps[best]) <= MIN_GRID_STEPS_APART, axis=1)] = 0.0
         return chosen
 
 
-def grid_of(along: Along, effect: str, run: int | None) -> Grid:
+def grid_of(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
     """Every combination of the scanned parameters of an effect, those above what the data show left out."""
-    made = next(e for e in along.layout.model.effects if e.name == effect)
-    span = along.layout.span if run is None else along.layout.spans[run]
-    highest = max(b.highest for b in along.blocks)
+    made = next(e for e in separable.layout.model.effects if e.name == effect)
+    span = separable.layout.span if run is None else separable.layout.spans[run]
+    highest = max(b.highest for b in separable.blocks)
     scanned = [p for p in made.nonlinear if p.scan is not None and p.free]
     axes = []
     for p in scanned:
@@ -124,11 +124,11 @@ def grid_of(along: Along, effect: str, run: int | None) -> Grid:
         axes.append(axis)
     values = np.array(list(product(*axes)))
     steps = np.array(list(product(*[range(len(a)) for a in axes])))
-    return Grid(tuple(p.name for p in scanned), values, steps)
+    return ScanGrid(tuple(p.name for p in scanned), values, steps)
 
 
 @dataclass(frozen=True)
-class Item:
+class ScannedEffect:
     """An effect that is scanned: in group `g`; in one `run` where the scan is the run's own."""
 
     effect: str
@@ -136,7 +136,7 @@ class Item:
     run: int | None = None
 
 
-MOST_AXES = 3  # numbers of one effect that are scanned together
+MAX_SCAN_AXES = 3  # numbers of one effect that are scanned together
 
 
 def is_scannable(effect: Effect) -> bool:
@@ -145,55 +145,59 @@ def is_scannable(effect: Effect) -> bool:
     One that is relaxed is scanned part by part.
     """
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-    return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MOST_AXES)
+    return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MAX_SCAN_AXES)
 
 
-def items_of(along: Along) -> list[Item]:
+def scanned_effects(separable: SeparableModel) -> list[ScannedEffect]:
     """What a model has to scan, in its order."""
     out = []
-    for effect in along.layout.model.effects:
-        g = next(k for k, group in enumerate(along.groups) if effect.name in group.names)
+    for effect in separable.layout.model.effects:
+        g = next(k for k, group in enumerate(separable.groups) if effect.name in group.names)
         scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
         if not is_scannable(effect) or effect.relaxed:
             continue
         if effect.single:
-            out += [Item(effect.name, g, r) for r in along.runs if (effect.name, r) not in along.layout.absent]
+            out += [
+                ScannedEffect(effect.name, g, r)
+                for r in separable.runs
+                if (effect.name, r) not in separable.layout.absent
+            ]
         elif scanned and effect.linear:
-            out.append(Item(effect.name, g))
+            out.append(ScannedEffect(effect.name, g))
     return out
 
 
-def coefficients_of(along: Along, item: Item) -> NDArray[np.int_]:
+def coefficients_of(separable: SeparableModel, item: ScannedEffect) -> NDArray[np.int_]:
     """Which coefficients of the law belong to an item."""
     return np.array(
         [
             i
-            for i, c in enumerate(along.coefficients)
+            for i, c in enumerate(separable.coefficients)
             if c.effect == item.effect and (item.run is None or c.run in (None, item.run))
         ],
         dtype=int,
     )
 
 
-class Tables:
+class ScanTables:
     """The tables of a layout along its blocks, made when first asked for."""
 
-    def __init__(self, along: Along) -> None:
-        self.along = along
-        self._grids: dict[tuple[str, int | None], Grid] = {}
-        self._made: dict[tuple[object, ...], Table] = {}
+    def __init__(self, separable: SeparableModel) -> None:
+        self.separable = separable
+        self._grids: dict[tuple[str, int | None], ScanGrid] = {}
+        self._made: dict[tuple[object, ...], ScanTable] = {}
 
-    def grid(self, item: Item) -> Grid:
+    def grid(self, item: ScannedEffect) -> ScanGrid:
         """The grid of an item."""
         key = item.effect, item.run
         if key not in self._grids:
-            self._grids[key] = grid_of(self.along, *key)
+            self._grids[key] = grid_of(self.separable, *key)
         return self._grids[key]
 
-    def table(self, item: Item, state: State) -> Table:
+    def table(self, item: ScannedEffect, state: SeparableSolution) -> ScanTable:
         """The table of an item; kept unless it depends on the law at hand."""
-        along = self.along
-        group = along.groups[item.g]
+        separable = self.separable
+        group = separable.groups[item.g]
         if len(group.model.effects) > 1:
             return self._build(item, state)
         effect = group.model.effects[0]
@@ -201,59 +205,60 @@ class Tables:
         rest = [
             float(state.numbers[i])
             for i in group.numbers
-            if along.layout.slots[i].parameter not in grid.names and along.layout.slots[i].run in (None, item.run)
+            if separable.layout.slots[i].parameter not in grid.names
+            and separable.layout.slots[i].run in (None, item.run)
         ]
         key = (effect.columns, effect.parameters, item.run, *rest)
         if key not in self._made:
             self._made[key] = self._build(item, state)
         return self._made[key]
 
-    def scan(self, item: Item, state: State, data: Array) -> Scan:
+    def scan(self, item: ScannedEffect, state: SeparableSolution, data: Array) -> TableScan:
         """What every form of an item gains beside a law without it."""
         table = self.table(item, state)
-        mine = coefficients_of(self.along, item)
-        cross, right = table.against(self.along, state, data)
-        return _scanned(table, state, (cross, right), (self.along.low[mine], self.along.high[mine]))
+        mine = coefficients_of(self.separable, item)
+        cross, right = table.against(self.separable, state, data)
+        return _table_scan(table, state, (cross, right), (self.separable.low[mine], self.separable.high[mine]))
 
-    def pairs(self, item: Item, state: State, data: Array) -> Scan:
+    def pairs(self, item: ScannedEffect, state: SeparableSolution, data: Array) -> TableScan:
         """What two neighbouring points of one scan would gain together: two lines closer than they can be parted."""
         table = self.table(item, state)
-        cross, right = table.against(self.along, state, data)
+        cross, right = table.against(self.separable, state, data)
         two = replace(table, gram=table.neighbours(), grid=table.grid.shortened())
         both = np.concatenate([cross[:-1], cross[1:]], axis=1), np.concatenate([right[:-1], right[1:]], axis=1)
-        return _scanned(two, state, both, (-np.inf, np.inf))
+        return _table_scan(two, state, both, (-np.inf, np.inf))
 
-    def _build(self, item: Item, state: State) -> Table:
-        along, grid = self.along, self.grid(item)
+    def _build(self, item: ScannedEffect, state: SeparableSolution) -> ScanTable:
+        separable, grid = self.separable, self.grid(item)
         numbers = np.tile(state.numbers, (len(grid.values), 1))
         for name, values in zip(grid.names, grid.values.T, strict=True):
-            for i, s in enumerate(along.layout.slots):
+            for i, s in enumerate(separable.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
                     numbers[:, i] = values
-        mine = coefficients_of(along, item)
+        mine = coefficients_of(separable, item)
         rows, at = [], []
         gram = np.zeros((len(numbers), len(mine), len(mine)))
-        for b, block in enumerate(along.blocks):
-            place = along.place[item.g][block.run]
+        for b, block in enumerate(separable.blocks):
+            place = separable.place[item.g][block.run]
             kept = np.flatnonzero(np.isin(place, mine))
             if item.run is not None and block.run != item.run:
                 kept = kept[:0]
-            parts = [along.rows(item.g, b, part)[:, kept] for part in _crowds(numbers)] if len(kept) else []
+            parts = [separable.rows(item.g, b, part)[:, kept] for part in _chunks(numbers)] if len(kept) else []
             made = np.concatenate(parts) if parts else np.zeros((len(numbers), 0, len(block.data)))
             a = np.searchsorted(mine, place[kept])
             gram[np.ix_(np.arange(len(numbers)), a, a)] += made @ made.transpose(0, 2, 1)
             rows.append(made.reshape(-1, len(block.data)).astype(np.float32))
             at.append(a)
-        return Table(grid, rows, at, gram)
+        return ScanTable(grid, rows, at, gram)
 
 
-def _crowds(numbers: Array) -> list[Array]:
-    return np.array_split(numbers, max(1, -(-len(numbers) // CROWD)))
+def _chunks(numbers: Array) -> list[Array]:
+    return np.array_split(numbers, max(1, -(-len(numbers) // MAX_AT_ONCE)))
 
 
-def _scanned(
-    table: Table, state: State, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
-) -> Scan:
+def _table_scan(
+    table: ScanTable, state: SeparableSolution, products: tuple[Array, Array], box: tuple[Array | float, Array | float]
+) -> TableScan:
     """Gains of all forms beside a law that has none of them, its levels free as far as they are held.
 
     `products` are those with its rows and levels (G, C, K + R) and with its residual (G, C).
@@ -262,17 +267,17 @@ def _scanned(
     schur, already = table.gram.copy(), 0.0
     free = np.concatenate([state.moving, state.levels.rows.any(axis=1)])
     if free.any():
-        inverse, size, pull = _beside(state, free)
+        inverse, size, pull = _free_rows(state, free)
         beside = cross[:, :, free] / size
         flat = (beside.reshape(-1, len(size)) @ inverse).reshape(beside.shape)
         schur -= flat @ beside.transpose(0, 2, 1)
         right, already = right - flat @ pull, float(pull @ inverse @ pull)
     c = np.clip(_solve(schur, right, np.einsum("gcc->gc", table.gram)), *box)
     bent = (schur @ c[:, :, None])[:, :, 0]
-    return Scan(table.grid, np.einsum("gc,gc->g", c, 2 * right - bent) + already, c)
+    return TableScan(table.grid, np.einsum("gc,gc->g", c, 2 * right - bent) + already, c)
 
 
-def _beside(state: State, free: Mask) -> tuple[Array, Array, Array]:
+def _free_rows(state: SeparableSolution, free: Mask) -> tuple[Array, Array, Array]:
     """Of the free rows and levels of a law (k,): their inverse Gram matrix, in units of their sizes (k,), and pulls."""
     rows = np.concatenate([state.rows, state.levels.rows])[free]
     k, own = len(state.coefficients), state.levels
@@ -288,17 +293,17 @@ def _beside(state: State, free: Mask) -> tuple[Array, Array, Array]:
 def _solve(schur: Array, right: Array, full: Array) -> Array:
     """Best coefficients (G, C) of forms with what remains of their Gram matrices; absorbed forms get none."""
     count = schur.shape[1]
-    floor = ABSORBED * full
+    floor = MIN_UNEXPLAINED_SHARE * full
     if count == 1:
         own = schur[:, :, 0]
         return right / np.where(own > floor, own, np.inf)
     if count == 2:
         a, b, d = schur[:, 0, 0], schur[:, 0, 1], schur[:, 1, 1]
         det = a * d - b * b
-        good = det > ABSORBED * full[:, 0] * full[:, 1]
+        good = det > MIN_UNEXPLAINED_SHARE * full[:, 0] * full[:, 1]
         det = np.where(good, det, np.inf)
         out = np.stack([(d * right[:, 0] - b * right[:, 1]) / det, (a * right[:, 1] - b * right[:, 0]) / det], axis=1)
         return out
     size = np.sqrt(np.where(full > 0, full, 1.0))
-    unit = schur / size[:, :, None] / size[:, None, :] + ABSORBED * np.eye(count)
+    unit = schur / size[:, :, None] / size[:, None, :] + MIN_UNEXPLAINED_SHARE * np.eye(count)
     return np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size

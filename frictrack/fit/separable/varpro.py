@@ -13,84 +13,91 @@ from itertools import permutations
 
 import numpy as np
 
-from frictrack.fit.separable.model import Along
-from frictrack.fit.separable.newton import Projected, State
-from frictrack.fit.separable.scan_tables import Grid, Item, Scan, Tables, coefficients_of, items_of
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.scan_tables import (
+    ScanGrid,
+    ScannedEffect,
+    ScanTables,
+    TableScan,
+    coefficients_of,
+    scanned_effects,
+)
 from frictrack.records import Array
 
-PICKS = 3  # places of one scan that are tried
-CLOSE = 2  # places of two lines side by side that are tried
-ROUGH = 3  # steps while the law is incomplete
-SLACK = 0.1  # of what an effect explains: how far behind a place may look before it is refined
-NOISE = 12.0  # the same in units of the noise
-COUPLED = 0.1  # share of each other that two effects explain, for them to be sought anew together
-UNSAID = 30.0  # in units of the noise: more than the best of a thousand forms gains by chance
-SHORT = 64  # places of a scan that costs nothing
-GAIN = 1e-6  # of the misfit that a trial must gain to be kept
+MAX_PLACES = 3  # places of one scan that are tried
+MAX_PAIR_PLACES = 2  # places of two lines side by side that are tried
+ROUGH_STEPS = 3  # steps while the law is incomplete
+MAX_LAG_SHARE = 0.1  # of what an effect explains: how far behind a place may look before it is refined
+MAX_LAG_CHI2 = 12.0  # the same in units of the noise
+MIN_COUPLING = 0.1  # share of each other that two effects explain, for them to be sought anew together
+LARGE_GAIN_CHI2 = 30.0  # in units of the noise: more than the best of a thousand forms gains by chance
+SHORT_SCAN_POINTS = 64  # places of a scan that costs nothing
+MIN_GAIN_SHARE = 1e-6  # of the misfit that a trial must gain to be kept
 
 
-class Search:
+class VariableProjection:
     """Variable projection along the measured motion. Reused for many data sets, it keeps its tables."""
 
-    def __init__(self, along: Along, tau: float = 0.03) -> None:
-        self.along, self.tau = along, tau
-        self.tables = Tables(along)
-        self.items = items_of(along)
-        self.mine = {item: coefficients_of(along, item) for item in self.items}
-        self.plain = {g for g, group in enumerate(along.groups) if g not in {i.g for i in self.items}}
+    def __init__(self, separable: SeparableModel, tau: float = 0.03) -> None:
+        self.separable, self.tau = separable, tau
+        self.tables = ScanTables(separable)
+        self.items = scanned_effects(separable)
+        self.mine = {item: coefficients_of(separable, item) for item in self.items}
+        self.plain = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
 
-    def __call__(self, data: Array | None = None, numbers: Array | None = None) -> State:
+    def __call__(self, data: Array | None = None, numbers: Array | None = None) -> SeparableSolution:
         """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
-        problem = Projected(self.along, self.along.data if data is None else data, self.tau)
+        problem = ProjectedProblem(self.separable, self.separable.data if data is None else data, self.tau)
         return self._exchanged(problem, self.completed(problem, numbers))
 
-    def completed(self, problem: Projected, numbers: Array | None = None) -> State:
+    def completed(self, problem: ProjectedProblem, numbers: Array | None = None) -> SeparableSolution:
         """The law with every effect where it gained most when it was taken in, refined roughly."""
         first = self.first() if numbers is None else numbers
         state = problem.at(first, problem.nothing(first), self.plain)
         if problem.levels:
-            state = problem.refine(state, self.plain, steps=ROUGH)
+            state = problem.refine(state, self.plain, steps=ROUGH_STEPS)
         return self._complete(problem, state)
 
-    def idle(self, state: State, price: float) -> frozenset[tuple[str, int]]:
+    def idle(self, state: SeparableSolution, price: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
-        problem = Projected(self.along, self.along.data, self.tau)
+        problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
         bare = {i: problem.without(state, self.mine[i]) for i in self.items if i.run is not None}
         if problem.levels:  # these take over what they can
-            bare = {i: problem.refine(law, (), steps=ROUGH) for i, law in bare.items()}
+            bare = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in bare.items()}
         gains = {i: law.misfit - state.misfit for i, law in bare.items()}
         best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
         return frozenset(
             (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(price, best[i.effect])
         )
 
-    def exchanged(self, problem: Projected, state: State, effect: str) -> State:
+    def exchanged(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The law with one effect, and all whose scan is as short, where they explain most beside each other."""
         whole = self.items
-        self.items = [i for i in whole if i.effect == effect or len(self.tables.grid(i).values) <= SHORT]
+        self.items = [i for i in whole if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS]
         state = self._exchanged(problem, state)
         self.items = whole
         return state
 
-    def afresh(self, problem: Projected, state: State, effect: str) -> State:
+    def afresh(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The same, the effect taken out before and found again run by run, where it gains most first."""
         whole = self.items
         self.items = [i for i in whole if i.effect == effect]
         bare = problem.without(state, np.concatenate([self.mine[i] for i in self.items]))
-        found = self._complete(problem, problem.refine(bare, self._inside(self.items), steps=ROUGH))
+        found = self._complete(problem, problem.refine(bare, self._inside(self.items), steps=ROUGH_STEPS))
         self.items = whole
         return self.exchanged(problem, found, effect)
 
     def first(self) -> Array:
         """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""
-        low, high = self.along.layout.bounds
+        low, high = self.separable.layout.bounds
         out = np.ones(len(low))
-        for i, s in enumerate(self.along.layout.slots):
+        for i, s in enumerate(self.separable.layout.slots):
             if not s.linear and np.isfinite(low[i]) and np.isfinite(high[i]) and not low[i] <= 1.0 <= high[i]:
                 out[i] = 0.5 * (low[i] + high[i])
         return out
 
-    def _complete(self, problem: Projected, state: State) -> State:
+    def _complete(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Take in one effect after the other, the one that gains most first."""
         left = list(self.items)
         while left:
@@ -98,22 +105,24 @@ class Search:
             item = max(scans, key=lambda i: float(scans[i].gains.max()))
             left.remove(item)
             state = self._taken(problem, state, item, scans[item], int(np.argmax(scans[item].gains)))
-            state = problem.refine(state, self._inside(left), steps=ROUGH, enough=1e-3)
+            state = problem.refine(state, self._inside(left), steps=ROUGH_STEPS, enough=1e-3)
         return state
 
-    def _inside(self, left: list[Item]) -> set[int]:
-        return set(range(len(self.along.groups))) - {i.g for i in left}
+    def _inside(self, left: list[ScannedEffect]) -> set[int]:
+        return set(range(len(self.separable.groups))) - {i.g for i in left}
 
-    def _taken(self, problem: Projected, state: State, item: Item, found: Scan, g: int) -> State:
+    def _taken(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScannedEffect, found: TableScan, g: int
+    ) -> SeparableSolution:
         """The law with an item at one point of its scan."""
         numbers = state.numbers.copy()
         for name, value in zip(found.grid.names, found.grid.values[g], strict=True):
-            for i, s in enumerate(self.along.layout.slots):
+            for i, s in enumerate(self.separable.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
                     numbers[i] = value
         return problem.at(numbers, state, {item.g}, self.mine[item])
 
-    def _exchanged(self, problem: Projected, state: State) -> State:
+    def _exchanged(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Try other places for every effect, then for pairs of them, until none helps."""
         state = problem.refine(state)
         waiting = list(self.items)
@@ -127,7 +136,7 @@ class Search:
                 waiting = [i for i in self.items if i != item] or list(self.items)
         return state
 
-    def _paired(self, problem: Projected, state: State) -> State | None:
+    def _paired(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better law with two effects elsewhere: two lines in place of one, or two that trade places."""
         shares = self._shares(state)
         unsaid = self._unsaid(problem, state)
@@ -138,27 +147,31 @@ class Search:
                 if alike and self.items.index(one) < self.items.index(other)
                 else None
             )
-            if better is None and (unsaid or shares(one, other) > COUPLED):
+            if better is None and (unsaid or shares(one, other) > MIN_COUPLING):
                 better = self._anew(problem, state, one, other)
             if better is not None:
                 return better
         return None
 
-    def _unsaid(self, problem: Projected, state: State) -> bool:
+    def _unsaid(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would explain far more than chance does: something stands wrong."""
         best = max(float(s.gains.max()) for s in self._scans(problem, state, self.items).values())
-        return best > UNSAID * state.misfit / self.along.size
+        return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
 
-    def _scans(self, problem: Projected, state: State, items: list[Item]) -> dict[Item, Scan]:
+    def _scans(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScannedEffect]
+    ) -> dict[ScannedEffect, TableScan]:
         """What one more of every kind of effect would gain."""
-        kinds = {(self.along.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
+        kinds = {(self.separable.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
         return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
 
-    def _elsewhere(self, problem: Projected, state: State, item: Item) -> State | None:
+    def _elsewhere(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScannedEffect
+    ) -> SeparableSolution | None:
         bare = problem.without(state, self.mine[item])
         found = self.tables.scan(item, bare, problem.data)
         near = self._near(state, bare)
-        for g in found.picks(PICKS):
+        for g in found.picks(MAX_PLACES):
             if bare.misfit - found.gains[g] > near or self._stands(item, state, found, g):
                 continue
             better = self._kept(problem, state, self._taken(problem, state, item, found, g))
@@ -166,17 +179,23 @@ class Search:
                 return better
         return None
 
-    def _near(self, state: State, bare: State) -> float:
+    def _near(self, state: SeparableSolution, bare: SeparableSolution) -> float:
         """How large a misfit on the grid may be, and the law still be worth refining, beside one with effects out."""
-        return state.misfit + SLACK * (bare.misfit - state.misfit) + NOISE * state.misfit / self.along.size
+        return (
+            state.misfit
+            + MAX_LAG_SHARE * (bare.misfit - state.misfit)
+            + MAX_LAG_CHI2 * state.misfit / self.separable.size
+        )
 
-    def _close(self, problem: Projected, state: State, one: Item, other: Item) -> State | None:
+    def _close(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScannedEffect, other: ScannedEffect
+    ) -> SeparableSolution | None:
         """Two lines side by side, where the two together gain most."""
         both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
         found = self.tables.pairs(one, both, problem.data)
         where = self._where(one, found.grid.names), self._where(other, found.grid.names)
         values = self.tables.grid(one).values
-        for g in found.picks(CLOSE):
+        for g in found.picks(MAX_PAIR_PLACES):
             if both.misfit - found.gains[g] > self._near(state, both):
                 break
             numbers = state.numbers.copy()
@@ -186,7 +205,9 @@ class Search:
                 return better
         return None
 
-    def _anew(self, problem: Projected, state: State, one: Item, other: Item) -> State | None:
+    def _anew(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScannedEffect, other: ScannedEffect
+    ) -> SeparableSolution | None:
         """Both out; the best place for `one` first, then beside it for the `other`."""
         both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
         first = self.tables.scan(one, both, problem.data)
@@ -198,23 +219,25 @@ class Search:
             return None
         return self._kept(problem, state, self._taken(problem, middle, other, second, g))
 
-    def _kept(self, problem: Projected, state: State, trial: State) -> State | None:
+    def _kept(
+        self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
+    ) -> SeparableSolution | None:
         trial = problem.refine(trial, below=state.misfit)
-        return trial if trial.misfit < state.misfit * (1 - GAIN) else None
+        return trial if trial.misfit < state.misfit * (1 - MIN_GAIN_SHARE) else None
 
-    def _alike(self, one: Item, other: Item) -> bool:
+    def _alike(self, one: ScannedEffect, other: ScannedEffect) -> bool:
         """Whether two items are instances of one effect, found by one number."""
-        a, b = (self.along.groups[i.g].model.effects[0] for i in (one, other))
+        a, b = (self.separable.groups[i.g].model.effects[0] for i in (one, other))
         return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
 
-    def _shares(self, state: State) -> Callable[[Item, Item], float]:
+    def _shares(self, state: SeparableSolution) -> Callable[[ScannedEffect, ScannedEffect], float]:
         """How much of each other's rows two items explain, all others projected out."""
         rows = np.where(state.out[:, None], 0.0, state.rows)
         gram = rows @ rows.T
         size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
         inverse = np.linalg.inv(gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
 
-        def share(one: Item, other: Item) -> float:
+        def share(one: ScannedEffect, other: ScannedEffect) -> float:
             a, b = self.mine[one], self.mine[other]
             across = inverse[np.ix_(a, b)]
             ahead = np.linalg.solve(inverse[np.ix_(a, a)], across)
@@ -222,18 +245,18 @@ class Search:
 
         return share
 
-    def _where(self, item: Item, names: tuple[str, ...]) -> list[int]:
+    def _where(self, item: ScannedEffect, names: tuple[str, ...]) -> list[int]:
         """Positions in the layout of the numbers that an item is scanned over."""
-        found = (self.along.position(item.effect, name, item.run) for name in names)
+        found = (self.separable.position(item.effect, name, item.run) for name in names)
         return [i for i in found if i is not None]
 
     @staticmethod
-    def _nearest(grid: Grid, state: State, where: list[int]) -> int:
+    def _nearest(grid: ScanGrid, state: SeparableSolution, where: list[int]) -> int:
         reach = np.ptp(grid.values, axis=0)
         away = (grid.values - state.numbers[where]) / np.where(reach > 0, reach, 1.0)
         return int(np.argmin(np.sum(away**2, axis=1)))
 
-    def _stands(self, item: Item, state: State, found: Scan, g: int) -> bool:
+    def _stands(self, item: ScannedEffect, state: SeparableSolution, found: TableScan, g: int) -> bool:
         """Whether the law has the item at that place already, within a step of its scan."""
         nearest = self._nearest(found.grid, state, self._where(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))

@@ -8,21 +8,21 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Solution, refine, resettled, settle_scatter
-from frictrack.fit.linearised import Beside, beside, families, one_series, scan
-from frictrack.fit.parameters import Layout
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, fit_with_scatter, refine, refit_with_scatter
+from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
-from frictrack.fit.stepwise.order import follows, in_turn, known, untied
-from frictrack.fit.stepwise.trial import PULSE_PRICE, Trial, deepened, tried
+from frictrack.fit.stepwise.order import effect_for_scan, entry_order, model_without, ties_are_resolved
+from frictrack.fit.stepwise.trial import EVENT_PENALTY, CandidateTrial, deepen_trials, try_effect
 from frictrack.models import Model
 from frictrack.records import Array
 
-TRIAL_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
-TRIAL_SHARE = 1e-3  # likewise of the chi-squared beyond the noise, where a law leaves much
-TRIAL_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
+TRIAL_MIN_CHI2_FALL = 0.1  # of chi-squared, that a step of a trial must promise: less changes no ranking
+TRIAL_MIN_EXCESS_SHARE = 1e-3  # likewise of the chi-squared beyond the noise, where a law leaves much
+TRIAL_MAX_STEPS = 8  # of Gauss-Newton for an effect on trial; the true one needs fewer, a wrong one need not settle
 
 
-def first_guess(problem: Problem) -> Array:
+def guess_coefficients(problem: LeastSquaresProblem) -> Array:
     """Coefficients of a linear model by least squares on the smoothed acceleration."""
     layout = problem.layout
     rows, right = [], []
@@ -37,21 +37,21 @@ def first_guess(problem: Problem) -> Array:
     return p
 
 
-def _acceleration(problem: Problem, piece: Piece, p: Array) -> Array:
+def _acceleration(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
     """What the law p (P,) adds to the acceleration along the smoothed motion, (3 p,)."""
     values, level = problem.layout.values(p, piece.run)
-    return np.asarray(-problem.model.force(piece.along(piece.x_hat, piece.v_hat, level), values) / piece.mass)
+    return np.asarray(-problem.model.force(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values) / piece.mass)
 
 
-def grow(solution: Solution, effect: Effect) -> Solution:
+def add_effect(solution: Solution, effect: Effect) -> Solution:
     """Add an effect to a fitted law; where that law is too wild to move on from, add it before the scanned ones.
 
     Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
     Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
     """
-    plain, scanned = in_turn(solution.problem.model)
+    plain, scanned = entry_order(solution.problem.model)
     try:
-        return _grown(solution, effect)
+        return _add_effect(solution, effect)
     except FrictrackError:
         if not scanned:
             raise
@@ -59,37 +59,37 @@ def grow(solution: Solution, effect: Effect) -> Solution:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
     layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
     problem = solution.problem.over(layout, solution.problem.pieces)
-    grown = settle_scatter(problem, first_guess(problem), problem.first_starts())
-    for e in [effect, *scanned] if follows(effect, plain) else [*scanned, effect]:
-        grown = _grown(grown, e)
-    return reordered(grown, Model((*solution.problem.model.effects, effect)))
+    grown = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
+    for e in [effect, *scanned] if ties_are_resolved(effect, plain) else [*scanned, effect]:
+        grown = _add_effect(grown, e)
+    return reorder_effects(grown, Model((*solution.problem.model.effects, effect)))
 
 
-def _grown(solution: Solution, effect: Effect) -> Solution:
+def _add_effect(solution: Solution, effect: Effect) -> Solution:
     """Add an effect where it explains most along the measured motion, and refine everything as far as a trial needs.
 
-    See `settled`. Raises FrictrackError when the runs lack what the effect needs.
+    See `refine_to_end`. Raises FrictrackError when the runs lack what the effect needs.
     """
-    law = beside(solution)
-    made = families(law, known(solution, effect))
+    law = linearise(solution)
+    made = candidate_grids(law, effect_for_scan(solution, effect))
     if not made:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
-    series = one_series(law)
-    trial = tried(law, effect, [scan(law, f, series) for f in made], series.own[:, 0])
-    return simulated(law, deepened(law, [trial])[0])
+    series = measured_series(law)
+    trial = try_effect(law, effect, [scan_candidate(law, f, series) for f in made], series.own[:, 0])
+    return simulate_trial(law, deepen_trials(law, [trial])[0])
 
 
-def simulated(law: Beside, trial: Trial) -> Solution:
+def simulate_trial(law: LinearisedModel, trial: CandidateTrial) -> Solution:
     """A law with an effect on trial, refined in simulation from where it stands along the measured motion."""
-    return _singled_out(_simulated(law, trial), trial.effect)
+    return _with_few_clocks(_simulate_trial(law, trial), trial.effect)
 
 
-def _singled_out(solution: Solution, effect: Effect) -> Solution:
+def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
     """A law whose clock is wrong in as few runs as explain the data: the others share one, which is right by name.
 
     All clocks together are absorbed by the law, so that the run next to the middle of them goes first.
     """
-    price = PULSE_PRICE * np.log(solution.problem.n_frames)
+    price = EVENT_PENALTY * np.log(solution.problem.n_frames)
     while effect.clock is not None:
         layout = solution.problem.layout
         rates = {s.run: float(p) for s, p in zip(layout.slots, solution.p, strict=True) if s.effect == effect.name}
@@ -101,64 +101,66 @@ def _singled_out(solution: Solution, effect: Effect) -> Solution:
         there = dict(zip(layout.names, solution.p, strict=True))
         problem = solution.problem.over(fewer, solution.problem.pieces)
         p = np.array([there[n] - rates[run] * n.startswith(f"{effect.name}.") for n in fewer.names])
-        found = settle_scatter(problem, p, solution.starts, solution.tau, max_steps=TRIAL_STEPS, enough=TRIAL_FALL)
+        found = fit_with_scatter(
+            problem, p, solution.starts, solution.tau, max_steps=TRIAL_MAX_STEPS, enough=TRIAL_MIN_CHI2_FALL
+        )
         if found.objective - solution.objective > price:
             break
         solution = found
     return solution
 
 
-def _simulated(law: Beside, trial: Trial) -> Solution:
+def _simulate_trial(law: LinearisedModel, trial: CandidateTrial) -> Solution:
     layout, seen = trial.layout, law.solution
-    problem = rebuilt(seen.problem, layout)
+    problem = with_layout(seen.problem, layout)
     starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in seen.responses]
     if not problem.simulates:
         starts = problem.first_starts()
-    tau, enough = seen.tau or 0.03, _enough(trial.misfit, problem.n_frames)
+    tau, enough = seen.tau or 0.03, _trial_min_fall(trial.misfit, problem.n_frames)
     try:
-        return settle_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_STEPS, enough=enough)
+        return fit_with_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_MAX_STEPS, enough=enough)
     except FrictrackError:  # the law is no motion yet: without the effect it was one
         there = dict(zip(seen.problem.layout.names, seen.p, strict=True))
         mine = [s.linear and s.effect == trial.effect.name for s in layout.slots]
         kept = zip(layout.names, trial.p, mine, strict=True)
         p = np.array([there.get(n, 0.0 if gone else value) for n, value, gone in kept])
         first = refine(problem, p, seen.starts, tau=tau, free=layout.coefficients, max_steps=4)
-        return settle_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_STEPS, enough=enough)
+        return fit_with_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_MAX_STEPS, enough=enough)
 
 
-def _enough(misfit: float, frames: int) -> float:
+def _trial_min_fall(misfit: float, frames: int) -> float:
     """Fall of chi-squared, in units of what a frame leaves, that a step of a trial must promise."""
-    return max(TRIAL_FALL, TRIAL_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
+    return max(TRIAL_MIN_CHI2_FALL, TRIAL_MIN_EXCESS_SHARE * (misfit - frames) / max(1.0, misfit / max(frames, 1)))
 
 
-def settled(solution: Solution) -> Solution:
-    """A law that `grow` has tried, refined to its end."""
-    return resettled(solution, solution.tau or 0.03)
+def refine_to_end(solution: Solution) -> Solution:
+    """A law that `add_effect` has tried, refined to its end."""
+    return refit_with_scatter(solution, solution.tau or 0.03)
 
 
-def rebuilt(problem: Problem, layout: Layout) -> Problem:
+def with_layout(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
     """The same pieces under another layout, with as many panels per frame as its effects need."""
     fine = max(e.fine for e in layout.model.effects)
     pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
     return problem.over(layout, pieces)
 
 
-def reordered(solution: Solution, model: Model) -> Solution:
+def reorder_effects(solution: Solution, model: Model) -> Solution:
     """The same solution with the effects in the order of `model`."""
     old = solution.problem.layout
     made = {e.name: e for e in old.model.effects}
     layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
-    known = dict(zip(old.names, solution.p, strict=True))
-    p = np.array([known[n] for n in layout.names])
+    values = dict(zip(old.names, solution.p, strict=True))
+    p = np.array([values[n] for n in layout.names])
     problem = solution.problem.over(layout, solution.problem.pieces)
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
-def without(solution: Solution, name: str) -> Solution:
+def remove_effect(solution: Solution, name: str) -> Solution:
     """The model without one effect, refined from where it stands."""
     old = solution.problem.layout
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
-    layout = replace(old, model=untied(solution, name), absent=absent)
-    known = dict(zip(old.names, solution.p, strict=True))
+    layout = replace(old, model=model_without(solution, name), absent=absent)
+    values = dict(zip(old.names, solution.p, strict=True))
     problem = solution.problem.over(layout, solution.problem.pieces)
-    return settle_scatter(problem, np.array([known[n] for n in layout.names]), solution.starts, solution.tau or 0.03)
+    return fit_with_scatter(problem, np.array([values[n] for n in layout.names]), solution.starts, solution.tau or 0.03)

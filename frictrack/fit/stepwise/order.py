@@ -11,20 +11,20 @@ from frictrack.effects import Effect, Parameter
 from frictrack.effects.base import Within
 from frictrack.effects.settings import Tie
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.parameters import quoted
+from frictrack.fit.parameters import quoted_value
 from frictrack.models import Model
 
-SURE = 4.0  # standard deviations of a prior, beyond which nothing is looked for
+PRIOR_HALF_WIDTH_STD = 4.0  # standard deviations of a prior, beyond which nothing is looked for
 
 
-def in_turn(model: Model) -> tuple[list[Effect], list[Effect]]:
+def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
     """Effects to start from, and the others in an order in which none follows one that is still to come."""
     plain: list[Effect] = []
-    while more := [e for e in model.effects if e not in plain and not _needs_scan(e) and follows(e, plain)]:
+    while more := [e for e in model.effects if e not in plain and not _needs_scan(e) and ties_are_resolved(e, plain)]:
         plain += more
     later: list[Effect] = []
     while left := [e for e in model.effects if e not in plain and e not in later]:
-        later.append(next((e for e in left if follows(e, [*plain, *later])), left[0]))
+        later.append(next((e for e in left if ties_are_resolved(e, [*plain, *later])), left[0]))
     return [e for e in model.effects if e in plain], later
 
 
@@ -32,29 +32,29 @@ def _needs_scan(effect: Effect) -> bool:
     return effect.clock is not None or any(p.free for p in effect.nonlinear)
 
 
-def follows(effect: Effect, there: Sequence[Effect]) -> bool:
+def ties_are_resolved(effect: Effect, there: Sequence[Effect]) -> bool:
     """Whether all that an effect is tied to is there."""
     leaders = {Tie.read(p.tie).effect for p in effect.parameters if p.tie}
     return leaders <= {effect.name, *(e.name for e in there)}
 
 
-def known(solution: Solution, effect: Effect) -> Effect:
+def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
     """The effect for a scan beside a law: what it is tied to stands where it is, a prior narrows where it is sought."""
     changes: dict[str, dict[str, Any]] = {}
     values, _ = solution.problem.layout.values(solution.p, 0)
     for p in effect.nonlinear:
         tie = Tie.read(p.tie) if p.tie else None
         if tie is not None and tie.effect != effect.name:
-            there = tie.factor * float(quoted(solution.problem.model, values, tie.effect, tie.parameter))
+            there = tie.factor * float(quoted_value(solution.problem.model, values, tie.effect, tie.parameter))
             changes[p.name] = {"fixed": there, "tie": None, "per_run": False}
         elif p.fixed is not None and p.per_run:
             changes[p.name] = {"per_run": False}
         elif p.prior is not None and p.scan is not None:
-            changes[p.name] = {"scan": _near(p, p.prior)}
+            changes[p.name] = {"scan": _scan_near_prior(p, p.prior)}
     return effect.adjusted(**changes)
 
 
-def led_the_other_way(model: Model) -> list[Model]:
+def reversed_ties(model: Model) -> list[Model]:
     """The same law, each tie between two scanned effects turned round: a scan sees the leader first, and alone."""
     out = []
     for e in model.effects:
@@ -73,20 +73,20 @@ def led_the_other_way(model: Model) -> list[Model]:
     return out
 
 
-def untied(solution: Solution, name: str) -> Model:
+def model_without(solution: Solution, name: str) -> Model:
     """The model without one effect; what followed it stays where it is."""
     model = solution.problem.model
     values, _ = solution.problem.layout.values(solution.p, 0)
     out = []
     for e in (model - name).effects:
         lost = [p for p in e.parameters if p.tie and Tie.read(p.tie).effect == name]
-        there = {p.name: {"tie": None, "fixed": float(quoted(model, values, e.name, p.name))} for p in lost}
+        there = {p.name: {"tie": None, "fixed": float(quoted_value(model, values, e.name, p.name))} for p in lost}
         out.append(e.adjusted(**there) if there else e)
     return Model(tuple(out))
 
 
-def _near(p: Parameter, prior: tuple[float, float]) -> Within:
+def _scan_near_prior(p: Parameter, prior: tuple[float, float]) -> Within:
     """The scan of a parameter as far as its prior believes in it."""
     mean, std = prior
-    low, high = max(p.bounds[0], mean - SURE * std), min(p.bounds[1], mean + SURE * std)
+    low, high = max(p.bounds[0], mean - PRIOR_HALF_WIDTH_STD * std), min(p.bounds[1], mean + PRIOR_HALF_WIDTH_STD * std)
     return Within((float(low), float(np.nextafter(max(high, low), np.inf))), p.scan)

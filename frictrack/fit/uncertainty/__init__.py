@@ -1,7 +1,7 @@
 """Parameter uncertainty: estimates with deviations, model misfit, profile likelihood, bootstrap."""
 
 from frictrack.fit.uncertainty.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.uncertainty.certainty import Certainty, certainty, merged
+from frictrack.fit.uncertainty.certainty import Certainty, certainty, merge_certainty
 from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimates, with_misfit
 from frictrack.fit.uncertainty.linear import linear_estimates
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
@@ -20,7 +20,7 @@ __all__ = [
     "dispersion",
     "estimates",
     "linear_estimates",
-    "merged",
+    "merge_certainty",
     "misfit_of",
     "profile",
     "quoted_by_address",

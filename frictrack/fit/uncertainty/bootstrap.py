@@ -16,19 +16,26 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.displacement import solve_model
+from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.force_domain import ForceProblem
-from frictrack.fit.least_squares import Problem, Response, Solution, batches_of, plain_covariance, settle_scatter
-from frictrack.fit.parameters import MIN_RUNS
+from frictrack.fit.least_squares import (
+    LeastSquaresProblem,
+    PieceResponse,
+    Solution,
+    batch_count,
+    fit_with_scatter,
+    white_noise_covariance,
+)
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.uncertainty.fitted import FittedModel
-from frictrack.fit.uncertainty.quoted import quoted, shown
+from frictrack.fit.uncertainty.quoted import quoted_slots, quoted_with_jacobian
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-FEWEST = 20  # draws for a standard deviation
-WHITE = 4.0  # of 1/sqrt(frames): autocorrelation below which a residual is white
-REACH = 40  # frames over which correlation is looked for
-BLOCKS = 8  # of a correlated residual at least
+MIN_DRAWS = 20  # draws for a standard deviation
+WHITE_LIMIT = 4.0  # of 1/sqrt(frames): autocorrelation below which a residual is white
+MAX_LAG_FRAMES = 40  # frames over which correlation is looked for
+MIN_BLOCKS = 8  # of a correlated residual at least
 
 Progress = Callable[[int, int, str], None]
 
@@ -117,8 +124,8 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
     Every draw is refined from the fit, or sought from `scratch`. Raises FrictrackError (usage) for fewer than 20
     draws, and when hardly a draw gives a law.
     """
-    if draws < FEWEST:
-        raise FrictrackError(f"expected at least {FEWEST} draws for a deviation but got {draws}", usage=True)
+    if draws < MIN_DRAWS:
+        raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
     if not hasattr(result, "solution"):
         raise FrictrackError("expected the fit of one group but got several; take one of fits[name]", usage=True)
     if scratch and not result.is_default_route:
@@ -134,22 +141,22 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
     reasons: list[str] = []
     for k in range(draws):
         try:
-            drawn = _drawn(solution, blocks, rng)
-            found.append(_read(_fitted(compared, drawn, scratch=scratch)))
+            drawn = _drawn_problem(solution, blocks, rng)
+            found.append(_quoted_with_std(_refit(compared, drawn, scratch=scratch)))
         except (FrictrackError, np.linalg.LinAlgError) as e:
             reasons.append(str(e))
         if progress is not None:
             progress(k + 1, draws, "draws")
-    if len(found) < FEWEST:
+    if len(found) < MIN_DRAWS:
         raise FrictrackError(f"only {len(found)} of {draws} draws gave a law; the first failed because {reasons[0]}")
     values, stds, scatter = (np.array(column) for column in zip(*found, strict=True))
-    fitted, std, _ = _read(compared)
+    fitted, std, _ = _quoted_with_std(compared)
     names = solution.problem.layout.names
     runs = [
         solution.problem.layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b
     ]
     return Bootstrap(
-        names=[names[i] for i in shown(solution.problem.layout)],
+        names=[names[i] for i in quoted_slots(solution.problem.layout)],
         fitted=fitted,
         std_fitted=std,
         values=values,
@@ -162,19 +169,19 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
     )
 
 
-def _read(solution: Solution) -> tuple[Array, Array, float]:
+def _quoted_with_std(solution: Solution) -> tuple[Array, Array, float]:
     """Quoted parameters (A,) of a law, their deviations (A,), and the spread of the levels."""
-    values, jacobian = quoted(solution.problem, solution.p)
-    covariance, _ = plain_covariance(solution)
+    values, jacobian = quoted_with_jacobian(solution.problem, solution.p)
+    covariance, _ = white_noise_covariance(solution)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
     return values, std, solution.tau
 
 
-def _drawn(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> Problem:
+def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> LeastSquaresProblem:
     """The problem with data as the fitted law would give them once more."""
     problem, layout = solution.problem, solution.problem.layout
     p = solution.p.copy()
-    if len(layout.levels) >= MIN_RUNS:
+    if len(layout.levels) >= MIN_RUNS_FOR_SCATTER:
         p[layout.levels] = 1 + solution.tau * rng.standard_normal(len(layout.levels))
         p = np.clip(p, *layout.bounds)
         responses = problem.evaluate(p, solution.starts)
@@ -188,27 +195,27 @@ def _drawn(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) 
     return problem.over(layout, pieces)
 
 
-def _fitted(law: Solution, drawn: Problem, *, scratch: bool) -> Solution:
+def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solution:
     """The law of drawn data: refined from the fitted one, or sought as if nothing were known."""
     layout = drawn.layout
     if scratch:
-        return solve_model(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
+        return fit_displacement(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
     problem = ForceProblem(drawn, law.problem.chains) if isinstance(law.problem, ForceProblem) else drawn
-    return settle_scatter(problem, law.p, law.starts, law.tau or 0.03)
+    return fit_with_scatter(problem, law.p, law.starts, law.tau or 0.03)
 
 
 def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:
     """Noise of every piece in units of sigma: white, or its own residual with the signs of its blocks drawn."""
     if any(r.piece.cut for r in solution.responses):  # neighbouring segments miss alike
-        count = batches_of(solution)
+        count = batch_count(solution)
         sizes = [len(part) for part in np.array_split(np.arange(len(blocks)), count)]
         signs = np.repeat(rng.choice([-1.0, 1.0], count), sizes)
         grown = np.sqrt(count / (count - 1))
         return [grown * sign * r.r_full for sign, r in zip(signs, solution.responses, strict=True)]
-    return [_redrawn(r, block, rng) for r, block in zip(solution.responses, blocks, strict=True)]
+    return [_wild_residual(r, block, rng) for r, block in zip(solution.responses, blocks, strict=True)]
 
 
-def _redrawn(response: Response, block: int, rng: np.random.Generator) -> Array:
+def _wild_residual(response: PieceResponse, block: int, rng: np.random.Generator) -> Array:
     n = len(response.r_full)
     if not block:
         return rng.standard_normal(n)
@@ -218,14 +225,14 @@ def _redrawn(response: Response, block: int, rng: np.random.Generator) -> Array:
     return np.asarray(grown * rng.choice([-1.0, 1.0], of[-1] + 1)[of] * response.r_full)
 
 
-def _block(response: Response) -> int:
+def _block(response: PieceResponse) -> int:
     """Frames in a block of a correlated residual: three times the reach of its correlation; 0 where it is white."""
     r = response.r_full
     n = len(r)
-    most = min(REACH, n // 4)
+    most = min(MAX_LAG_FRAMES, n // 4)
     own = np.array([r[k:] @ r[: n - k] for k in range(most + 1)]) / max(float(r @ r), 1e-300)
-    if np.all(np.abs(own[1:4]) < WHITE / np.sqrt(n)):
+    if np.all(np.abs(own[1:4]) < WHITE_LIMIT / np.sqrt(n)):
         return 0
-    below = np.flatnonzero(own < WHITE / np.sqrt(n) / 2)
+    below = np.flatnonzero(own < WHITE_LIMIT / np.sqrt(n) / 2)
     reach = int(below[0]) if len(below) else most
-    return int(min(max(3 * reach, 3), max(n // BLOCKS, 1)))
+    return int(min(max(3 * reach, 3), max(n // MIN_BLOCKS, 1)))

@@ -65,7 +65,7 @@ def certainty(
     return Certainty(tuple(made), drawn)
 
 
-def merged(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+def merge_certainty(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON of a fit with that of its `Certainty`: every parameter gets its interval."""
     drawn = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
     ends = drawn | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}

@@ -10,12 +10,12 @@ import numpy as np
 
 from frictrack.fit.least_squares import Solution, covariance_of
 from frictrack.fit.parameters import MASS
-from frictrack.fit.uncertainty.identifiability import partners, remarks, unsettled
-from frictrack.fit.uncertainty.quoted import gradient_of, quoted, shown
+from frictrack.fit.uncertainty.identifiability import correlated_partners, identifiability_remarks, undetermined_reasons
+from frictrack.fit.uncertainty.quoted import quoted_gradient, quoted_slots, quoted_with_jacobian
 from frictrack.records import Array
 
-NEGATIVE = 3.0  # standard deviations below zero from which a coefficient is clearly negative
-ALIKE = 0.95  # correlation from which two parameters are told to trade places
+NEGATIVE_STD = 3.0  # standard deviations below zero from which a coefficient is clearly negative
+MIN_CORRELATION = 0.95  # correlation from which two parameters are told to trade places
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
     are.
     """
     layout = solution.problem.layout
-    _, jacobian = quoted(solution.problem, solution.p)
+    _, jacobian = quoted_with_jacobian(solution.problem, solution.p)
     more = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
     parameters = dict(found.parameters)
-    for i, added in zip(shown(layout), more, strict=True):
+    for i, added in zip(quoted_slots(layout), more, strict=True):
         old = parameters[layout.names[i]]
         if old.std is not None:
             std = float(np.sqrt(old.std**2 + max(added, 0.0)))
@@ -91,20 +91,20 @@ def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
     `profile` also looks whether the profiles of the non-linear parameters are bounded, which takes further fits.
     """
     covariance, unseen = covariance_of(solution)
-    reasons = _absorbed(solution, unseen) | (unsettled(solution, covariance) if profile else {})
-    return told(solution, covariance, reasons)
+    reasons = _absorbed(solution, unseen) | (undetermined_reasons(solution, covariance) if profile else {})
+    return estimates_from_covariance(solution, covariance, reasons)
 
 
-def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
+def estimates_from_covariance(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
     """Parameters as they are quoted, with the deviations of a covariance (P, P); null where there is a reason."""
     layout, names, p = solution.problem.layout, solution.problem.layout.names, solution.p
-    values, jacobian = quoted(solution.problem, p)
+    values, jacobian = quoted_with_jacobian(solution.problem, p)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
     low, high = layout.bounds
     near = 1e-6 * np.maximum(1.0, np.abs(p))
     at_bound = (p <= low + near) | (p >= high - near)
     out: dict[str, Estimate] = {}
-    for i, value, deviation in zip(shown(layout), values, std, strict=True):
+    for i, value, deviation in zip(quoted_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
         number, spread = (None, None) if reason else (float(value), float(deviation))
         out[names[i]] = Estimate(number, spread, layout.slots[i].unit, bool(at_bound[i]), reason)
@@ -112,12 +112,14 @@ def told(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Esti
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied(solution, covariance, out)
-    alike = correlations(names, shown(layout), covariance)
-    said = remarks(solution, alike, list(reasons))
-    return Estimates(out, covariance, alike, [*said, *driving(solution, out), *not_white(solution)])
+    alike = correlations(names, quoted_slots(layout), covariance)
+    said = identifiability_remarks(solution, alike, list(reasons))
+    return Estimates(
+        out, covariance, alike, [*said, *negative_force_remark(solution, out), *correlated_noise_remark(solution)]
+    )
 
 
-def not_white(solution: Solution) -> Iterator[str]:
+def correlated_noise_remark(solution: Solution) -> Iterator[str]:
     """Say that the noise of neighbouring frames is correlated, how large it is, and for how long."""
     pieces = [p for p in solution.problem.pieces if p.correlated]
     if pieces:
@@ -131,12 +133,12 @@ def not_white(solution: Solution) -> Iterator[str]:
         )
 
 
-def driving(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
+def negative_force_remark(solution: Solution, found: dict[str, Estimate]) -> Iterator[str]:
     """Say which coefficients of a passive force came out clearly negative, and what does that."""
     for effect in solution.problem.model.effects:
         for p in effect.parameters:
             e = found.get(f"{effect.name}.{p.name}") if p.passive else None
-            if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE * e.std:
+            if e is not None and e.value is not None and e.std is not None and e.value < -NEGATIVE_STD * e.std:
                 yield (
                     f"{effect.name}.{p.name} = {e.value:.3g} {e.unit} is negative: this force would drive the mass. "
                     "Dry friction that falls with the speed looks so, and so do an incline of the wrong sign and a "
@@ -149,7 +151,7 @@ def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> 
     layout = solution.problem.layout
     out: dict[str, Estimate] = {}
     for address, tie, unit in layout.tied():
-        value, gradient = gradient_of(solution.problem, solution.p, address)
+        value, gradient = quoted_gradient(solution.problem, solution.p, address)
         leader = known.get(f"{tie.effect}.{tie.parameter}")
         lost = leader is not None and leader.value is None
         std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
@@ -164,10 +166,10 @@ def _absorbed(solution: Solution, unseen: Array) -> dict[str, str]:
     massless = MASS in layout.model and unseen[layout.index(MASS, "m")]
     out = {
         names[i]: "these runs do not determine the mass, and no force without it"
-        for i in shown(layout)
+        for i in quoted_slots(layout)
         if massless and layout.slots[i].linear
     }
-    return out | {names[i]: partners(solution, i) for i in shown(layout) if unseen[i]}
+    return out | {names[i]: correlated_partners(solution, i) for i in quoted_slots(layout) if unseen[i]}
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:
@@ -175,4 +177,4 @@ def correlations(names: list[str], at: list[int], covariance: Array) -> list[tup
     d = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
-    return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > ALIKE]
+    return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > MIN_CORRELATION]

@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Response, Solution
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.uncertainty.quoted import Quantity
 from frictrack.records import Array, Mask
 
-NEWTON = 12  # steps for the pivot at most; one where the quantity is linear in it
-NONE = 1e-7  # share of the largest at which the derivative is that of rounding
-ROOM = 20.0  # standard deviations to its bounds that make an unknown a good pivot
+MAX_NEWTON_STEPS = 12  # steps for the pivot at most; one where the quantity is linear in it
+MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest at which the derivative is that of rounding
+MIN_ROOM_STD = 20.0  # standard deviations to its bounds that make an unknown a good pivot
 
 
-class Held(Problem):
+class HeldQuantityProblem(LeastSquaresProblem):
     """The same problem, one unknown (the pivot) following from the others so that a quantity has a given value.
 
     Its unknowns are those of `inner`; what stands in the pivot's place is not read. Without a pivot the quantity is an
     unknown itself.
     """
 
-    def __init__(self, inner: Problem, quantity: Quantity, value: float, pivot: int | None) -> None:
+    def __init__(self, inner: LeastSquaresProblem, quantity: Quantity, value: float, pivot: int | None) -> None:
         super().__init__(inner.model, inner.layout, inner.pieces)
         self.inner, self.quantity, self.value = inner, quantity, value
         self.direct = pivot is None
@@ -48,7 +48,7 @@ class Held(Problem):
             p[self.pivot] = self.value
             return p
         near = 1e-12 * max(abs(self.value), 1e-3)
-        for _ in range(NEWTON):
+        for _ in range(MAX_NEWTON_STEPS):
             off = self.quantity.value(self.inner, p) - self.value
             if abs(off) <= near:
                 break
@@ -58,27 +58,27 @@ class Held(Problem):
             raise FrictrackError(f"no law within the bounds has {self.quantity.address} = {self.value:g}")
         return p
 
-    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[Response]:
+    def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate and linearise; sensitivities are those of the other unknowns with the pivot following."""
         law = self.law(p)
         if self.direct:
             return self.inner.evaluate(law, starts)
         gradient = self.quantity.gradient(self.inner, law)
-        along = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
-        along[self.pivot] = -1.0  # and its own column vanishes
-        return [self._bent(r, along) for r in self.inner.evaluate(law, starts)]
+        separable = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
+        separable[self.pivot] = -1.0  # and its own column vanishes
+        return [self._bent(r, separable) for r in self.inner.evaluate(law, starts)]
 
-    def _bent(self, r: Response, along: Array) -> Response:
+    def _bent(self, r: PieceResponse, separable: Array) -> PieceResponse:
         if self.pivot not in r.active:
             return r
         at = r.active.index(self.pivot)
-        share = along[r.active]
+        share = separable[r.active]
         bent: dict[str, Any] = {
             "jac": r.jac + np.outer(r.jac[:, at], share),
             "on_start": r.on_start + np.outer(r.on_start[:, at], share),
         }
         plain = getattr(r, "plain", None)  # of one seen through a chain, the displacement's own
-        return replace(r, **bent | ({} if plain is None else {"plain": self._bent(plain, along)}))
+        return replace(r, **bent | ({} if plain is None else {"plain": self._bent(plain, separable)}))
 
 
 def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
@@ -88,13 +88,13 @@ def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
     """
     p, (low, high) = solution.p, solution.problem.layout.bounds
     size = np.abs(quantity.gradient(solution.problem, p)) * np.maximum(std, 1e-12)
-    counts = size > NONE * size.max()
+    counts = size > MIN_DERIVATIVE_SHARE * size.max()
     alone = counts[quantity.slot] and np.count_nonzero(counts) == 1
     if alone and np.isclose(quantity.value(solution.problem, p), p[quantity.slot], rtol=1e-9, atol=1e-12):
         return None
     priors = [q.slot for q in solution.problem.layout.priors if q.slot not in (None, quantity.slot)]
     counts[priors] = False  # what is known of it is held by its own place
     room = np.where(counts, np.minimum(p - low, high - p) / np.maximum(std, 1e-300), -1.0)
-    if room[quantity.slot] >= ROOM or room[quantity.slot] >= room.max():
+    if room[quantity.slot] >= MIN_ROOM_STD or room[quantity.slot] >= room.max():
         return quantity.slot
     return int(np.argmax(room))

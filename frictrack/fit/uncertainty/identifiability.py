@@ -8,20 +8,23 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import NULL, Z95, Solution, inverse
+from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import LEVEL, MASS, Slot
-from frictrack.fit.uncertainty.profile import Walk
-from frictrack.fit.uncertainty.quoted import quantity, shown
+from frictrack.fit.uncertainty.profile import ProfileSearch
+from frictrack.fit.uncertainty.quoted import parse_quantity, quoted_slots
 from frictrack.models import Model
 from frictrack.records import Array
 
-CLEAR, FAR = 8.0, 20.0  # standard deviations of an effect's size from zero, of a parameter from its bounds: no question
-LOOSE = np.pi / Z95  # rad, deviation of a phase whose interval goes all the way round
-SLOPPY = 300.0  # times worse than alone: from here on a law as a whole is called nearly unidentifiable
-MOST_NAMES = 6  # told of one group
+MIN_EVIDENCE, FAR = (
+    8.0,
+    20.0,
+)  # standard deviations of an effect's size from zero, of a parameter from its bounds: no question
+UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad, deviation of a phase whose interval goes all the way round
+MAX_INFLATION = 300.0  # times worse than alone: from here on a law as a whole is called nearly unidentifiable
+MAX_NAMES = 6  # told of one group
 
 
-def unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
+def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str]:
     """Non-linear parameters, and F_s, whose profile is not bounded, by address, with the reason.
 
     F_s and v_s go together: they count when the profile interval of F_s - F_c excludes zero and that of v_s ends on
@@ -35,7 +38,7 @@ def unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
             free = [p.name for p in effect.parameters if p.free]
             out |= {f"{effect.name}.{name}": why for name in free}
         elif effect.name != MASS:
-            out |= dict(_open(solution, covariance, effect))
+            out |= dict(_unbounded_parameters(solution, covariance, effect))
     return out
 
 
@@ -46,11 +49,11 @@ def _stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | No
     settled = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     speed = layout.index(effect.name, "v_s")
-    if solution.p[rise] > CLEAR * std[rise] and _from_bounds(solution, speed) > FAR * std[speed]:
+    if solution.p[rise] > MIN_EVIDENCE * std[rise] and _from_bounds(solution, speed) > FAR * std[speed]:
         return None
     whole = f"{effect.name}.F_s"
     beside = layout.seeks("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
-    walk = Walk(solution, quantity(layout, f"{whole} - coulomb.F_c" if beside else whole), covariance)
+    walk = ProfileSearch(solution, parse_quantity(layout, f"{whole} - coulomb.F_c" if beside else whole), covariance)
     level = 0.0 if beside else layout.quoted(solution.p).get("coulomb.F_c", 0.0)
     if solution.p[rise] <= 0 or not walk.excluded(level):
         return f"F_s - F_c is not distinguishable from zero; {settled}"
@@ -58,7 +61,7 @@ def _stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | No
     return f"v_s is not bounded on both sides: {why}; {settled}" if why else None
 
 
-def _open(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tuple[str, str]]:
+def _unbounded_parameters(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tuple[str, str]]:
     """Non-linear parameters of one effect that are not bounded on both sides."""
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -68,11 +71,11 @@ def _open(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tup
         slot = layout.slots[i]
         if slot.parameter in sizes:
             continue
-        own = [k for k in mine if layout.slots[k].parameter in sizes and _together(layout.slots[k], slot)]
+        own = [k for k in mine if layout.slots[k].parameter in sizes and _same_wave(layout.slots[k], slot)]
         clear = [abs(solution.p[k]) / max(std[k], 1e-300) for k in own]
         if effect.parameter(slot.parameter).role == "phase":
-            why = f"any phase fits (± {std[i]:.2g} rad)" if std[i] > LOOSE else None
-        elif min(clear, default=0.0) > CLEAR and _from_bounds(solution, i) > FAR * std[i]:
+            why = f"any phase fits (± {std[i]:.2g} rad)" if std[i] > UNDETERMINED_PHASE_STD else None
+        elif min(clear, default=0.0) > MIN_EVIDENCE and _from_bounds(solution, i) > FAR * std[i]:
             continue
         else:
             why = _unbounded(solution, covariance, i)
@@ -80,7 +83,7 @@ def _open(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tup
             yield layout.names[i], f"{why}; {lower(effect.confirm)}" if effect.confirm else why
 
 
-def _together(size: Slot, slot: Slot) -> bool:
+def _same_wave(size: Slot, slot: Slot) -> bool:
     """Whether a size belongs to the same run as a non-linear parameter, or either to all."""
     return size.run is None or slot.run is None or size.run == slot.run
 
@@ -92,7 +95,9 @@ def _from_bounds(solution: Solution, i: int) -> float:
 
 def _unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
     """Why the profile of one unknown is open; None where it ends on both sides."""
-    walk = Walk(solution, quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance)
+    walk = ProfileSearch(
+        solution, parse_quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance
+    )
     try:
         found = [walk.bounded(side) for side in (-1, 1)]
     except (FrictrackError, np.linalg.LinAlgError):
@@ -105,7 +110,7 @@ def lower(sentence: str) -> str:
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
-def partners(solution: Solution, i: int) -> str:
+def correlated_partners(solution: Solution, i: int) -> str:
     """Why an unknown is not seen at all: what it cannot be told from, and the run that would tell."""
     layout, jac = solution.problem.layout, solution.jac
     norm = np.linalg.norm(jac, axis=0)
@@ -113,32 +118,34 @@ def partners(solution: Solution, i: int) -> str:
         return "the runs do not respond to it"
     norm[norm == 0] = 1.0
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
-    null = vt[s <= NULL * s[0]]
+    null = vt[s <= MIN_SINGULAR_VALUE * s[0]]
     weight = np.max(np.abs(null), axis=0, initial=0.0)
     others = [int(j) for j in np.flatnonzero(weight > 0.05) if j != i and layout.slots[j].effect != LEVEL]
     told = f"these runs cannot tell it from {listed([layout.names[j] for j in others[:3]]) or 'the other parameters'}"
-    advice = settles(layout.model, [layout.slots[j].effect for j in (i, *others)])
+    advice = deciding_experiment(layout.model, [layout.slots[j].effect for j in (i, *others)])
     return f"{told}; {lower(advice)}" if advice else told
 
 
-def remarks(solution: Solution, correlations: Sequence[tuple[str, str, float]], lost: Sequence[str]) -> list[str]:
+def identifiability_remarks(
+    solution: Solution, correlations: Sequence[tuple[str, str, float]], lost: Sequence[str]
+) -> list[str]:
     """What a person should know of the parameters as a whole: who trades places with whom, and what would part them.
 
     `lost` are the addresses that have no value.
     """
     groups = _groups(correlations)
-    said = [_trade(solution.problem.model, group, correlations) for group in groups]
-    return said + list(_nearly(inflation(solution), groups, lost))
+    said = [_trade_remark(solution.problem.model, group, correlations) for group in groups]
+    return said + list(_near_degeneracy_remarks(inflation(solution), groups, lost))
 
 
-def _nearly(worst: float, groups: Sequence[Sequence[str]], lost: Sequence[str]) -> Iterator[str]:
+def _near_degeneracy_remarks(worst: float, groups: Sequence[Sequence[str]], lost: Sequence[str]) -> Iterator[str]:
     """Whether the law as a whole is nearly unidentifiable, and by what that shows."""
     open_ones = [name for name in lost if any(name in group for group in groups)]
     beside = [n for g in groups if set(g) & set(open_ones) for n in g if n not in lost]
     if open_ones:
-        with_it = f", and {_few(beside)} {'goes' if len(beside) == 1 else 'go'} with it" if beside else ""
-        why = f"{_few(open_ones)} {'is' if len(open_ones) == 1 else 'are'} not determined{with_it}"
-    elif worst > SLOPPY:
+        with_it = f", and {_listed_few(beside)} {'goes' if len(beside) == 1 else 'go'} with it" if beside else ""
+        why = f"{_listed_few(open_ones)} {'is' if len(open_ones) == 1 else 'are'} not determined{with_it}"
+    elif worst > MAX_INFLATION:
         why = f"some of its parameters are known {worst:.0f} times worse together than each would be alone"
     else:
         return
@@ -148,16 +155,16 @@ def _nearly(worst: float, groups: Sequence[Sequence[str]], lost: Sequence[str]) 
     )
 
 
-def _few(names: Sequence[str]) -> str:
+def _listed_few(names: Sequence[str]) -> str:
     """Addresses as a sentence has them: runs left out, of many the first few."""
     own = list(dict.fromkeys(name.split("[")[0] for name in names))
-    return listed(own if len(own) <= MOST_NAMES else [*own[:MOST_NAMES], f"{len(own) - MOST_NAMES} more"])
+    return listed(own if len(own) <= MAX_NAMES else [*own[:MAX_NAMES], f"{len(own) - MAX_NAMES} more"])
 
 
 def inflation(solution: Solution) -> float:
     """By how much the worst unknown is known less because the others are not known either; levels as they are."""
-    jac = solution.jac[:, shown(solution.problem.layout)]
-    covariance, _ = inverse(jac)
+    jac = solution.jac[:, quoted_slots(solution.problem.layout)]
+    covariance, _ = inverse_normal_matrix(jac)
     return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
 
 
@@ -171,26 +178,26 @@ def _groups(correlations: Sequence[tuple[str, str, float]]) -> list[list[str]]:
     return groups
 
 
-def _trade(model: Model, group: Sequence[str], correlations: Sequence[tuple[str, str, float]]) -> str:
+def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tuple[str, str, float]]) -> str:
     """One group of parameters that trade places, in a sentence or two."""
     strongest = max((r for a, _, r in correlations if a in group), key=abs)
     own = list(dict.fromkeys(name.split("[")[0] for name in group))
     kinds = list(dict.fromkeys(name.split(".")[0] for name in own))
-    named = _few(group)
+    named = _listed_few(group)
     how = f"(correlation up to {strongest:+.3f})".replace("-", "\N{MINUS SIGN}")
     if len(own) == 1:
         return f"{named} of different runs go together {how}."
     if len(kinds) == 1 and len(own) == 2 and _has_phase(model, own):
         return f"{named} go together {how}, because a phase is counted at release."
-    why, advice = known_trade(model, kinds), settles(model, kinds)
+    why, advice = trade_advice(model, kinds), deciding_experiment(model, kinds)
     each = "either" if len(own) == 2 else "each"
     told = f"{named} trade places {how}: these runs fix a combination of them better than {each}"
     return f"{told}{f'; {why}' if why else ''}.{f' To part them: {lower(advice)}.' if advice else ''}"
 
 
-def known_trade(model: Model, names: Sequence[str]) -> str:
+def trade_advice(model: Model, names: Sequence[str]) -> str:
     """What the library says of a pair among these effects: that one is mistaken for the other."""
-    pair = next(_mistaken(model, names), None)
+    pair = next(_confused_effects(model, names), None)
     return "" if pair is None else f"{pair[0].kind.replace('_', ' ')} is mistaken for {lower(pair[0].mistaken_for)}"
 
 
@@ -200,15 +207,15 @@ def _has_phase(model: Model, addresses: Sequence[str]) -> bool:
     return any(effects[e].parameter(p).role == "phase" for e, p in split)
 
 
-def settles(model: Model, names: Sequence[str]) -> str:
+def deciding_experiment(model: Model, names: Sequence[str]) -> str:
     """The run that would part these effects: as a known pair says, else the last one of the model that says any."""
-    known = list(_mistaken(model, names))
+    known = list(_confused_effects(model, names))
     named = [a.confirm for a, b in known if b.kind.replace("_", " ") in a.confirm.lower()]
     told = [e.confirm for e in model.effects if e.name in names and e.confirm]
     return next(iter((*named, *(a.confirm for a, _ in known), *reversed(told))), "")
 
 
-def _mistaken(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effect]]:
+def _confused_effects(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effect]]:
     """Pairs of effects of which the first says that it is mistaken for the second; the last in the model first."""
     mine = [e for e in model.effects if e.name in names]
     for first in reversed(mine):

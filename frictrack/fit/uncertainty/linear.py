@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.fit.force_domain import ForceProblem, sandwich
+from frictrack.fit.force_domain import ForceProblem, sandwich_covariance
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.uncertainty.estimates import Estimates, estimates, told
+from frictrack.fit.uncertainty.estimates import Estimates, estimates, estimates_from_covariance
 from frictrack.records import Array
 
-CERTAIN = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
+MIN_STD = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
 
 
 def linear_estimates(solution: Solution, covariance: Array | None = None) -> Estimates:
@@ -19,12 +19,12 @@ def linear_estimates(solution: Solution, covariance: Array | None = None) -> Est
     """
     plain = estimates(solution, profile=False)
     if covariance is None:
-        covariance = sandwich(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
+        covariance = sandwich_covariance(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
     absent = {name: e.reason for name, e in plain.parameters.items() if e.value is None and e.reason}
-    return told(solution, covariance, absent | _unsettled(solution, covariance))
+    return estimates_from_covariance(solution, covariance, absent | _undetermined_stribeck(solution, covariance))
 
 
-def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
+def _undetermined_stribeck(solution: Solution, covariance: Array) -> dict[str, str]:
     """Stribeck parameters that the linearised law does not settle, with the reason."""
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -32,9 +32,9 @@ def _unsettled(solution: Solution, covariance: Array) -> dict[str, str]:
     for effect in (e for e in layout.model.effects if e.kind == "stribeck" and layout.seeks(e.name, "F_s", "v_s")):
         rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
         why = None
-        if solution.p[rise] < CERTAIN * std[rise]:
+        if solution.p[rise] < MIN_STD * std[rise]:
             why = "F_s - F_c is not distinguishable from zero"
-        elif solution.p[speed] < CERTAIN * std[speed]:
+        elif solution.p[speed] < MIN_STD * std[speed]:
             why = "v_s is not bounded on both sides"
         if why:
             text = f"{why}; the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"

@@ -20,23 +20,29 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.least_squares import Response, Solution, linearised, plain_covariance, traces
-from frictrack.fit.smooth_functions import correlation_frames, hats, matern
+from frictrack.fit.least_squares import (
+    PieceResponse,
+    Solution,
+    displacement_response,
+    model_projection,
+    white_noise_covariance,
+)
+from frictrack.fit.smooth_functions import correlation_time_frames, linear_interpolation_matrix, matern_covariance
 from frictrack.records import Array
 
 KNOTS = {"x": 60, "v": 40}  # of a force that all runs have in common
 MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # of forces of single runs: over all pieces; of each
-LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # over which a force is alike, of its axis
-SIZES = np.geomspace(1e-4, 1e4, 81)  # of the process, over what a unit of chi-squared asks for
-LIKELY = 0.5  # of the best evidence that a force over another axis must reach to have a say
-CLEAR = 10.0  # twice the rise of the log likelihood from which a misfit is reported
+CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # over which a force is alike, of its axis
+PROCESS_SIZES = np.geomspace(1e-4, 1e4, 81)  # of the process, over what a unit of chi-squared asks for
+MIN_EVIDENCE_SHARE = 0.5  # of the best evidence that a force over another axis must reach to have a say
+MIN_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
 JITTER = 1e-8
-NARROW = 1e-6  # of an axis' largest value: a narrower one holds no knots
+MIN_AXIS_RANGE = 1e-6  # of an axis' largest value: a narrower one holds no knots
 REJECTED = (
     "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
     "holds for a missing force of the size that the residual shows"
 )
-NOISY = 1.2  # chi-squared per degree of freedom up to which a residual counts as noise
+MAX_NOISE_CHI2 = 1.2  # chi-squared per degree of freedom up to which a residual counts as noise
 
 
 @dataclass(frozen=True)
@@ -66,22 +72,26 @@ def misfit_of(solution: Solution) -> Misfit | None:
     """
     if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
         return None
-    law = linearised(solution)
-    bread, _ = plain_covariance(solution)
+    law = model_projection(solution)
+    bread, _ = white_noise_covariance(solution)
     found = []
-    for axis, made, alike in _forces(solution):
+    for axis, made, alike in _force_bases(solution):
         trace = np.zeros((len(law.r), made[0].shape[1]))
         for rows, response, force in zip(law.rows, solution.responses, made, strict=True):
-            trace[rows] = traces(response, force)
+            trace[rows] = displacement_response(response, force)
         clean = trace - law.u @ (law.u.T @ trace)
         evidence, covariance = _most_likely(clean, law.r, alike)
         pull = bread @ (solution.jac.T @ trace[: len(solution.residual)])
         found.append(Misfit(axis, evidence, pull @ covariance @ pull.T))
     best = max(found, key=lambda m: m.evidence)
-    return _widest(best, [m for m in found if m.evidence > LIKELY * best.evidence]) if best.evidence > CLEAR else None
+    return (
+        _widest_covariance(best, [m for m in found if m.evidence > MIN_EVIDENCE_SHARE * best.evidence])
+        if best.evidence > MIN_EVIDENCE
+        else None
+    )
 
 
-def _widest(best: Misfit, likely: list[Misfit]) -> Misfit:
+def _widest_covariance(best: Misfit, likely: list[Misfit]) -> Misfit:
     """The most likely force, its covariance scaled to the largest deviation of every unknown under any likely one.
 
     Which axis the force goes with is not known for sure, and deviations must hold whichever it is.
@@ -100,9 +110,9 @@ def dispersion(solution: Solution) -> float:
     """
     free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
     each = solution.chi2 / free
-    if each < NOISY:
+    if each < MAX_NOISE_CHI2:
         return 1.0
-    return max(each * max(1.0, *(correlation_frames(r.r) for r in solution.responses)), 1.0)
+    return max(each * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
 
 
 def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Array]:
@@ -115,7 +125,7 @@ def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Arr
         values = np.maximum(values, 0.0)
         unit = float(values.max()) or 1.0
         square = (vectors.T @ (root.T @ data)) ** 2
-        sizes = SIZES[:, None] / unit
+        sizes = PROCESS_SIZES[:, None] / unit
         gain = np.sum(square * sizes / (1 + sizes * values) - np.log1p(sizes * values), axis=1)
         k = int(np.argmax(gain))
         if gain[k] > best[0]:
@@ -123,28 +133,36 @@ def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Arr
     return best
 
 
-def _forces(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
+def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
     """Forces through knots (m_i, K) along every piece, N, and how alike they are at two knots for every length."""
-    at = [_nodes(solution, r) for r in solution.responses]
+    at = [_motion_at_nodes(solution, r) for r in solution.responses]
     each = int(np.clip(MAX_KNOTS // len(at), MIN_KNOTS, KNOTS_A_RUN))
     wide = [np.zeros((len(t), each * len(at))) for t, *_ in at]
     for i, (t, *_) in enumerate(at):
-        wide[i][:, i * each : (i + 1) * each] = hats(t, np.linspace(t[0], t[-1], each))
+        wide[i][:, i * each : (i + 1) * each] = linear_interpolation_matrix(t, np.linspace(t[0], t[-1], each))
     one = np.linspace(0.0, 1.0, each)
-    yield "t", wide, [np.asarray(np.kron(np.eye(len(at)), matern(one, length))) for length in LENGTHS]
+    yield (
+        "t",
+        wide,
+        [np.asarray(np.kron(np.eye(len(at)), matern_covariance(one, length))) for length in CORRELATION_LENGTHS],
+    )
     for axis, values in (("x", [q[1] for q in at]), ("v", [np.abs(q[2]) for q in at])):
         low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-        if not high - low > NARROW * max(abs(low), abs(high)):
+        if not high - low > MIN_AXIS_RANGE * max(abs(low), abs(high)):
             continue
         knots = np.linspace(low, high, KNOTS[axis])
-        alike = [matern((knots - low) / (high - low), length) for length in LENGTHS]
+        alike = [matern_covariance((knots - low) / (high - low), length) for length in CORRELATION_LENGTHS]
         for factor in ([q[3] for q in at], [np.sign(q[3]) if axis == "v" else np.ones_like(q[3]) for q in at]):
-            yield axis, [hats(v, knots) * f[:, None] for v, f in zip(values, factor, strict=True)], alike
+            yield (
+                axis,
+                [linear_interpolation_matrix(v, knots) * f[:, None] for v, f in zip(values, factor, strict=True)],
+                alike,
+            )
 
 
-def _nodes(solution: Solution, response: Response) -> tuple[Array, Array, Array, Array]:
+def _motion_at_nodes(solution: Solution, response: PieceResponse) -> tuple[Array, Array, Array, Array]:
     """Time, place, velocity, and load times direction at the nodes of one piece, (m,) each."""
     piece = response.piece
     _, level = solution.problem.layout.values(solution.p, piece.run)
-    path = piece.along(response.motion.x, response.motion.v, level)
+    path = piece.path_at_nodes(response.motion.x, response.motion.v, level)
     return piece.panels.t, path.x, path.v, path.load * path.s

@@ -18,21 +18,21 @@ import numpy as np
 from scipy.stats import norm
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Solution, plain_covariance, refine
+from frictrack.fit.least_squares import Solution, refine, white_noise_covariance
 from frictrack.fit.uncertainty.fitted import FittedModel
-from frictrack.fit.uncertainty.held import Held, pivot_of
-from frictrack.fit.uncertainty.quoted import Quantity, quantity
+from frictrack.fit.uncertainty.held import HeldQuantityProblem, pivot_of
+from frictrack.fit.uncertainty.quoted import Quantity, parse_quantity
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-CLOSE = 5e-3  # of the quantile: how near an end is sought
-MOST, FEW = 14, 6  # refinements on either side: for an interval, to see whether there is an end
-WIDEN = 3.0  # factor by which a step outward may grow
-BEYOND = 1.25  # of the end: how far out the picture of a profile goes
-BETTER = 0.1  # fall of chi-squared that makes another law a better one
-PROBE = 4.0  # standard deviations out where a profile has passed the quantile, if it ever does
-NEAR = 1e-3  # standard deviations between two values that are one
-HUGE = 1e6  # of the quantity's own size and deviation, whichever is larger: beyond, it is called unlimited
+QUANTILE_TOLERANCE = 5e-3  # of the quantile: how near an end is sought
+MAX_REFINEMENTS, MAX_PROBES = 14, 6  # refinements on either side: for an interval, to see whether there is an end
+MAX_STEP_FACTOR = 3.0  # factor by which a step outward may grow
+PROFILE_MARGIN = 1.25  # of the end: how far out the picture of a profile goes
+MIN_BETTER_CHI2 = 0.1  # fall of chi-squared that makes another law a better one
+PROBE_STD = 4.0  # standard deviations out where a profile has passed the quantile, if it ever does
+SAME_VALUE_STD = 1e-3  # standard deviations between two values that are one
+UNLIMITED_RATIO = 1e6  # of the quantity's own size and deviation, whichever is larger: beyond, it is called unlimited
 
 Progress = Callable[[int, int, str], None]
 
@@ -96,12 +96,12 @@ def profile(result: FittedModel, address: str, *, level: float = 0.95) -> Profil
     solution = result.compared
     if not result.is_default_route:  # a search may have stopped short
         solution = refine(solution.problem, solution.p, solution.starts, tau=solution.tau)
-    wanted = quantity(solution.problem.layout, address)
-    return Walk(solution, wanted, result.covariance, level).profile()
+    wanted = parse_quantity(solution.problem.layout, address)
+    return ProfileSearch(solution, wanted, result.covariance, level).profile()
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ProfilePoint:
     """One refinement: the law (its p in full) at a held value, and its signed root z of the rise."""
 
     c: float
@@ -111,24 +111,24 @@ class Point:
 
 
 @dataclass(eq=False)
-class Walk:
+class ProfileSearch:
     """Outward from the best law along one quantity. `covariance` (P, P) of the unknowns is the one that is stated."""
 
     solution: Solution
     quantity: Quantity
     covariance: Array
     level: float = 0.95
-    points: list[Point] = field(default_factory=list)
+    points: list[ProfilePoint] = field(default_factory=list)
     better: float = 0.0
 
     def __post_init__(self) -> None:
         s = self.solution
-        naive, _ = plain_covariance(s)
+        naive, _ = white_noise_covariance(s)
         g = self.quantity.gradient(s.problem, s.p)
         curved, stated = float(g @ naive @ g), float(g @ self.covariance @ g)
         self.scale = stated / curved if curved > 0 and stated > 0 else 1.0  # of the rise
         self.pull = naive @ g / curved if curved > 0 else np.zeros(len(s.p))
-        self.best = Point(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
+        self.best = ProfilePoint(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
         self.std = float(np.sqrt(stated)) if stated > 0 else 0.1 * max(abs(self.best.c), 1e-3)
         self.target = float(norm.ppf(0.5 + self.level / 2))
         self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(naive)))
@@ -143,20 +143,20 @@ class Walk:
             return self.best.c - np.pi, self.best.c + np.pi
         return slot.bounds if self.pivot is None else (-np.inf, np.inf)
 
-    def at(self, c: float) -> Point:
+    def at(self, c: float) -> ProfilePoint:
         """The best law with the quantity at c, from its nearest neighbours.
 
         Raises FrictrackError where there is none.
         """
         s = self.solution
-        held = Held(s.problem, self.quantity, c, self.pivot)
+        held = HeldQuantityProblem(s.problem, self.quantity, c, self.pivot)
         p, starts = self._predicted(c)
         low, high = s.problem.layout.bounds
         p = held.law(np.clip(p, low, high))
         found = refine(held, p, starts, tau=s.tau, free=held.free)
         rise = (found.objective - s.objective) / self.scale
-        self.better = max(self.better, -rise if rise < -BETTER else 0.0)
-        point = Point(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)
+        self.better = max(self.better, -rise if rise < -MIN_BETTER_CHI2 else 0.0)
+        point = ProfilePoint(c, float(np.sqrt(max(rise, 0.0))), held.law(found.p), found.starts)
         self.points.append(point)
         return point
 
@@ -177,7 +177,7 @@ class Walk:
         (low, why_low), (high, why_high) = self.end(-1), self.end(1)
         for end in (low, high):
             if end is not None:
-                self._tried(float(np.clip(self.best.c + BEYOND * (end - self.best.c), *self.bounds)))
+                self._tried(float(np.clip(self.best.c + PROFILE_MARGIN * (end - self.best.c), *self.bounds)))
         told = sorted(self.points, key=lambda q: q.c)
         return Profile(
             address=self.quantity.address,
@@ -194,14 +194,14 @@ class Walk:
             refinements=len(self.points) - 1,
         )
 
-    def end(self, side: int, most: int = MOST) -> tuple[float | None, str]:
+    def end(self, side: int, most: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
         """Where the profile passes the quantile on one side (-1 or 1); None and why where it does not."""
         last = inner = self.best
         outer, barred, wall = None, side * np.inf, self.bounds[side > 0]
         for _ in range(most):
             c = self._outward(side, last, inner) if outer is None else _between(inner, outer, self.target)
             c = side * min(side * c, side * wall, 0.5 * side * (inner.c + barred))
-            if abs(c - inner.c) < NEAR * min(self.std, abs((outer or inner).c - self.best.c) or self.std):
+            if abs(c - inner.c) < SAME_VALUE_STD * min(self.std, abs((outer or inner).c - self.best.c) or self.std):
                 break
             point = self._tried(c)
             if point is None:
@@ -212,7 +212,7 @@ class Walk:
                 last, inner = inner, point
             if self._passed(inner, outer) or self._huge(inner.c):
                 break
-        if outer is not None or inner.z > (1 - CLOSE) * self.target:
+        if outer is not None or inner.z > (1 - QUANTILE_TOLERANCE) * self.target:
             return self._crossing(inner, outer or inner), ""
         return None, self._open(inner, wall, barred)
 
@@ -223,44 +223,44 @@ class Walk:
 
     def bounded(self, side: int) -> tuple[bool, str]:
         """Whether the profile passes the quantile on one side, without finding where: mostly in one refinement."""
-        far, wall = self.best.c + side * PROBE * self.std, self.bounds[side > 0]
+        far, wall = self.best.c + side * PROBE_STD * self.std, self.bounds[side > 0]
         point = self._tried(side * min(side * far, side * wall))
         if point is not None and point.z >= self.target:
             return True, ""
         if point is not None and point.c == wall:
             return False, self._open(point, wall, side * np.inf)
-        end, why = self.end(side, FEW)
+        end, why = self.end(side, MAX_PROBES)
         return end is not None, why
 
-    def _tried(self, c: float) -> Point | None:
+    def _tried(self, c: float) -> ProfilePoint | None:
         try:
             return self.at(c)
         except (FrictrackError, np.linalg.LinAlgError):
             return None
 
-    def _passed(self, inner: Point, outer: Point | None) -> bool:
-        near = CLOSE * self.target
+    def _passed(self, inner: ProfilePoint, outer: ProfilePoint | None) -> bool:
+        near = QUANTILE_TOLERANCE * self.target
         return self.target - inner.z < near or (outer is not None and outer.z - self.target < near)
 
-    def _outward(self, side: int, last: Point, here: Point) -> float:
+    def _outward(self, side: int, last: ProfilePoint, here: ProfilePoint) -> float:
         """Where the quantile is expected, from the two outermost points; the first step is one deviation."""
         if here is self.best:
             return here.c + side * self.std
         slope = (here.z - last.z) / abs(here.c - last.c)
         gone = abs(here.c - self.best.c)
         step = (1.02 * self.target - here.z) / slope if slope > 0 else np.inf
-        return here.c + side * min(step, (WIDEN - 1) * gone)
+        return here.c + side * min(step, (MAX_STEP_FACTOR - 1) * gone)
 
-    def _crossing(self, inner: Point, outer: Point) -> float:
+    def _crossing(self, inner: ProfilePoint, outer: ProfilePoint) -> float:
         share = (self.target - inner.z) / (outer.z - inner.z) if outer.z != inner.z else 1.0
         return inner.c + share * (outer.c - inner.c)
 
     def _huge(self, c: float) -> bool:
-        return abs(c - self.best.c) > HUGE * max(abs(self.best.c), self.std, 1e-12)
+        return abs(c - self.best.c) > UNLIMITED_RATIO * max(abs(self.best.c), self.std, 1e-12)
 
-    def _open(self, reached: Point, wall: float, barred: float) -> str:
+    def _open(self, reached: ProfilePoint, wall: float, barred: float) -> str:
         unit = self.quantity.unit
-        bound = abs(reached.c - wall) < NEAR * self.std
+        bound = abs(reached.c - wall) < SAME_VALUE_STD * self.std
         told = f"{wall if bound else reached.c:.4g} {unit}".removesuffix(" 1")
         rise = f"the misfit rises by {reached.z**2:.2g} only"
         if self.phases[self.quantity.slot]:
@@ -271,7 +271,7 @@ class Walk:
         return f"up to {told} {rise}{stopped}"
 
 
-def _between(inner: Point, outer: Point, target: float) -> float:
+def _between(inner: ProfilePoint, outer: ProfilePoint, target: float) -> float:
     """Where z passes the target between two points, kept off their ends."""
     share = (target - inner.z) / max(outer.z - inner.z, 1e-300)
     return inner.c + min(max(share, 0.02), 0.95) * (outer.c - inner.c)

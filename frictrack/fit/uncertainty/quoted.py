@@ -8,26 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Problem, Solution
-from frictrack.fit.parameters import LEVEL, Layout, ratio
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution
+from frictrack.fit.parameters import LEVEL, ParameterLayout, mass_ratio
 from frictrack.records import Array
 
-BETWEEN = " - "  # of two addresses: their difference
+DIFFERENCE_SIGN = " - "  # of two addresses: their difference
 
 
-def shown(layout: Layout) -> list[int]:
+def quoted_slots(layout: ParameterLayout) -> list[int]:
     """Positions of the unknowns that are quoted: all but the friction levels."""
     return [i for i, s in enumerate(layout.slots) if s.effect != LEVEL]
 
 
-def quoted_values(problem: Problem, p: Array) -> Array:
-    """The quoted unknowns of a law p (P,), (A,), in the order of `shown`."""
+def quoted_values(problem: LeastSquaresProblem, p: Array) -> Array:
+    """The quoted unknowns of a law p (P,), (A,), in the order of `quoted_slots`."""
     layout = problem.layout
-    known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / ratio(layout, p)}
-    return np.array([known[layout.names[i]] for i in shown(layout)])
+    known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / mass_ratio(layout, p)}
+    return np.array([known[layout.names[i]] for i in quoted_slots(layout)])
 
 
-def quoted(problem: Problem, p: Array) -> tuple[Array, Array]:
+def quoted_with_jacobian(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
     """The quoted unknowns (A,), and their derivatives in the unknowns, (A, P)."""
     base = quoted_values(problem, p)
     jacobian = np.zeros((len(base), len(p)))
@@ -39,7 +39,7 @@ def quoted(problem: Problem, p: Array) -> tuple[Array, Array]:
     return base, jacobian
 
 
-def gradient_of(problem: Problem, p: Array, address: str) -> tuple[float, Array]:
+def quoted_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tuple[float, Array]:
     """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
     base = problem.layout.quoted(p)[address]
     gradient = np.zeros(len(p))
@@ -54,7 +54,7 @@ def gradient_of(problem: Problem, p: Array, address: str) -> tuple[float, Array]
 def quoted_by_address(solution: Solution, p: Array) -> dict[str, float]:
     """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
     values = quoted_values(solution.problem, p)
-    names = [solution.problem.layout.names[i] for i in shown(solution.problem.layout)]
+    names = [solution.problem.layout.names[i] for i in quoted_slots(solution.problem.layout)]
     return dict(zip(names, map(float, values), strict=True))
 
 
@@ -67,23 +67,23 @@ class Quantity:
     slot: int
     weights: Array  # (A,) on the quoted unknowns
 
-    def value(self, problem: Problem, p: Array) -> float:
+    def value(self, problem: LeastSquaresProblem, p: Array) -> float:
         """Its value for unknowns p (P,)."""
         return float(self.weights @ quoted_values(problem, p))
 
-    def gradient(self, problem: Problem, p: Array) -> Array:
+    def gradient(self, problem: LeastSquaresProblem, p: Array) -> Array:
         """Its derivative in every unknown, (P,)."""
-        return np.asarray(self.weights @ quoted(problem, p)[1])
+        return np.asarray(self.weights @ quoted_with_jacobian(problem, p)[1])
 
 
-def quantity(layout: Layout, address: str) -> Quantity:
+def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
     """What an address means: ``"coulomb.F_c"``, ``"vibration.phase[v3]"``, ``"stribeck.F_s - coulomb.F_c"``.
 
     Raises FrictrackError (usage) for an address that is not an unknown of this law.
     """
-    at = shown(layout)
+    at = quoted_slots(layout)
     names = [layout.names[i] for i in at]
-    parts: Sequence[str] = [part.strip() for part in address.split(BETWEEN)]
+    parts: Sequence[str] = [part.strip() for part in address.split(DIFFERENCE_SIGN)]
     unknown = [part for part in parts if part not in names]
     if unknown or len(parts) > 2:
         fixed = [f"{e}.{p}" for e, p in layout.fixed]

@@ -10,9 +10,17 @@ import numpy as np
 
 from frictrack import models
 from frictrack.effects import Path, Span
-from frictrack.fit.global_search import settings_of
-from frictrack.fit.parameters import Layout
-from frictrack.fit.separable import Along, Misfit, Reduced, Search, Tied, force_block, search_of
+from frictrack.fit.global_search import search_settings
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.separable import (
+    ConstrainedVariableProjection,
+    PopulationMisfit,
+    ReducedPopulationMisfit,
+    SeparableModel,
+    VariableProjection,
+    force_block,
+    variable_projection,
+)
 from frictrack.search import minimise
 
 from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X
@@ -23,7 +31,7 @@ HIGHEST = {"atm1": (5.0, 400.0), "atm2": (0.0, 200.0)}  # Hz
 
 
 @cache
-def layout(name: str) -> Layout:
+def layout(name: str) -> ParameterLayout:
     """The unknowns of a problem, within the box that every optimiser gets."""
     kind = PROBLEMS[name].model.split(":")[0]
     made = []
@@ -31,12 +39,12 @@ def layout(name: str) -> Layout:
         bounds: dict[str, Any] = {p.name: {"bounds": HIGHEST[kind]} for p in e.parameters if p.unit == "Hz"}
         bounds |= {p.name: {"bounds": (0.05, 3.0)} for p in e.parameters if p.name == "v_s"}
         made.append(e.adjusted(**bounds))
-    return Layout(models.Model(tuple(made)), ("run",), (SPAN,))
+    return ParameterLayout(models.Model(tuple(made)), ("run",), (SPAN,))
 
 
 @cache
-def _search(name: str) -> Search | Tied:
-    return search_of(Along(layout(name), [force_block(0, PATH, np.zeros(len(T)), NOISE)]))
+def _search(name: str) -> VariableProjection | ConstrainedVariableProjection:
+    return variable_projection(SeparableModel(layout(name), [force_block(0, PATH, np.zeros(len(T)), NOISE)]))
 
 
 def varpro(name: str, case: Case, *, cold: bool = False) -> dict[str, Any]:
@@ -52,7 +60,9 @@ def varpro(name: str, case: Case, *, cold: bool = False) -> dict[str, Any]:
 def papers(name: str, case: Case, method: str, over: str, budget: int, **settings: Any) -> dict[str, Any]:
     """A global search over "all" parameters or the "nonlinear" ones until it succeeds or its budget is spent."""
     block = force_block(0, PATH, case.data, NOISE)
-    misfit: Misfit | Reduced = (Reduced if over == "nonlinear" else Misfit)(layout(name), [block])
+    misfit: PopulationMisfit | ReducedPopulationMisfit = (
+        ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
+    )(layout(name), [block])
     box = _box(name, misfit)
     start = time.process_time()
     found = minimise(
@@ -62,13 +72,13 @@ def papers(name: str, case: Case, method: str, over: str, budget: int, **setting
         rng=np.random.default_rng(case.seed),
         max_evaluations=budget,
         callback=lambda _, __, best: best <= case.target,
-        **(settings_of(method, len(box)) if over == "nonlinear" else {}) | settings,
+        **(search_settings(method, len(box)) if over == "nonlinear" else {}) | settings,
     )
     seconds = time.process_time() - start
     return {"sse": found.cost, "seconds": seconds, "evaluations": found.evaluations}
 
 
-def _box(name: str, misfit: Misfit | Reduced) -> Array:
+def _box(name: str, misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
     """The same box as the others': F_s is counted from F_c here."""
     law = layout(name)
     limits = {"F_c": (0, 40), "F_s": (0, 40), "F_v": (0, 20), "f_c": (0, 40), "f_s": (0, 80), "f_v": (0, 20)}
@@ -87,7 +97,10 @@ def per_evaluation(name: str, population: int = 40) -> dict[str, float]:
     low, high = law.box.T
     block = force_block(0, PATH, case.data, NOISE)
     out = {"bare": _timed(case.sse, low + (high - low) * rng.random((population, len(low))))}
-    for over, misfit in (("all", Misfit(layout(name), [block])), ("nonlinear", Reduced(layout(name), [block]))):
+    for over, misfit in (
+        ("all", PopulationMisfit(layout(name), [block])),
+        ("nonlinear", ReducedPopulationMisfit(layout(name), [block])),
+    ):
         low, high = _box(name, misfit).T
         out[over] = _timed(misfit, low + (high - low) * rng.random((population, len(low))))
     return out
