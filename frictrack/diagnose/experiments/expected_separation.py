@@ -81,7 +81,9 @@ def _believed(effect: str, solution: Solution, bare: Solution) -> Solution:
     if not absurd:
         return solution
     try:
-        held = add_effect(bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()}))
+        held = add_effect(
+            bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()})
+        )
     except FrictrackError:
         return solution
     return held if held.objective - solution.objective < MAX_CHI2_UNDETERMINED else solution
@@ -185,7 +187,9 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
     layout = tied.problem.layout
     old = next(e for e in layout.model.effects if e.name == effect)
     sizes = {
-        p.name: {"per_run": True} for p in old.parameters if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
+        p.name: {"per_run": True}
+        for p in old.parameters
+        if p.role in SIZE_ROLES and is_unconstrained(p) and not p.per_run
     }
     runs = len(layout.run_names)
     worse = float(chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1))

@@ -35,8 +35,8 @@ class LinearisedPiece:
     """One piece: rows of forces along its path (k, m) to whitened rows (k, n) at the frames.
 
     `path` is the motion about which the law is linearised, at the edges of the panels, its level one where laws are
-    `linearise_about_measurement`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns first. `path_at_compared` is the
-    path at the compared frames alone, where friction was measured and they are few.
+    `linearise_about_measurement`; the run's own is `level`. `basis` (n, L) is orthonormal: the start's two columns
+    first. `path_at_compared` is the path at the compared frames alone, where friction was measured and they are few.
     """
 
     problem: LeastSquaresProblem
@@ -163,8 +163,8 @@ def _repeat_values(value: Any, n: int, deep: bool) -> Any:
 class LinearisedModel:
     """A fitted law as candidates see it: its pieces, and the basis of the whole in the coordinates of theirs.
 
-    `basis_coordinates` (L, P') are the coordinates of the law's orthonormal basis; `rows` and `places` are where the frames of
-    each piece stand among all frames, and its coordinates among all L.
+    `basis_coordinates` (L, P') are the coordinates of the law's orthonormal basis; `rows` and `places` are where the
+    frames of each piece stand among all frames, and its coordinates among all L.
     """
 
     solution: Solution

@@ -2,7 +2,8 @@
 
 Nothing is differentiated and no mass is needed. A run is one piece from its first frame to its last, since what
 remembers (presliding, lag) needs all that went before; only the moving frames are compared. At unit mass F stands in
-the place of the displacement, without a start of its own and seen as it is, so all that reads a `LeastSquaresProblem` works.
+the place of the displacement, without a start of its own and seen as it is, so all that reads a `LeastSquaresProblem`
+works.
 """
 
 from __future__ import annotations

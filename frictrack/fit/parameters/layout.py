@@ -50,9 +50,9 @@ class Prior:
 class ParameterLayout:
     """The unknowns of a model over some runs.
 
-    `fixed` holds values that are known; `constraints` say what follows from unknowns (ties). `leaders` are the places of unknowns
-    that others follow: the law answers them with more than their own columns.
-    `absent` holds pairs (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
+    `fixed` holds values that are known; `constraints` say what follows from unknowns (ties). `leaders` are the places
+    of unknowns that others follow: the law answers them with more than their own columns. `absent` holds pairs
+    (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
     """
 
     model: Model

@@ -8,9 +8,10 @@ covariance of its coefficients is at most about
     (1 + e) H^-1
 
 since what a segment holds beyond the noise may all point along a coefficient (Cauchy-Schwarz; it is the usual
-sandwich with every residual in the worst place). The length of the smallest determinant is taken: without an
-excess the whole run, otherwise the one that balances what is forgotten with what is not modelled. A long record that is
-followed through its reversals is cut into segments of `REVERSAL_SEGMENT_FRAMES` frames, each with its memory of the motion before.
+sandwich with every residual in the worst place). The length of the smallest determinant is taken: without an excess
+the whole run, otherwise the one that balances what is forgotten with what is not modelled. A long record that is
+followed through its reversals is cut into segments of `REVERSAL_SEGMENT_FRAMES` frames, each with its memory of the
+motion before.
 """
 
 from __future__ import annotations

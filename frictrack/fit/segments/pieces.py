@@ -196,9 +196,9 @@ def pieces_of(
 ) -> list[Piece]:
     """Cut one run into pieces of one direction, of at least `MIN_FRAMES` frames.
 
-    Under a law that passes stops and reversals (`through_reversals`), a run that has some, and a measured drive, is one piece. A
-    mass that is to be fitted is counted in units of the reference.
-    Raises FrictrackError when the run has neither mass nor drive, or no usable stretch.
+    Under a law that passes stops and reversals (`through_reversals`), a run that has some, and a measured drive, is
+    one piece. A mass that is to be fitted is counted in units of the reference. Raises FrictrackError when the run
+    has neither mass nor drive, or no usable stretch.
     """
     if run.mass is None and run.drive is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for a fit of the displacement but got none')

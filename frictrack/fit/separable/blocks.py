@@ -30,10 +30,10 @@ Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 class DataBlock:
     """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white with standard deviation one.
 
-    `path` at the n samples, `path_at_compared` at the compared ones alone where these are few: enough for what remembers nothing,
-    whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the reference load; `rest`
-    the part of the squared data that no force along the path changes; `highest` the frequency up to which lines are
-    looked for, Hz.
+    `path` at the n samples, `path_at_compared` at the compared ones alone where these are few: enough for what
+    remembers nothing, whose forces `forward` takes as well. `friction` (n,) is the measured force there, N, at the
+    reference load; `rest` the part of the squared data that no force along the path changes; `highest` the frequency
+    up to which lines are looked for, Hz.
     """
 
     run: int

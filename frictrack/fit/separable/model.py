@@ -1,8 +1,8 @@
 """A model along the measured motion: rows that its coefficients multiply, as functions of the non-linear numbers.
 
-Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a `EffectGroup`). A
-wave of one amplitude and one phase enters as its two quadratures, which are linear; where the phase belongs to the
-runs, every run has its own pair, and the amplitude they share is left to the refinement.
+Effects that act by themselves are evaluated by themselves, a modifier together with what it modifies (a
+`EffectGroup`). A wave of one amplitude and one phase enters as its two quadratures, which are linear; where the phase
+belongs to the runs, every run has its own pair, and the amplitude they share is left to the refinement.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The misfit of a whole population of laws at once, each evaluated along the measured motion.
 
-Over all unknowns, the papers' way (`PopulationMisfit`), or over the non-linear numbers alone, the coefficients solved for every
-individual (`ReducedPopulationMisfit`). The levels of several runs are not searched: each is the one of least squares, held about one.
+Over all unknowns, the papers' way (`PopulationMisfit`), or over the non-linear numbers alone, the coefficients solved
+for every individual (`ReducedPopulationMisfit`). The levels of several runs are not searched: each is the one of
+least squares, held about one.
 """
 
 from __future__ import annotations
