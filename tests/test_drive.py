@@ -15,7 +15,7 @@ from frictrack.flow import Session, open_study
 from frictrack.flow.summary import summary
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement
-from frictrack.sensors import Alignment, Series, align_drive
+from frictrack.sensors import Alignment, SensorRecord, align_drive
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 PARTS = ((0.03, 13.2, 0.3), (0.012, 33.3, 1.1), (0.004, 73.5, 2.0))  # m, rad/s, rad: a motion that reverses
@@ -46,7 +46,7 @@ def aligned(seed: int, rate: float = 1e3, n: int = 2000) -> Alignment:
     seen = film(rng, n)
     ts = np.arange(-0.2, n / 2000.0 + 0.2, 1 / rate) + rng.uniform(0, 1 / rate)
     felt = drive_true(ts - DELAY) + 0.05 * rng.standard_normal(len(ts))
-    return align_drive(seen, differentiate(low_pass(seen)), Series(ts, felt, "drive.csv"))
+    return align_drive(seen, differentiate(low_pass(seen)), SensorRecord(ts, felt, "drive.csv"))
 
 
 @pytest.mark.parametrize("rate", [1e3, 1e4])
@@ -73,7 +73,7 @@ def test_a_constant_drive_keeps_zero_and_says_why() -> None:
     motion = differentiate(low_pass(seen))
     ts = np.arange(-0.1, 0.4, 1e-3)
     for values in (0 * ts + 3, 2 + 3 * ts):  # a ramp shifts into itself and a constant
-        found = align_drive(seen, motion, Series(ts, values, "drive.csv"))
+        found = align_drive(seen, motion, SensorRecord(ts, values, "drive.csv"))
         assert (found.offset, found.sigma_offset) == (0.0, None)
         assert "0 is kept" in found.reason
 

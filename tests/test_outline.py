@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from frictrack.calibration import calibrate, plane_map
-from frictrack.calibration.outline import target_width
+from frictrack.calibration.target_size import target_width
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
 

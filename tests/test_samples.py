@@ -17,7 +17,7 @@ from frictrack.records import Displacement, Run
 from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
 from frictrack.samples.unevenness import common_unevenness, unevenness
 from frictrack.study import RunTable, TableData
-from frictrack.tracking.checks.timing import corrected, slips
+from frictrack.tracking.checks.timing import correct_ticks, slips
 from tests.test_timing import a_track
 
 N, FPS, NOISE, PIXEL = 600, 4000.0, 1e-5, 5e-4
@@ -200,7 +200,7 @@ def test_every_pattern_of_doubled_and_missing_frames(kind, speed):
         moments = a_track(100 + speed * (np.arange(2.0 * n) - 0.35 * np.arange(2.0 * n) ** 2 / n), seed=seed)
         columns = ("x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "score", "reason")
         rows = {name: getattr(moments, name)[shown] for name in columns}  # a doubled frame is the same picture
-        ticks, keep = corrected(np.arange(n), slips(replace(moments, t=np.arange(n) / FPS, **rows)))
+        ticks, keep = correct_ticks(np.arange(n), slips(replace(moments, t=np.arange(n) / FPS, **rows)))
         assert not np.any(keep[1:] & (np.diff(shown) == 0))
         np.testing.assert_array_equal(np.diff(ticks[keep]), np.diff(shown[keep]))
 

@@ -13,11 +13,11 @@ from frictrack.errors import FrictrackError
 from frictrack.records import Array, Displacement
 from frictrack.sensors import (
     Alignment,
-    Comparison,
-    Problem,
-    Series,
+    AlignmentProblem,
+    SensorComparison,
+    SensorRecord,
     align,
-    compare,
+    compare_with_camera,
     known_acceleration,
     release_energy,
     second_differences,
@@ -60,28 +60,28 @@ class Sensor:
     delay: float = DELAY
     fast: float = 0.0  # of its clock, relative
 
-    def record(self, rng: np.random.Generator) -> Series:
+    def record(self, rng: np.random.Generator) -> SensorRecord:
         ts = np.arange(-0.05, 0.3, 1.0 / self.rate) + rng.uniform(0, 1.0 / self.rate)
         felt = (a_true((ts - self.delay) / (1.0 + self.fast)) - self.bias) / self.gain
-        return Series(ts, felt + self.noise * rng.standard_normal(len(ts)), "acc.csv")
+        return SensorRecord(ts, felt + self.noise * rng.standard_normal(len(ts)), "acc.csv")
 
 
-def problem(seen: Displacement, series: Series) -> Problem:
+def problem(seen: Displacement, series: SensorRecord) -> AlignmentProblem:
     frames = second_differences(seen)
-    return Problem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
+    return AlignmentProblem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
 
 
 def found(
-    seed: int, sensor: Sensor, changed: Callable[[Series], Series] = lambda s: s, **camera: float
-) -> tuple[Alignment, Comparison]:
+    seed: int, sensor: Sensor, changed: Callable[[SensorRecord], SensorRecord] = lambda s: s, **camera: float
+) -> tuple[Alignment, SensorComparison]:
     rng = np.random.default_rng(seed)
     both = problem(film(rng, **camera), changed(sensor.record(rng)))
     aligned = align(both)
-    return aligned, compare(both, aligned)
+    return aligned, compare_with_camera(both, aligned)
 
 
-def altered(change: Callable[[Array, Array], Array]) -> Callable[[Series], Series]:
-    return lambda s: Series(s.t, change(s.t, s.values), s.name)
+def altered(change: Callable[[Array, Array], Array]) -> Callable[[SensorRecord], SensorRecord]:
+    return lambda s: SensorRecord(s.t, change(s.t, s.values), s.name)
 
 
 def test_second_differences_hold_for_any_motion_and_any_gap() -> None:
@@ -92,7 +92,7 @@ def test_second_differences_hold_for_any_motion_and_any_gap() -> None:
     seen = Displacement(t[kept], x_true(t[kept]), nan, nan, np.full(len(kept), 1e-6), nan, np.ones(len(kept), bool))
     fine = np.arange(-0.01, 0.12, 2e-6)
     frames = second_differences(seen)
-    felt = frames.felt(Series(fine, a_true(fine)), np.zeros(1))[:, 0]
+    felt = frames.sensor_differences(SensorRecord(fine, a_true(fine)), np.zeros(1))[:, 0]
     assert len(frames.z) == len(kept) - 2
     np.testing.assert_allclose(felt, frames.z, atol=2e-5)
 
@@ -105,9 +105,10 @@ def test_the_stated_noise_of_the_differences_is_theirs() -> None:
     for rate in (5e4, 1e3):
         ts = np.arange(-0.05, 0.3, 1 / rate)
         alone = np.concatenate(
-            [frames.felt(Series(ts, rng.standard_normal(len(ts))), np.zeros(1)) for _ in range(40)], axis=1
+            [frames.sensor_differences(SensorRecord(ts, rng.standard_normal(len(ts))), np.zeros(1)) for _ in range(40)],
+            axis=1,
         )
-        stated = frames.noise(Series(ts, 0 * ts), 0.0)
+        stated = frames.noise(SensorRecord(ts, 0 * ts), 0.0)
         assert np.mean(alone**2) == pytest.approx(np.mean(stated.diagonal()), rel=0.15)
         assert np.mean(alone[1:] * alone[:-1]) == pytest.approx(np.mean(stated.diagonal(1)), rel=0.2)
 
@@ -174,7 +175,7 @@ def test_two_clocks_at_different_rates_are_told_apart() -> None:
 def test_a_clock_far_off_is_found_without_help() -> None:
     rng = np.random.default_rng(5)
     series = Sensor().record(rng)
-    aligned = align(problem(film(rng), Series(series.t + 1000.0, series.values, "acc.csv")))
+    aligned = align(problem(film(rng), SensorRecord(series.t + 1000.0, series.values, "acc.csv")))
     assert aligned.sigma_offset is not None
     assert abs(aligned.offset + 1000.0 + DELAY) < 4 * aligned.sigma_offset
 
@@ -182,7 +183,7 @@ def test_a_clock_far_off_is_found_without_help() -> None:
 def test_a_periodic_motion_takes_the_offset_nearest_to_zero_and_says_so() -> None:
     rng = np.random.default_rng(7)
     ts = np.arange(-0.1, 0.3, 1e-4)
-    series = Series(ts, SHAKE * np.sin(OMEGA * (ts - 2e-3)) + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
+    series = SensorRecord(ts, SHAKE * np.sin(OMEGA * (ts - 2e-3)) + 0.3 * rng.standard_normal(len(ts)), "acc.csv")
     aligned = align(problem(film(rng, x=lambda t: 3 * t - SHAKE / OMEGA**2 * np.sin(OMEGA * t)), series))
     assert abs(aligned.offset + 2e-3) < 4 * (aligned.sigma_offset or 0.0)
     assert "nearest to 0 of those that explain the same" in aligned.reason
@@ -226,7 +227,7 @@ def test_clipped_samples_are_left_out_and_said() -> None:
     series = altered(lambda t, a: np.clip(a, -25.0, 25.0))(Sensor().record(rng))
     assert not np.any(series.known[np.abs(series.values) >= 25.0])
     assert np.sum(~series.known) == np.sum(np.abs(series.values) >= 25.0)
-    coarse = Series(series.t, np.round(np.sin(40 * series.t), 1), "coarse")
+    coarse = SensorRecord(series.t, np.round(np.sin(40 * series.t), 1), "coarse")
     assert not np.any(coarse.clipped)  # a coarse record holds its values everywhere
 
 
@@ -235,8 +236,8 @@ def test_a_given_offset_is_kept_and_refuted_where_it_is_wrong() -> None:
     both = problem(film(rng), Sensor().record(rng))
     right, wrong = align(both, -DELAY), align(both, -DELAY - 5e-4)
     assert (right.offset, right.sigma_offset) == (-DELAY, None)
-    assert compare(both, right).verdict == "consistent"
-    said = " ".join(compare(both, wrong).says)
+    assert compare_with_camera(both, right).verdict == "consistent"
+    said = " ".join(compare_with_camera(both, wrong).says)
     assert "the offset of -3.87 ms is wrong, the data say -3.4" in said
     assert 'offset = "auto"' in said
 
@@ -258,10 +259,10 @@ def test_a_fused_acceleration_is_the_truth_within_its_noise() -> None:
 
 def test_an_average_takes_away_what_the_frames_cannot_hold() -> None:
     ts = np.arange(0, 0.1, 2e-5)
-    series = Series(ts, 3.0 + np.sin(2 * np.pi * 4000 * ts))  # one period per frame: it would be folded to 0 Hz
+    series = SensorRecord(ts, 3.0 + np.sin(2 * np.pi * 4000 * ts))  # one period per frame: it would be folded to 0 Hz
     at = np.arange(0.01, 0.09, 1 / FPS)
     np.testing.assert_allclose(series.average(at, 1 / FPS), 3.0, atol=1e-4)
-    slow = Series(ts[::50], np.sin(2 * np.pi * 50 * ts[::50]))  # 1 kHz: between its samples the curve goes on
+    slow = SensorRecord(ts[::50], np.sin(2 * np.pi * 50 * ts[::50]))  # 1 kHz: between its samples the curve goes on
     np.testing.assert_allclose(slow.average(at, 1 / FPS), np.sin(2 * np.pi * 50 * at), atol=1e-3)
 
 
@@ -270,7 +271,7 @@ def test_where_the_sensor_was_not_running_nothing_is_known() -> None:
     values = np.cos(40 * ts)
     values[300:330] = np.nan
     gone = np.concatenate([ts[:600], ts[650:]])
-    series = Series(gone, np.concatenate([values[:600], values[650:]]))
+    series = SensorRecord(gone, np.concatenate([values[:600], values[650:]]))
     at = np.arange(-0.01, 0.11, 1 / FPS)
     mean = series.average(at, 1 / FPS)
     lost = (at < -1.3e-4) | (at > 0.1001) | ((at > 0.0299) & (at < 0.0331)) | ((at > 0.0599) & (at < 0.0651))
@@ -296,7 +297,7 @@ def test_gaps_do_not_spoil_the_alignment() -> None:
 )
 def test_a_record_that_is_none_is_refused(t: list[float], values: list[float], expected: str) -> None:
     with pytest.raises(FrictrackError) as caught:
-        Series(np.array(t), np.array(values, dtype=float), "acc")
+        SensorRecord(np.array(t), np.array(values, dtype=float), "acc")
     assert expected in str(caught.value)
 
 
@@ -304,15 +305,15 @@ def test_what_cannot_be_aligned_says_why() -> None:
     rng = np.random.default_rng(0)
     seen = film(rng)
     ts = np.arange(-0.05, 0.3, 1e-4)
-    assert align(problem(seen, Series(ts, 0 * ts + 2))).reason == (
+    assert align(problem(seen, SensorRecord(ts, 0 * ts + 2))).reason == (
         "it is constant, which looks the same at every offset; 0 is kept"
     )
-    noise = align(problem(seen, Series(ts, rng.standard_normal(len(ts)))))
+    noise = align(problem(seen, SensorRecord(ts, rng.standard_normal(len(ts)))))
     assert noise.sigma_offset is None
     assert noise.offset == 0.0
     assert "at no offset" in noise.reason
-    assert compare(problem(seen, Series(ts, 0 * ts + 2)), noise).verdict == "not compared"
-    two = align(problem(seen, Series(np.array([0.0, 0.1]), np.array([1.0, 2.0]))))
+    assert compare_with_camera(problem(seen, SensorRecord(ts, 0 * ts + 2)), noise).verdict == "not compared"
+    two = align(problem(seen, SensorRecord(np.array([0.0, 0.1]), np.array([1.0, 2.0]))))
     assert two.reason == "expected at least 16 samples but got 2; 0 is kept"
     apart = align(problem(seen, Sensor().record(rng)), 7.0)
     assert "as given, it was running from 6.95" in apart.reason

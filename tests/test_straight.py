@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.calibration import calibrate
-from frictrack.calibration.straight import straightened
+from frictrack.calibration.rotating_target import straightened
 from frictrack.records import Track
 
 N, NOISE, TURN_NOISE = 300, 0.01, 1e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.tracking.checks.timing import corrected, slips, timing_note
+from frictrack.tracking.checks.timing import correct_ticks, slips, timing_note
 
 N = 600
 SIGMA = 0.003
@@ -38,7 +38,7 @@ def test_faults_of_every_kind():
     found = slips(a_track(slide(k)))
     # One frame lost before frame 100; 200 comes twice, as frames 199 and 200; three are lost before frame 302.
     assert faults(found) == [(100, 1), (200, -1), (302, 3)]
-    ticks, keep = corrected(np.arange(N), found)
+    ticks, keep = correct_ticks(np.arange(N), found)
     assert np.flatnonzero(~keep).tolist() == [200]
     np.testing.assert_array_equal(ticks[keep] - ticks[0], k[keep])
 
@@ -48,7 +48,7 @@ def test_a_frame_repeated_in_place_of_a_lost_one():
     x[250] = x[249]
     found = slips(a_track(x))
     assert faults(found) == [(250, 0)]
-    ticks, keep = corrected(np.arange(N), found)
+    ticks, keep = correct_ticks(np.arange(N), found)
     np.testing.assert_array_equal(ticks, np.arange(N))
     assert np.flatnonzero(~keep).tolist() == [250]
 
@@ -64,7 +64,7 @@ def test_a_film_stretched_by_doubling(period):
     k = recorded(doubled=set(range(period - 1, N, period)), n=300)
     found = slips(a_track(60 + 1.3 * k))
     assert {s.frames for s in found} == {-1}
-    _, keep = corrected(np.arange(300), found)
+    _, keep = correct_ticks(np.arange(300), found)
     steps = np.diff(k[keep])
     assert np.mean(steps == 1) == 1.0 if period == 15 else np.mean(steps == 1) > 0.98
 

@@ -4,10 +4,10 @@ Every way of giving the scale ends in one thing, a `PlaneMap` from the picture t
 sends the track through it.
 """
 
-from frictrack.calibration.mapping import plane_map
+from frictrack.calibration.displacement import calibrate
 from frictrack.calibration.plane import PlaneMap
 from frictrack.calibration.scale import Scale, parse_scale
+from frictrack.calibration.scale_to_map import plane_map
 from frictrack.calibration.shake import Shake, shake, steadied
-from frictrack.calibration.travel import calibrate
 
 __all__ = ["PlaneMap", "Scale", "Shake", "calibrate", "parse_scale", "plane_map", "shake", "steadied"]

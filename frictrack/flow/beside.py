@@ -17,12 +17,12 @@ from frictrack.records import Array, Displacement, Motion, Run
 from frictrack.results import Sensors
 from frictrack.sensors import (
     Alignment,
-    Comparison,
-    Problem,
-    Series,
+    AlignmentProblem,
+    SensorComparison,
+    SensorRecord,
     align,
     align_drive,
-    compare,
+    compare_with_camera,
     known_acceleration,
     release_energy,
     second_differences,
@@ -89,7 +89,7 @@ class _Beside:
         if data.friction is not None:
             self.found["friction_N"] = data.friction
         if data.a is not None:
-            self._acceleration(Series(data.t, data.a, f"{name}, a_m_s2"), 0.0)
+            self._acceleration(SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
 
     def drive(self, spec: dict[str, Any]) -> None:
         """A force on the slider: constant or a table, perhaps only up to some time."""
@@ -114,35 +114,37 @@ class _Beside:
         data = read_clocked(spec["table"], ("a", "friction"), spec.get("columns", {}))
         name = spec["table"].name
         if data.a is not None:
-            self._acceleration(Series(data.t, data.a, name), _offset(spec))
+            self._acceleration(SensorRecord(data.t, data.a, name), _offset(spec))
         if data.friction is not None:
-            series = Series(data.t, data.friction, name)
+            series = SensorRecord(data.t, data.friction, name)
             frames = second_differences(self.displacement)
             acting = [column[frames.centre] for column in (self.found.get("drive"),) if column is not None]
             known = [column for column in acting if np.ptp(column) > 0.0]
             beside = np.stack([*known, np.ones(len(frames.z))], axis=1)
-            found = align(Problem(frames, series, beside), _offset(spec))
+            found = align(AlignmentProblem(frames, series, beside), _offset(spec))
             self._tell("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
             self.found["friction_N"] = self._everywhere(series, found, everywhere)
 
-    def _acceleration(self, series: Series, offset: float | None) -> None:
+    def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
         """An accelerometer: aligned, compared, and known where both agree."""
         t = self.displacement.t
         frames = second_differences(self.displacement)
-        problem = Problem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
+        problem = AlignmentProblem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
         found = align(problem, offset)
         values = series.average(t - found.lag(t), frames.interval)
         if not np.any(np.isfinite(values)):
             raise FrictrackError(_apart(series, found, t))
-        compared = compare(problem, found, self.displacement.relative_scale_error)
+        compared = compare_with_camera(problem, found, self.displacement.relative_scale_error)
         self._tell("a", series, found, compared)
         self.found["a"] = values
         if compared.verdict == "consistent":
             fused = known_acceleration(series, found, t)
             self.found |= {"known_a": fused.a, "sigma_known_a": float(fused.sigma)}
 
-    def _tell(self, what: str, series: Series, found: Alignment, compared: Comparison | None = None) -> None:
+    def _tell(
+        self, what: str, series: SensorRecord, found: Alignment, compared: SensorComparison | None = None
+    ) -> None:
         """Keep the numbers of an alignment and say it in words."""
         self.clocks[what] = _numbers(found, compared)
         if found.sigma_offset is not None:
@@ -154,7 +156,7 @@ class _Beside:
         if compared is not None and compared.verdict != "not compared":
             self.notes.append(f"{series.name} {_agreement(compared)}")
 
-    def _everywhere(self, series: Series, found: Alignment, acting: Array) -> Array:
+    def _everywhere(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
         """A force (n,) at all frames, 0 where it does not act, short gaps bridged."""
         t = self.displacement.t
         h = float(np.median(np.diff(t)))
@@ -167,13 +169,13 @@ class _Beside:
         return np.where(acting, np.interp(t, t[measured], values[measured]), 0.0)
 
 
-def _force(spec: dict[str, Any]) -> Series:
+def _force(spec: dict[str, Any]) -> SensorRecord:
     """The drive's table in N."""
     area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
     data = read_clocked(path, ("drive",) if area is None else ("pressure",), columns)
     values = data.drive if area is None else np.asarray(data.pressure) * area
     assert values is not None
-    return Series(data.t, values, path.name)
+    return SensorRecord(data.t, values, path.name)
 
 
 def _offset(spec: dict[str, Any]) -> float | None:
@@ -182,7 +184,7 @@ def _offset(spec: dict[str, Any]) -> float | None:
     return None if given == "auto" else float(given)
 
 
-def _apart(series: Series, found: Alignment, t: Array) -> str:
+def _apart(series: SensorRecord, found: Alignment, t: Array) -> str:
     first, last = series.t[0] + found.offset, series.t[-1] + found.offset
     return (
         f"{series.name}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
@@ -191,7 +193,7 @@ def _apart(series: Series, found: Alignment, t: Array) -> str:
     )
 
 
-def _agreement(compared: Comparison) -> str:
+def _agreement(compared: SensorComparison) -> str:
     differ = (
         f"they differ by {compared.rms_difference:.2g} m/s^2 rms in means over "
         f"{1e3 * (compared.window or 0.0):.3g} ms, of which their noises explain {compared.rms_expected:.2g}"
@@ -201,7 +203,7 @@ def _agreement(compared: Comparison) -> str:
     return "; ".join(["disagrees with the camera and is not used", *compared.says, differ])
 
 
-def _numbers(found: Alignment, compared: Comparison | None) -> dict[str, Any]:
+def _numbers(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
     """An alignment and a comparison as the store and the JSON have them."""
     numbers: dict[str, Any] = {
         "offset_s": found.offset,

@@ -123,13 +123,13 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
 
     A doubled frame in place of a lost one is not found; one that was put in is left out.
     """
-    from frictrack.tracking.checks import corrected  # noqa: PLC0415
+    from frictrack.tracking.checks import correct_ticks  # noqa: PLC0415
 
     if not slips:
         return track
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
-    right, keep = corrected(ticks, slips)
+    right, keep = correct_ticks(ticks, slips)
     rows = rows_kept(len(track), slips)
     lost = ~keep[rows]
     columns: dict[str, Any] = {

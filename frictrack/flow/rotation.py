@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.calibration.straight import LARGE
+from frictrack.calibration.rotating_target import LARGE
 from frictrack.records import Array, Mask, Track
 
 SPAN = 9  # frames over which an angle is averaged

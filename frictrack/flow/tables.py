@@ -14,9 +14,9 @@ from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask
 from frictrack.remote import local
 from frictrack.samples import quantum, rounding_noise, screened
-from frictrack.samples.clock import Clock, is_even, jittered_clock, rounded_clock, speed
-from frictrack.samples.screen import frame_numbers, length, listed
-from frictrack.samples.slips import Course, Slip, corrected, faults
+from frictrack.samples.even_clock import EvenClock, is_even, jittered_clock, rounded_clock, speed
+from frictrack.samples.screen import describe_frames, describe_length, frame_numbers
+from frictrack.samples.slips import SampledPath, Slip, correct_ticks, find_slips
 from frictrack.samples.unevenness import common_unevenness, unevenness
 from frictrack.study import RunTable, TableData, read_table
 
@@ -89,7 +89,7 @@ def _uneven(seen: Displacement) -> Displacement:
     if np.max(moved) < NEGLIGIBLE * np.median(at_rest):
         return seen
     note = (
-        f"the noise grows with the speed, up to {length(float(np.max(moved)))}, as if samples jittered by "
+        f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
         f"{100 * late / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are even; "
         "deviations grow with it"
     )
@@ -179,9 +179,11 @@ def _stamp_notes(read: Stamps) -> tuple[str, ...]:
     """Stamps that were written twice, and wrong ones, in words."""
     notes: tuple[str, ...] = ()
     if len(read.doubled):
-        notes += (f"{_count(len(read.doubled))} the time stamp of the row before: {listed(read.doubled)}; left out",)
+        notes += (
+            f"{_count(len(read.doubled))} the time stamp of the row before: {describe_frames(read.doubled)}; left out",
+        )
     if len(read.corrupt):
-        notes += (f"the time stamp is wrong in {listed(read.corrupt)}; the row stays in its place",)
+        notes += (f"the time stamp is wrong in {describe_frames(read.corrupt)}; the row stays in its place",)
     return notes
 
 
@@ -195,7 +197,7 @@ def _filled(ticks: Rows) -> Rows:
     return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
 
 
-def _on(data: TableData, clock: Clock) -> TableData:
+def _on(data: TableData, clock: EvenClock) -> TableData:
     """The table at the times of a clock, positions moved by how late they were sampled."""
     moved = {
         name: column - speed(data.t, column) * clock.late if np.any(clock.late) else column
@@ -225,7 +227,7 @@ def _steady(table: EvenTable, *, clocked: bool) -> EvenTable:
 
     Stamps that are not even were written by a clock: then they are believed, and only repeated samples are left out.
     """
-    found = faults(_course(table.data), held=True)
+    found = find_slips(_course(table.data), held=True)
     if not found:
         return table
     data = table.data
@@ -233,14 +235,14 @@ def _steady(table: EvenTable, *, clocked: bool) -> EvenTable:
     ticks = frame_numbers(data.t).astype(np.int64)
     if clocked:
         found = tuple(replace(s, frames=0) for s in found if s.doubled)
-    right, keep = corrected(ticks, found)
+    right, keep = correct_ticks(ticks, found)
     stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
     t = np.where(right == ticks, data.t, t0 + right * interval)
     taken = _taken(replace(data, t=t), stay)
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
-def _course(data: TableData) -> Course:
+def _course(data: TableData) -> SampledPath:
     """The positions of a table; only those that are the same to the last digit can repeat each other."""
     assert data.x is not None
     x = data.x
@@ -248,7 +250,7 @@ def _course(data: TableData) -> Course:
     noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
     noise = max(noise, rounding_noise(quantum(x)), DIGITS * float(np.max(np.abs(x))))
     ticks = frame_numbers(data.t).astype(np.int64)
-    return Course(x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), CLEAR * noise, exact=True)
+    return SampledPath(x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), CLEAR * noise, exact=True)
 
 
 def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
@@ -258,10 +260,10 @@ def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
     notes = []
     if again:
         count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
-        notes.append(f"{count} the one before: {listed(again)}; left out")
+        notes.append(f"{count} the one before: {describe_frames(again)}; left out")
     if lost:
         total = sum(s.frames for s in lost)
         count = "1 sample is" if total == 1 else f"{total} samples are"
-        places = listed([int(numbers[s.frame]) for s in lost])
+        places = describe_frames([int(numbers[s.frame]) for s in lost])
         notes.append(f"{count} missing, told by the motion: before {places}; left as gaps in time")
     return tuple(notes)

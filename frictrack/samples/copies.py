@@ -13,12 +13,12 @@ import numpy as np
 from scipy.signal import correlate
 
 from frictrack.records import Array, Displacement
-from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
+from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
-AGREES = 0.9  # correlation of the noise of two records
-SHARE = 0.5  # of the shorter record that both must hold
-FEWEST = 32  # rows that both must hold
-CUT = 4.0  # robust deviations beyond which a difference counts no more: an outlier must not make two records agree
+MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
+MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold
+MIN_COMMON_ROWS = 32  # rows that both must hold
+CLIP_SIGMAS = 4.0  # robust deviations at which a difference is clipped: an outlier must not make two records agree
 
 
 def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
@@ -35,38 +35,42 @@ def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
     [(0, 2)]
 
     """
-    series = [np.interp(d.t, d.t[_known(d)], d.x[_known(d)]) if np.sum(_known(d)) else d.x for d in displacements]
-    rough = [_rough(x) for x in series]
-    return [(i, j) for i, j in combinations(range(len(series)), 2) if _same(series, rough, i, j)]
+    series = [
+        np.interp(d.t, d.t[_known_rows(d)], d.x[_known_rows(d)]) if np.sum(_known_rows(d)) else d.x
+        for d in displacements
+    ]
+    rough = [_clipped_differences(x) for x in series]
+    return [(i, j) for i, j in combinations(range(len(series)), 2) if _is_same_measurement(series, rough, i, j)]
 
 
-def _known(d: Displacement) -> Array:
+def _known_rows(d: Displacement) -> Array:
     return np.asarray(d.valid & np.isfinite(d.x))
 
 
-def _rough(x: Array) -> Array:
+def _clipped_differences(x: Array) -> Array:
     """Fourth differences, cut where they stand out, of length one."""
-    if len(x) < FEWEST:
+    if len(x) < MIN_COMMON_ROWS:
         return np.zeros(0)
-    difference = np.convolve(x, FOURTH, mode="valid")
+    difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")
     usual = MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
-    return np.clip(difference, -CUT * usual, CUT * usual)
+    return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 
-def _same(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
+def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
     """Whether two records agree at the lag at which their noise agrees best."""
     a, b = rough[i], rough[j]
     if not (np.any(a) and np.any(b)):
         return bool(
-            len(series[i]) == len(series[j]) >= FEWEST and np.ptp(series[i]) > 0 == np.ptp(series[i] - series[j])
+            len(series[i]) == len(series[j]) >= MIN_COMMON_ROWS
+            and np.ptp(series[i]) > 0 == np.ptp(series[i] - series[j])
         )
     lag = int(np.argmax(correlate(a, b, method="fft"))) - (len(b) - 1)
     first, last = max(lag, 0), min(len(a), len(b) + lag)
-    if last - first < max(FEWEST, SHARE * min(len(a), len(b))):
+    if last - first < max(MIN_COMMON_ROWS, MIN_COMMON_SHARE * min(len(a), len(b))):
         return False
     one, other = a[first:last], b[first - lag : last - lag]
     size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    if size == 0.0 or float(one @ other) < AGREES * size:
+    if size == 0.0 or float(one @ other) < MIN_NOISE_CORRELATION * size:
         return False
     x, y = series[i][first:last], series[j][first - lag : last - lag]
     noise = float(np.std(one)) / float(np.sqrt(70.0))

@@ -19,27 +19,27 @@ from frictrack.records import Array, Mask
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it
 # with a sixth of the weight that others have.
-SCREEN, SCREEN_AT_END = 4.0, 2.0
-SUSPECT = 4.5  # deviations from the robust local cubic
-FAR_AT_END = 6.0
-HALF, SIDE = 12, 8  # rows on either side of the robust cubic, and of the one that judges
+SCREEN_SIGMAS, SCREEN_SIGMAS_AT_END = 4.0, 2.0
+SUSPECT_SIGMAS = 4.5  # deviations from the robust local cubic
+MIN_SIGMAS_AT_END = 6.0
+HALF_WIDTH_ROWS, SIDE_ROWS = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
-LONGEST = 8  # rows of a burst
-FEW_AT_END, LONGEST_AT_END = 2, 5
-LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
-LONGEST_GAP = 25  # frames without a row, beyond which the course is not followed
-BRIDGED = 2  # good rows between suspects that make them one burst
-NEAR = 30  # rows on either side over which the noise is compared with that of the record
-LARGEST_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
-ROUNDS, STEPS = 40, 15
+MAX_BURST_ROWS = 8  # rows of a burst
+MAX_ROWS_AT_END, MAX_BURST_ROWS_AT_END = 2, 5
+MAX_LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
+MAX_GAP_FRAMES = 25  # frames without a row, beyond which the course is not followed
+MAX_BRIDGED_ROWS = 2  # good rows between suspects that make them one burst
+NOISE_REACH_ROWS = 30  # rows on either side over which the noise is compared with that of the record
+MAX_OUTLIER_SHARE = 0.1  # of the rows; beyond it the noise itself has tails
+MAX_ROUNDS, ROBUST_STEPS = 40, 15
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
-FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
 Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _BurstRule:
     """Rows on either side by which a burst is judged, the fewest of them, and how far off it must lie."""
 
     side: int
@@ -48,10 +48,10 @@ class _Judge:
     than_event: float  # chi-squared by which a kink or a jump must be worse
 
 
-WIDE = _Judge(SIDE, 4, 6.0, 16.0)  # 2e-9 by chance
-CLOSE = _Judge(4, 4, 12.0, 64.0)
-LIKELY = 0.998  # that the sides leave less about their common cubic
-TRIED, LONGEST_CLOSE = 12, 5
+WIDE_RULE = _BurstRule(SIDE_ROWS, 4, 6.0, 16.0)  # 2e-9 by chance
+CLOSE_RULE = _BurstRule(4, 4, 12.0, 64.0)
+SIDES_QUANTILE = 0.998  # of chi-squared, that the sides may leave about their common cubic
+MAX_CLOSE_TRIALS, MAX_CLOSE_BURST_ROWS = 12, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,20 +63,20 @@ class Outliers:
     noise: float
 
 
-NONE = Outliers(np.empty(0, np.int64), np.empty(0), 0.0)
+NO_OUTLIERS = Outliers(np.empty(0, np.int64), np.empty(0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Series:
+class _Positions:
     """Positions x (n,) at frames, each in units of its own noise when divided by `scale` (n,)."""
 
     frames: Array
     x: Array
     scale: Array
 
-    def part(self, rows: Rows) -> _Series:
+    def part(self, rows: Rows) -> _Positions:
         """Some of the rows."""
-        return _Series(self.frames[rows], self.x[rows], self.scale[rows])
+        return _Positions(self.frames[rows], self.x[rows], self.scale[rows])
 
     def cubic(self, rows: Rows, at: Rows) -> tuple[Array, Array, float]:
         """How far the rows `at` lie off the cubic through `rows`, the deviation of that, m, and its chi-squared."""
@@ -143,28 +143,28 @@ def outliers(frames: Array, x: Array, sigma: Array, floor: float = 0.0) -> Outli
     relative = sigma / np.median(sigma)
     digits = 8 * np.finfo(float).eps * float(np.max(np.abs(x)))
     noise = max(_level(x / relative, frames), floor, digits)
-    series = _Series(frames, x, noise * relative)
-    parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > LONGEST_GAP) + 1)
-    found = [(part[rows], off) for part in parts for rows, off in [_of_stretch(series.part(part))]]
+    series = _Positions(frames, x, noise * relative)
+    parts = np.split(np.arange(len(x)), np.flatnonzero(np.diff(frames) > MAX_GAP_FRAMES) + 1)
+    found = [(part[rows], off) for part in parts for rows, off in [_outliers_of_stretch(series.part(part))]]
     rows, off = (np.concatenate(each) for each in zip(*found, strict=True))
-    if len(rows) > LARGEST_SHARE * len(x):
-        return NONE
+    if len(rows) > MAX_OUTLIER_SHARE * len(x):
+        return NO_OUTLIERS
     return Outliers(rows, off, noise)
 
 
-def _of_stretch(series: _Series) -> tuple[Rows, Array]:
+def _outliers_of_stretch(series: _Positions) -> tuple[Rows, Array]:
     """Outliers of rows without long gaps, and how far they lie off, m."""
     bad = np.zeros(len(series.x), dtype=bool)
-    if len(bad) < 2 * HALF + 1:
-        return NONE.rows, NONE.off
-    for _ in range(ROUNDS):
-        spread, new = _round(series, bad)
+    if len(bad) < 2 * HALF_WIDTH_ROWS + 1:
+        return NO_OUTLIERS.rows, NO_OUTLIERS.off
+    for _ in range(MAX_ROUNDS):
+        spread, new = _find_round(series, bad)
         if not len(new):
             break
         bad[new] = True
     local = replace(series, scale=series.scale * spread)
-    held = [(rows, off) for rows in _bursts(bad) if (off := _judged(local, rows, bad, WIDE)) is not None]
-    rows, off = (np.concatenate(each) for each in zip((NONE.rows, NONE.off), *held, strict=True))
+    held = [(rows, off) for rows in _bursts(bad) if (off := _burst_offsets(local, rows, bad, WIDE_RULE)) is not None]
+    rows, off = (np.concatenate(each) for each in zip((NO_OUTLIERS.rows, NO_OUTLIERS.off), *held, strict=True))
     return rows, off
 
 
@@ -176,72 +176,74 @@ def _level(x: Array, frames: Array) -> float:
 
 def _fourth(x: Array, frames: Array) -> tuple[Array, Mask]:
     """Fourth differences (n - 4,), and where their frames follow each other."""
-    return np.convolve(x, FOURTH, mode="valid"), np.asarray(frames[4:] - frames[:-4] == 4)
+    return np.convolve(x, FOURTH_DIFFERENCE, mode="valid"), np.asarray(frames[4:] - frames[:-4] == 4)
 
 
-def _round(series: _Series, bad: Mask) -> tuple[Array, Rows]:
+def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     """The noise (n,) of each neighbourhood over the usual one, and rows of bursts that stand without the rows `bad`."""
     good = np.flatnonzero(~bad)
     kept = series.part(good)
-    near = _screened(kept)
+    near = _near_outliers(kept)
     spread = np.ones(len(bad))
     if not near.any():
-        return spread, good[_at_ends(kept)]
-    rows = np.flatnonzero(binary_dilation(near, iterations=NEAR))
+        return spread, good[_outliers_at_ends(kept)]
+    rows = np.flatnonzero(binary_dilation(near, iterations=NOISE_REACH_ROWS))
     away = np.zeros(len(good))
-    away[rows] = _robust(kept, rows)
-    spread[good] = _spread(away, rows)
+    away[rows] = _robust_residuals(kept, rows)
+    spread[good] = _local_noise(away, rows)
     kept = replace(kept, scale=kept.scale * spread[good])
-    suspects = near & (np.abs(away) > SUSPECT * spread[good])
-    found = [burst for burst in _bursts(suspects) if _judged(kept, burst, suspects, WIDE) is not None]
+    suspects = near & (np.abs(away) > SUSPECT_SIGMAS * spread[good])
+    found = [burst for burst in _bursts(suspects) if _burst_offsets(kept, burst, suspects, WIDE_RULE) is not None]
     if not found:  # they stand so close that the robust cubic follows them, or at an end
-        found = _strongest(kept, near) or [_at_ends(kept)]
+        found = _strongest(kept, near) or [_outliers_at_ends(kept)]
     return spread, good[np.concatenate([np.empty(0, np.int64), *found])]
 
 
-def _strongest(kept: _Series, near: Mask) -> list[Rows]:
+def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
     """The burst of a few rows that lies farthest off, each tried with few rows on its sides."""
     nobody = np.zeros(len(kept.x), dtype=bool)
     difference, whole = _fourth(kept.x / kept.scale, kept.frames)
     out = np.pad(np.where(whole, np.abs(difference), 0.0), 2, mode="edge")
-    tried = [r for r in np.argsort(-out).tolist() if near[r]][:TRIED]
-    bursts = {(start, m) for r in tried for m in range(1, LONGEST_CLOSE + 1) for start in range(r - m + 1, r + 1)}
+    tried = [r for r in np.argsort(-out).tolist() if near[r]][:MAX_CLOSE_TRIALS]
+    bursts = {
+        (start, m) for r in tried for m in range(1, MAX_CLOSE_BURST_ROWS + 1) for start in range(r - m + 1, r + 1)
+    }
     inside = [np.arange(start, start + m) for start, m in sorted(bursts) if 0 <= start <= len(kept.x) - m]
-    judged = [(off, burst) for burst in inside if (off := _judged(kept, burst, nobody, CLOSE)) is not None]
+    judged = [(off, burst) for burst in inside if (off := _burst_offsets(kept, burst, nobody, CLOSE_RULE)) is not None]
     return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
 
 
-def _at_ends(kept: _Series) -> Rows:
+def _outliers_at_ends(kept: _Positions) -> Rows:
     """The first or last rows where they lie off: fourth differences, which they hardly enter, do not show them."""
     n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
-    first = [np.arange(start, start + m) for m in range(1, FEW_AT_END + 1) for start in range(FEW_AT_END + 1)]
+    first = [np.arange(start, start + m) for m in range(1, MAX_ROWS_AT_END + 1) for start in range(MAX_ROWS_AT_END + 1)]
     for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
-        if _judged(kept, burst, nobody, WIDE) is not None:
+        if _burst_offsets(kept, burst, nobody, WIDE_RULE) is not None:
             return burst
     return nobody.nonzero()[0]
 
 
-def _screened(series: _Series) -> Mask:
+def _near_outliers(series: _Positions) -> Mask:
     """Rows near a fourth difference that stands out."""
     difference, whole = _fourth(series.x / series.scale, series.frames)
-    limit = np.full(len(difference), SCREEN)
-    limit[[0, 1, -2, -1]] = SCREEN_AT_END
+    limit = np.full(len(difference), SCREEN_SIGMAS)
+    limit[[0, 1, -2, -1]] = SCREEN_SIGMAS_AT_END
     out = (np.abs(difference) > limit * np.sqrt(70.0)) | ~whole
-    mask = np.convolve(out, np.ones(5 + 2 * BRIDGED), mode="full") > 0.5
-    return np.asarray(mask[BRIDGED : BRIDGED + len(series.x)])
+    mask = np.convolve(out, np.ones(5 + 2 * MAX_BRIDGED_ROWS), mode="full") > 0.5
+    return np.asarray(mask[MAX_BRIDGED_ROWS : MAX_BRIDGED_ROWS + len(series.x)])
 
 
-def _robust(series: _Series, rows: Rows) -> Array:
+def _robust_residuals(series: _Positions, rows: Rows) -> Array:
     """Deviations (m,) of rows from the cubic of least absolute deviations through their neighbours."""
     n = len(series.x)
-    start = np.clip(rows - HALF, 0, n - 2 * HALF - 1)
-    index = start[:, None] + np.arange(2 * HALF + 1)
-    tau = (series.frames[index] - series.frames[rows][:, None]) / HALF
+    start = np.clip(rows - HALF_WIDTH_ROWS, 0, n - 2 * HALF_WIDTH_ROWS - 1)
+    index = start[:, None] + np.arange(2 * HALF_WIDTH_ROWS + 1)
+    tau = (series.frames[index] - series.frames[rows][:, None]) / HALF_WIDTH_ROWS
     powers = np.stack([tau**k for k in range(DEGREE + 1)], axis=2) / series.scale[index][:, :, None]
     value = (series.x[index] - series.x[rows][:, None]) / series.scale[index]
     weight = np.ones_like(value)
     left = value
-    for _ in range(STEPS):  # iteratively reweighted least squares
+    for _ in range(ROBUST_STEPS):  # iteratively reweighted least squares
         part = powers * weight[:, :, None]
         normal = np.einsum("nij,nik->njk", part, powers) + 1e-12 * np.eye(DEGREE + 1)
         best = np.linalg.solve(normal, np.einsum("nij,ni->nj", part, value)[:, :, None])[:, :, 0]
@@ -250,10 +252,12 @@ def _robust(series: _Series, rows: Rows) -> Array:
     return np.asarray(left[np.arange(len(rows)), rows - start])
 
 
-def _spread(away: Array, rows: Rows) -> Array:
+def _local_noise(away: Array, rows: Rows) -> Array:
     """Deviations (n,) that rows (m,) have in their neighbourhood, by their median; 1 at the least."""
     out = np.ones(len(away))
-    out[rows] = np.maximum(MEDIAN_TO_SIGMA * median_filter(np.abs(away[rows]), size=2 * NEAR + 1, mode="reflect"), 1.0)
+    out[rows] = np.maximum(
+        MEDIAN_TO_SIGMA * median_filter(np.abs(away[rows]), size=2 * NOISE_REACH_ROWS + 1, mode="reflect"), 1.0
+    )
     return out
 
 
@@ -261,33 +265,33 @@ def _bursts(suspects: Mask) -> Iterator[Rows]:
     """Suspects with few good rows between them, together."""
     rows = np.flatnonzero(suspects)
     if len(rows):
-        for part in np.split(rows, np.flatnonzero(np.diff(rows) > BRIDGED + 1) + 1):
+        for part in np.split(rows, np.flatnonzero(np.diff(rows) > MAX_BRIDGED_ROWS + 1) + 1):
             yield part.astype(np.int64)
 
 
-def _judged(series: _Series, burst: Rows, suspects: Mask, judge: _Judge) -> Array | None:
+def _burst_offsets(series: _Positions, burst: Rows, suspects: Mask, judge: _BurstRule) -> Array | None:
     """How far the rows of a burst lie off their course, m, if it is one."""
-    before = np.flatnonzero(~suspects[: burst[0]])[-2 * SIDE :]
-    after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[: 2 * SIDE]
+    before = np.flatnonzero(~suspects[: burst[0]])[-2 * SIDE_ROWS :]
+    after = burst[-1] + 1 + np.flatnonzero(~suspects[burst[-1] + 1 :])[: 2 * SIDE_ROWS]
     at_end = min(len(before), len(after)) < judge.fewest
     sides = np.r_[before, after] if at_end else np.r_[before[-judge.side :], after[: judge.side]]
     freedom = len(sides) - DEGREE - 1
-    if burst[-1] - burst[0] >= (LONGEST_AT_END if at_end else LONGEST) or freedom < judge.fewest:
+    if burst[-1] - burst[0] >= (MAX_BURST_ROWS_AT_END if at_end else MAX_BURST_ROWS) or freedom < judge.fewest:
         return None
     off, error, misfit = series.cubic(sides, burst)
     farthest = float(np.max(np.abs(off) / error))
-    if misfit > chi2.ppf(LIKELY, freedom):
+    if misfit > chi2.ppf(SIDES_QUANTILE, freedom):
         return None
     returns = bool(len(before) and len(after)) and (
         farthest > judge.far and series.event(np.sort(np.r_[sides, burst]), burst) - misfit > judge.than_event
     )
     if at_end and not returns:
         suspects = suspects | np.isin(np.arange(len(suspects)), burst)
-        returns = farthest > FAR_AT_END and _leaps(series, burst, ~suspects)
+        returns = farthest > MIN_SIGMAS_AT_END and _leaps_beyond_motion(series, burst, ~suspects)
     return off if returns else None
 
 
-def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:
+def _leaps_beyond_motion(series: _Positions, burst: Rows, good: Mask) -> bool:
     """Whether the first or last rows are farther from their neighbour than the mass ever moves from frame to frame.
 
     No course beyond them shows whether they return; a push before the second frame or a blow at the last is real.
@@ -296,4 +300,4 @@ def _leaps(series: _Series, burst: Rows, good: Mask) -> bool:
     steps = np.abs(np.diff(series.x[rows]) / np.diff(series.frames[rows]))
     next_to = rows[np.argmin(np.abs(rows - burst[0]))]
     step = np.abs(series.x[burst] - series.x[next_to]) / np.abs(series.frames[burst] - series.frames[next_to])
-    return bool(np.max(step) > LEAP * np.max(steps) + FAR_AT_END * float(np.max(series.scale[burst])))
+    return bool(np.max(step) > MAX_LEAP * np.max(steps) + MIN_SIGMAS_AT_END * float(np.max(series.scale[burst])))

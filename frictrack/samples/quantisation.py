@@ -11,12 +11,12 @@ import numpy as np
 
 from frictrack.records import Array
 
-WHOLE = 0.02  # of a step: positions may be off a multiple of it by this much
-MOST_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some
-CHANCE = 1e-6  # that gaps which are no multiples of a step seem to be, over all parts that are tried
-FIRST = 8  # smallest gaps from which a step is first told
-FEWEST = 3  # distinct positions that can show a step
-MATTERS = 0.5  # of the noise that the differences show, above which rounding is worth a word
+MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
+MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
+MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
+FIRST_GAPS = 8  # smallest gaps from which a step is first estimated
+MIN_POSITIONS = 3  # distinct positions that can show a step
+MIN_NOISE_SHARE = 0.5  # of the noise that the differences show; a larger step is reported
 
 
 def quantum(x: Array) -> float:
@@ -33,26 +33,31 @@ def quantum(x: Array) -> float:
     gaps = np.diff(values)
     digits = 16 * np.finfo(float).eps * float(np.max(np.abs(values), initial=0.0))  # of a double
     gaps = gaps[gaps > digits]
-    if len(gaps) < FEWEST - 1:
+    if len(gaps) < MIN_POSITIONS - 1:
         return 0.0
     gaps = np.sort(gaps)
-    for parts in range(1, _parts(len(gaps)) + 1):
-        if step := _step(gaps, float(gaps[0]) / parts):
+    for parts in range(1, _max_parts(len(gaps)) + 1):
+        if step := _refine_step(gaps, float(gaps[0]) / parts):
             return step
     return 0.0
 
 
-def _parts(count: int) -> int:
+def _max_parts(count: int) -> int:
     """How many parts of the smallest of some gaps may be tried, so that the others fit none of them by chance."""
-    return max(min(MOST_PARTS, int(CHANCE * (2 * WHOLE) ** (1 - min(count, FIRST)))), 1)
+    return max(min(MAX_PARTS, int(MAX_CHANCE * (2 * MAX_STEP_ERROR) ** (1 - min(count, FIRST_GAPS)))), 1)
 
 
-def _step(gaps: Array, near: float) -> float:
+def _refine_step(gaps: Array, near: float) -> float:
     """The step close to a guess of which all rising gaps are whole multiples; 0 where they are not."""
     step = near
-    for some in (gaps[:FIRST], gaps[: FIRST**2], gaps, gaps):  # the mean of many is known better than the smallest
+    for some in (
+        gaps[:FIRST_GAPS],
+        gaps[: FIRST_GAPS**2],
+        gaps,
+        gaps,
+    ):  # the mean of many is known better than the smallest
         counts = np.rint(some / step)
-        if np.any(counts < 1) or np.max(np.abs(some - counts * step)) > WHOLE * step:
+        if np.any(counts < 1) or np.max(np.abs(some - counts * step)) > MAX_STEP_ERROR * step:
             return 0.0
         step = float(np.sum(some) / np.sum(counts))
     return float(f"{step:.10g}")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array, Displacement
 from frictrack.samples.outliers import MEDIAN_TO_SIGMA, Outliers, outliers
-from frictrack.samples.quantisation import MATTERS, quantum, rounding_noise
+from frictrack.samples.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
 
-LISTED = 8  # frames that a finding names
-FEWEST = 8  # known rows that can be checked
+MAX_LISTED_FRAMES = 8  # frames that a finding names
+MIN_ROWS = 8  # known rows that can be checked
 Rows = NDArray[np.int64]
 
 
@@ -53,9 +53,9 @@ def screened(displacement: Displacement, numbers: Rows | None = None) -> Displac
         (displacement.y, displacement.sigma_y, " across it"),
     ):
         rows = np.flatnonzero(valid & np.isfinite(coordinate))
-        if len(rows) < FEWEST:
+        if len(rows) < MIN_ROWS:
             continue
-        found, size = _checked(frames[rows], coordinate[rows], sigma[rows])
+        found, size = _outliers_and_step(frames[rows], coordinate[rows], sigma[rows])
         valid[rows[found.rows]] = False
         notes += outlier_note(found, numbers[rows], name)
         if not name:
@@ -71,16 +71,16 @@ def frame_numbers(t: Array) -> Array:
     return np.asarray(np.rint((t - t[0]) / float(np.median(np.diff(t)))))
 
 
-def _checked(frames: Array, x: Array, sigma: Array) -> tuple[Outliers, float]:
+def _outliers_and_step(frames: Array, x: Array, sigma: Array) -> tuple[Outliers, float]:
     """Outliers of known positions, and their step where that matters."""
     stated = np.isfinite(sigma) & (sigma > 0)
     usual = float(np.median(sigma[stated])) if stated.any() else 1.0
     step = quantum(x)
     found = outliers(frames, x, np.where(stated, sigma, usual), rounding_noise(step))
-    return found, step if step > MATTERS * _noise(x) else 0.0
+    return found, step if step > MIN_NOISE_SHARE * _noise_level(x) else 0.0
 
 
-def _noise(x: Array) -> float:
+def _noise_level(x: Array) -> float:
     """Noise of positions as their third differences show it, rounding included."""
     return MEDIAN_TO_SIGMA * float(np.median(np.abs(np.diff(x, 3)))) / float(np.sqrt(20.0))
 
@@ -95,7 +95,7 @@ def outlier_note(found: Outliers, numbers: Rows, where: str = "") -> tuple[str, 
     span = f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
     count = "1 sample lies" if len(size) == 1 else f"{len(size)} samples lie"
     off = "its" if len(size) == 1 else "their"
-    return (f"{count} {span} off {off} course{where} ({listed(numbers[found.rows])}): left out",)
+    return (f"{count} {span} off {off} course{where} ({describe_frames(numbers[found.rows])}): left out",)
 
 
 def quantum_note(step: float) -> tuple[str, ...]:
@@ -104,12 +104,13 @@ def quantum_note(step: float) -> tuple[str, ...]:
         return ()
     noise = rounding_noise(step)
     return (
-        f"positions are whole multiples of {length(step)}: rounding adds a noise of {length(noise)} to every sample, "
+        f"positions are whole multiples of {describe_length(step)}: "
+        f"rounding adds a noise of {describe_length(noise)} to every sample, "
         "and samples closer than a step share it",
     )
 
 
-def length(metres: float) -> str:
+def describe_length(metres: float) -> str:
     """A length with a unit that suits it."""
     unit, size = unit_of(metres)
     return f"{metres / size:.3g} {unit}"
@@ -121,8 +122,8 @@ def unit_of(metres: float) -> tuple[str, float]:
     return next((u for u in units if metres >= 0.9995 * u[1]), ("nm", 1e-9))
 
 
-def listed(numbers: Sequence[int] | Rows) -> str:
+def describe_frames(numbers: Sequence[int] | Rows) -> str:
     """Numbers of frames in words, the first ones by name."""
-    shown = ", ".join(str(int(i)) for i in numbers[:LISTED])
-    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    shown = ", ".join(str(int(i)) for i in numbers[:MAX_LISTED_FRAMES])
+    more = f" and {len(numbers) - MAX_LISTED_FRAMES} more" if len(numbers) > MAX_LISTED_FRAMES else ""
     return f"frame{'s' if len(numbers) > 1 else ''} {shown}{more}"

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.samples.gaps import gaps
-from frictrack.samples.repeats import Repeat, repeats
+from frictrack.samples.missing_frames import missing_frames
+from frictrack.samples.repeated_frames import RepeatedFrames, repeats
 
 WINDOWS = ((8, 3), (4, 2))  # frames on either side and degree of the curve; short ones where faults crowd
-PRECISE = 0.12  # frames: standard deviation of a jump from which whole frames can be told
-MOST_MISSING = 200
-MOST_SLIPS = 100
+MAX_JUMP_ERROR = 0.12  # frames: a jump whose standard deviation is larger cannot be counted in whole frames
+MAX_MISSING_FRAMES = 200
+MAX_SLIPS = 100
 # Differences of chi^2 in units of the noise. 49 is seven standard deviations: no false alarm in 10^5 frames.
-BETTER, THAN_KINK, THAN_FREE, FIT = 49.0, 36.0, 16.0, 3.0
+MIN_GAIN, MIN_GAIN_OVER_KINK, MAX_LOSS_TO_FREE_JUMP, MAX_REDUCED_CHI2 = 49.0, 36.0, 16.0, 3.0
 
 Ticks = NDArray[np.int64]
 
@@ -45,7 +45,7 @@ class Slip:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SampledPath:
     """Position along the course (n,) with its standard deviation, at whole ticks, and the frames that count.
 
     A jump smaller than `smallest` is none: tracking faults may be as large.
@@ -66,7 +66,7 @@ class Course:
         return self.window - self.window // 3 - 1
 
 
-def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
+def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
     """Doubled and missing frames of a course, in order, whatever their pattern.
 
     Frames that repeat the one before are found first, so that the others stand on an undisturbed course. `held`: see
@@ -78,16 +78,19 @@ def faults(path: Course, *, held: bool = False) -> tuple[Slip, ...]:
         for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact)
         for slip in _slips_of(one)
     ]
-    ticks, keep = corrected(path.ticks, again)
+    ticks, keep = correct_ticks(path.ticks, again)
     stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
-    rest = Course(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest, path.exact)
-    lost = [Slip(one.at, one.missing, one.significance) for one in gaps(rest.p, rest.ticks, rest.good, rest.smallest)]
-    rest = replace(rest, ticks=corrected(rest.ticks, lost)[0])
-    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *slips(rest))]
+    rest = SampledPath(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest, path.exact)
+    lost = [
+        Slip(one.at, one.missing, one.significance)
+        for one in missing_frames(rest.p, rest.ticks, rest.good, rest.smallest)
+    ]
+    rest = replace(rest, ticks=correct_ticks(rest.ticks, lost)[0])
+    others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *scattered_slips(rest))]
     return tuple(sorted([*again, *others], key=lambda s: s.frame))
 
 
-def _slips_of(repeat: Repeat) -> Iterator[Slip]:
+def _slips_of(repeat: RepeatedFrames) -> Iterator[Slip]:
     """Repeated frames as slips: as many as time allows in place of lost ones, the first of them put in."""
     frames = range(repeat.first, repeat.last + 1)
     put_in = max(len(frames) + 1 - repeat.ticks, 0)
@@ -97,7 +100,7 @@ def _slips_of(repeat: Repeat) -> Iterator[Slip]:
         yield Slip(repeat.last + 1, repeat.ticks - len(frames) - 1, np.inf)
 
 
-def slips(path: Course) -> tuple[Slip, ...]:
+def scattered_slips(path: SampledPath) -> tuple[Slip, ...]:
     """Doubled and missing frames of a course, in order; none are found where the target is too slow to tell."""
     noise = _noise(path)
     found: list[Slip] = []
@@ -106,8 +109,8 @@ def slips(path: Course) -> tuple[Slip, ...]:
             break
         path = replace(path, window=window, degree=degree)
         refused: set[int] = set()
-        while len(found) < MOST_SLIPS:
-            slip = _strongest(path, noise, refused)
+        while len(found) < MAX_SLIPS:
+            slip = _strongest_slip(path, noise, refused)
             if slip is None:
                 break
             found.append(slip)
@@ -115,7 +118,7 @@ def slips(path: Course) -> tuple[Slip, ...]:
     return tuple(sorted(found, key=lambda s: s.frame))
 
 
-def corrected(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
+def correct_ticks(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
     """Ticks (n,) with gaps where frames are missing, and which frames to keep: doubled ones are left out."""
     out, keep = np.array(ticks, dtype=np.int64), np.ones(len(ticks), np.bool_)
     for slip in found:
@@ -124,12 +127,12 @@ def corrected(ticks: Ticks, found: Sequence[Slip]) -> tuple[Ticks, Mask]:
     return out, keep
 
 
-def _applied(path: Course, slip: Slip) -> Course:
-    ticks, keep = corrected(path.ticks, [slip])
+def _applied(path: SampledPath, slip: Slip) -> SampledPath:
+    ticks, keep = correct_ticks(path.ticks, [slip])
     return replace(path, ticks=ticks, good=path.good & keep)
 
 
-def _noise(path: Course) -> float:
+def _noise(path: SampledPath) -> float:
     """Variance of the positions over what the tracker says, at least 1, although faults may be everywhere.
 
     From the tenth smallest of the squared third differences (chi^2 with one degree of freedom: 0.0158).
@@ -143,7 +146,7 @@ def _noise(path: Course) -> float:
     return max(1.5 * float(np.quantile(ratio, 0.1)) / 0.0158, 1.0)
 
 
-def _scan(path: Course) -> tuple[Array, Array, Array]:
+def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
     """For the gap before every frame: jump there in frames, its standard deviation, its significance.
 
     Where nothing can be said, the jump is 0.
@@ -171,29 +174,29 @@ def _scan(path: Course) -> tuple[Array, Array, Array]:
     return jump, error, z
 
 
-def _strongest(path: Course, noise: float, refused: set[int]) -> Slip | None:
+def _strongest_slip(path: SampledPath, noise: float, refused: set[int]) -> Slip | None:
     """The most significant slip that stands the comparison; frames that did not are added to `refused`."""
-    jump, error, z = _scan(path)
-    for i in np.argsort(-z)[: 4 * MOST_SLIPS].tolist():
+    jump, error, z = _scan_jumps(path)
+    for i in np.argsort(-z)[: 4 * MAX_SLIPS].tolist():
         if z[i] < 5 * np.sqrt(noise):
             break
-        if i in refused or error[i] > 3 * PRECISE:
+        if i in refused or error[i] > 3 * MAX_JUMP_ERROR:
             continue
-        options = [s for s in _judged(path, i, float(jump[i]), noise) if s]
+        options = [s for s in _possible_slips(path, i, float(jump[i]), noise) if s]
         if options:
             return max(options, key=lambda s: s.significance)
         refused.add(i)
     return None
 
 
-def _judged(path: Course, i: int, jump: float, noise: float) -> list[Slip | None]:
+def _possible_slips(path: SampledPath, i: int, jump: float, noise: float) -> list[Slip | None]:
     """What may have happened near frame i, each a slip or None where it does not stand."""
-    lengths = {k for k in (int(np.floor(jump)), int(np.ceil(jump))) if 1 <= k <= MOST_MISSING}
+    lengths = {k for k in (int(np.floor(jump)), int(np.ceil(jump))) if 1 <= k <= MAX_MISSING_FRAMES}
     near = range(max(i - 1, path.window), min(i + 2, len(path.p) - path.window))
-    return [_judge(path, k, frames, noise) for k in near for frames in (*sorted(lengths), -1, 0)]
+    return [_tested_slip(path, k, frames, noise) for k in near for frames in (*sorted(lengths), -1, 0)]
 
 
-def _judge(path: Course, i: int, frames: int, noise: float) -> Slip | None:
+def _tested_slip(path: SampledPath, i: int, frames: int, noise: float) -> Slip | None:
     """The slip, if on the frames around it the shifted curve is better than all that it may be mistaken for."""
     part = np.arange(i - path.window, i + path.window + (frames <= 0))
     part = part[(part >= 0) & (part < len(path.p))]
@@ -201,22 +204,26 @@ def _judge(path: Course, i: int, frames: int, noise: float) -> Slip | None:
     left = part[part != i] if frames <= 0 else part
     if i not in part or min(np.sum(left < i), np.sum(left >= i)) < path.enough:
         return None
-    if frames <= 0 and not _repeats(path, i, noise):
+    if frames <= 0 and not _repeats_previous(path, i, noise):
         return None
     shifted = path.ticks + frames * (np.arange(len(path.p)) >= i)
-    chi2, speed, error = _curve(path, left, shifted, i)
-    fits = chi2 < FIT * noise * max(len(left) - path.degree - 1, 1)
-    moves = abs((frames or -1) * speed) > path.smallest and error * np.sqrt(noise) < PRECISE * abs(speed)
+    chi2, speed, error = _fit_curve(path, left, shifted, i)
+    fits = chi2 < MAX_REDUCED_CHI2 * noise * max(len(left) - path.degree - 1, 1)
+    moves = abs((frames or -1) * speed) > path.smallest and error * np.sqrt(noise) < MAX_JUMP_ERROR * abs(speed)
     if not (fits and moves):
         return None
-    plain = _curve(path, part, path.ticks, i)[0]
-    kink = min(_curve(path, part, path.ticks, i, (at,))[0] for at in (-1.0, -0.5, 0.0, 0.5))
-    free = _curve(path, left, shifted, i, (0.0,), jump=True)[0]
-    stands = plain - chi2 > BETTER * noise and kink - chi2 > THAN_KINK * noise and chi2 - free < THAN_FREE * noise
+    plain = _fit_curve(path, part, path.ticks, i)[0]
+    kink = min(_fit_curve(path, part, path.ticks, i, (at,))[0] for at in (-1.0, -0.5, 0.0, 0.5))
+    free = _fit_curve(path, left, shifted, i, (0.0,), jump=True)[0]
+    stands = (
+        plain - chi2 > MIN_GAIN * noise
+        and kink - chi2 > MIN_GAIN_OVER_KINK * noise
+        and chi2 - free < MAX_LOSS_TO_FREE_JUMP * noise
+    )
     return Slip(i, frames, float(np.sqrt((plain - chi2) / noise))) if stands else None
 
 
-def _repeats(path: Course, i: int, noise: float) -> bool:
+def _repeats_previous(path: SampledPath, i: int, noise: float) -> bool:
     """Whether frame i shows the target where the frame before it does."""
     if not path.good[i - 1]:
         return False
@@ -226,8 +233,8 @@ def _repeats(path: Course, i: int, noise: float) -> bool:
     return bool(abs(path.p[i] - path.p[i - 1]) < 4 * spread)
 
 
-def _curve(
-    path: Course, part: Ticks, ticks: Ticks, i: int, kinks: tuple[float, ...] = (), jump: bool = False
+def _fit_curve(
+    path: SampledPath, part: Ticks, ticks: Ticks, i: int, kinks: tuple[float, ...] = (), jump: bool = False
 ) -> tuple[float, float, float]:
     """Chi^2 of a smooth curve through the frames `part`, with kinks (frames from i) or a jump at i.
 

@@ -12,19 +12,22 @@ import numpy as np
 from scipy.stats import t as student
 
 from frictrack.records import Array
-from frictrack.samples.clock import speed
-from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
+from frictrack.samples.even_clock import speed
+from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
-ROWS, MOST = 40, 12  # rows of a bin of speed, and bins
-FEWEST = 4  # bins that can show a trend
-CERTAIN = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
+ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
+MIN_BINS = 4  # bins of speed that can show a trend
+MIN_SLOPE_SIGMAS = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
 MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
-SAME_SPEED = 1e-6  # relative difference of squares that is none
-TINY = np.finfo(float).tiny  # what is smaller has lost its digits
-STILL = 0.01  # of the smallest variance of a bin, that a sample at rest has at the least: weights stay finite
-CLIPPED, KEPT = 3.0, 0.99501  # robust deviations at which a square is cut off, and the mean square of a Gaussian then
+MIN_SPEED_SPREAD = 1e-6  # relative difference of squared speeds; a smaller one is none
+TINY = np.finfo(float).tiny  # a smaller variance has lost its digits
+MIN_REST_SHARE = 0.01  # of the smallest variance of a bin, that a sample at rest has: weights stay finite
+CLIP_SIGMAS, CLIPPED_MEAN_SQUARE = (
+    3.0,
+    0.99501,
+)  # robust deviations at which a square is cut off, and the mean square of a Gaussian then
 # Relative deviation of the variance of n fourth differences, each of which shares its noise with its neighbours (2.63).
-RELATIVE = float(np.sqrt(2.0 * 2.63))
+RELATIVE_DEVIATION = float(np.sqrt(2.0 * 2.63))
 
 
 def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
@@ -49,16 +52,16 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
     10.5
 
     """
-    squares, size = _binned(t, x, slowest)
-    if len(squares) < FEWEST or not (np.min(size) > TINY and np.min(squares) > TINY and np.all(np.isfinite(size))):
+    squares, size = _bin_by_speed(t, x, slowest)
+    if len(squares) < MIN_BINS or not (np.min(size) > TINY and np.min(squares) > TINY and np.all(np.isfinite(size))):
         return 0.0, 0.0
-    (still, slope), sigma, _ = _line(squares, size)
-    if slope <= CERTAIN * sigma:
+    (still, slope), sigma, _ = _fit_line(squares, size)
+    if slope <= MIN_SLOPE_SIGMAS * sigma:
         return 0.0, 0.0
-    return float(np.sqrt(slope)), float(np.sqrt(max(still, STILL * np.min(size[:, 0]))))
+    return float(np.sqrt(slope)), float(np.sqrt(max(still, MIN_REST_SHARE * np.min(size[:, 0]))))
 
 
-def _line(squares: Array, size: Array) -> tuple[Array, float, float]:
+def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
     """Variance at rest and its slope over squared speeds, the deviation of that slope, and chi-squared.
 
     `size` (k, 2) are variances and the numbers of their rows, which tell their deviations.
@@ -66,7 +69,7 @@ def _line(squares: Array, size: Array) -> tuple[Array, float, float]:
     design = np.stack([np.ones_like(squares), squares], axis=1)
     variance = np.full(len(squares), float(np.average(size[:, 0], weights=size[:, 1])))
     for _ in range(3):  # deviations by the fitted variances themselves
-        weight = np.sqrt(size[:, 1]) / (RELATIVE * variance)
+        weight = np.sqrt(size[:, 1]) / (RELATIVE_DEVIATION * variance)
         rows, right = design * weight[:, None], size[:, 0] * weight
         found, *_ = np.linalg.lstsq(rows, right, rcond=None)
         variance = np.maximum(design @ found, 1e-3 * np.max(size[:, 0]))
@@ -83,36 +86,40 @@ def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
         Even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
 
     """
-    found = [_binned(*record) for record in records]
+    found = [_bin_by_speed(*record) for record in records]
     seen = [(squares, size) for squares, size in found if len(squares) and np.min(size) > TINY]
     if len(seen) < MIN_RECORDS:
         return 0.0
     squares = np.array([np.mean(one) for one, _ in seen])
     size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in seen])
-    if np.ptp(squares) <= SAME_SPEED * np.max(squares):
+    if np.ptp(squares) <= MIN_SPEED_SPREAD * np.max(squares):
         return 0.0
-    (_, slope), sigma, chi2 = _line(squares, size)
+    (_, slope), sigma, chi2 = _fit_line(squares, size)
     freedom = len(seen) - 2  # records differ in their noise, too: their scatter counts
     away = slope / (sigma * max(1.0, np.sqrt(chi2 / freedom)))
     return float(np.sqrt(slope)) if slope > 0 and student.sf(away, freedom) < ALPHA else 0.0
 
 
-def _binned(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
+def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
     """Mean squared speed (k,) of bins, and of each the variance of a position and its number of rows, (k, 2)."""
     if len(x) < 5:
         return np.zeros(0), np.zeros((0, 2))
-    difference = np.convolve(x, FOURTH, mode="valid") / np.sqrt(70.0)
+    difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid") / np.sqrt(70.0)
     fast = np.abs(speed(t, x))[2:-2]
     whole = np.rint((t[4:] - t[:-4]) / np.median(np.diff(t))) == 4
     rows = np.flatnonzero(whole & (fast > slowest))
     rows = rows[np.argsort(fast[rows])]
-    parts = [part for part in np.array_split(rows, min(max(len(rows) // ROWS, 1), MOST)) if len(part) >= ROWS // 2]
-    variances = [_variance(difference[part]) for part in parts]
+    parts = [
+        part
+        for part in np.array_split(rows, min(max(len(rows) // ROWS_PER_BIN, 1), MAX_BINS))
+        if len(part) >= ROWS_PER_BIN // 2
+    ]
+    variances = [_clipped_variance(difference[part]) for part in parts]
     squares = np.array([float(np.mean(fast[part] ** 2)) for part in parts])
     return squares, np.array([(v, len(part)) for v, part in zip(variances, parts, strict=True)]).reshape(-1, 2)
 
 
-def _variance(difference: Array) -> float:
+def _clipped_variance(difference: Array) -> float:
     """Mean square without the tails: as good as that of a Gaussian, and not moved by outliers (Huber 1981)."""
-    most = CLIPPED * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
-    return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / KEPT
+    most = CLIP_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(difference)))
+    return float(np.mean(np.minimum(np.abs(difference), most) ** 2)) / CLIPPED_MEAN_SQUARE

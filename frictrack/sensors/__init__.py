@@ -1,22 +1,22 @@
 """Sensors beside the camera: their clocks aligned with the camera's, what they say compared, and fused."""
 
-from frictrack.sensors.align import Alignment, Problem, align
+from frictrack.sensors.align import Alignment, AlignmentProblem, align
+from frictrack.sensors.camera_comparison import SensorComparison, compare_with_camera, known_acceleration
 from frictrack.sensors.drive import align_drive
-from frictrack.sensors.energy import Energy, release_energy
-from frictrack.sensors.frames import Frames, second_differences
-from frictrack.sensors.series import Series
-from frictrack.sensors.verdict import Comparison, compare, known_acceleration
+from frictrack.sensors.energy import ReleaseEnergy, release_energy
+from frictrack.sensors.frame_differences import FrameDifferences, second_differences
+from frictrack.sensors.sensor_record import SensorRecord
 
 __all__ = [
     "Alignment",
-    "Comparison",
-    "Energy",
-    "Frames",
-    "Problem",
-    "Series",
+    "AlignmentProblem",
+    "FrameDifferences",
+    "ReleaseEnergy",
+    "SensorComparison",
+    "SensorRecord",
     "align",
     "align_drive",
-    "compare",
+    "compare_with_camera",
     "known_acceleration",
     "release_energy",
     "second_differences",

@@ -22,25 +22,25 @@ from scipy.sparse import csr_array
 from scipy.stats import chi2
 
 from frictrack.records import Array, Mask
-from frictrack.sensors.frames import Frames, Whitener
-from frictrack.sensors.series import Series
+from frictrack.sensors.frame_differences import FrameDifferences, Whitener
+from frictrack.sensors.sensor_record import SensorRecord
 
-STEP = 0.5  # of the frame interval (or of the sensor's, if longer), between two offsets that are tried
-FINE = 0.125  # of the same, the grid on which the sensor is laid for that
-EFFORT = 2e7  # numbers that a search may compute: it bounds how far offsets are looked for
-OVERLAP = 0.5  # of the film that the sensor must cover
-ENOUGH = 16  # differences below which nothing can be aligned
-CLEAR = 30.0  # of chi2 that the sensor must explain: at thousands of offsets tried, chance gives 20
-RIVAL = 16.0  # of chi2 within which another offset explains the same
-ROUNDS = 20
-DRIFTS = 4.0  # standard deviations from which on the clocks are said to run at different rates
-FASTEST = 0.05  # relative, beyond which it is no clock
-LONG = 200  # differences from which on two rates can be told apart
-GAINS = (1.0, 1e-3)  # at which the sensor's noise counts while offsets are tried: its unit may be another
+OFFSET_STEP = 0.5  # between two offsets that are tried, in frame (or sensor, if longer) intervals
+TABLE_STEP = 0.125  # of the same interval: the grid on which the sensor is tabulated for the search
+MAX_SEARCH_VALUES = 2e7  # that a search may compute; it bounds how far offsets are searched
+MIN_OVERLAP = 0.5  # share of the film that the sensor must cover
+MIN_DIFFERENCES = 16  # fewer differences cannot be aligned
+MIN_EXPLAINED_CHI2 = 30.0  # that the sensor must explain: over thousands of offsets, chance reaches 20
+MAX_RIVAL_CHI2 = 16.0  # within which another offset explains the record as well
+MAX_ITERATIONS = 20
+MIN_RATE_SIGMAS = 4.0  # standard deviations from which the two clocks are reported to run at different rates
+MAX_RATE = 0.05  # relative; a record whose rate is off by more has no usable clock
+MIN_DIFFERENCES_FOR_RATE = 200  # differences from which a difference of rates can be measured
+SEARCH_GAINS = (1.0, 1e-3)  # gains at which the sensor's noise is weighed in the search: its unit may be another
 FREQUENCIES = (np.arange(512) + 0.5) * np.pi / 512  # rad per frame, at which noises are compared
-ALPHA = 1e-3  # chance that noise alone would show, below which the residual holds more
-FIRST = 8  # coefficients in the lowest band of the residual's spectrum
-BLOCKS = 24  # parts of the record whose scores are summed up where the residual is not white
+ALPHA_WHITENESS = 1e-3  # significance level at which the residual is judged not to be white
+LOWEST_BAND_SIZE = 8  # coefficients in the lowest band of the residual's spectrum
+SCORE_BLOCKS = 24  # parts of the record whose scores are summed where the residual is not white
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,16 @@ class Alignment:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """What is to be aligned: the camera's differences, the sensor, what else acts `beside` it (r, p), in m/s^2.
+class AlignmentProblem:
+    """The camera's differences, the sensor, and `other_regressors` (r, p) for what else acts, in m/s^2.
 
     `sigma` is the white noise of a sample. With `sigma` None it is unknown, as are the forces that act besides (a
     drive under friction), and is estimated with the rest.
     """
 
-    frames: Frames
-    series: Series
-    beside: Array
+    frames: FrameDifferences
+    series: SensorRecord
+    other_regressors: Array
     sigma: float | None = None
 
     def rows(self, alignment: Alignment) -> Mask:
@@ -86,13 +86,13 @@ class Problem:
         first, last = self.frames.ends()
         return self.series.covers(first - alignment.lag(first), last - alignment.lag(last))
 
-    def take(self, rows: Mask) -> Problem:
+    def select(self, rows: Mask) -> AlignmentProblem:
         """Only some of the differences."""
-        return replace(self, frames=self.frames.take(rows), beside=self.beside[rows])
+        return replace(self, frames=self.frames.select(rows), other_regressors=self.other_regressors[rows])
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class AlignmentFit:
     """One linearised solution: coefficients, their covariance, the white residual and regressors."""
 
     theta: Array  # gain, step of the offset, step of the rate or none, then what acts beside
@@ -101,87 +101,87 @@ class Fitted:
     regressors: Array
 
 
-def start(frames: Frames, offset: float = 0.0, reason: str = "") -> Alignment:
+def _unaligned(frames: FrameDifferences, offset: float = 0.0, reason: str = "") -> Alignment:
     """Nothing is known but perhaps the offset."""
     middle = float(np.mean(frames.t[[0, -1]]))
     return Alignment(offset, None, None, None, None, None, 0.0, None, middle, reason)
 
 
-def align(problem: Problem, offset: float | None = None) -> Alignment:
+def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
     """Align a sensor with the camera; `offset` (s) is kept where it is given.
 
     Where the data do not determine the offset it is 0, its standard deviation None, and `reason` says why.
     """
     given = offset is not None
-    begun = start(problem.frames, offset or 0.0, "as given" if given else "")
-    fault = _hopeless(problem, begun if given else None)
+    initial = _unaligned(problem.frames, offset or 0.0, "as given" if given else "")
+    fault = _obstacle(problem, initial if given else None)
     if fault:
-        return replace(begun, reason=f"{begun.reason}, {fault}" if given else f"{fault}; 0 is kept")
+        return replace(initial, reason=f"{initial.reason}, {fault}" if given else f"{fault}; 0 is kept")
     if not given:
-        begun = search(problem)
-        if begun.gain is None:
-            return begun
-    found = refine(problem, begun, free=not given)
+        initial = _search_offset(problem)
+        if initial.gain is None:
+            return initial
+    found = _refine(problem, initial, free=not given)
     if given:
         return found
-    sure = _doubt(problem, begun, found)
+    sure = _accepted(problem, initial, found)
     if sure.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
-        sure = _doubt(problem, begun, refine(replace(problem, beside=_drifting(problem)), begun))
+        sure = _accepted(problem, initial, _refine(replace(problem, other_regressors=_with_drift(problem)), initial))
     return sure
 
 
-def _hopeless(problem: Problem, given: Alignment | None) -> str:
+def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
     """Why nothing can be aligned, if so."""
     series, t = problem.series, problem.frames.t
-    if len(problem.frames.z) < ENOUGH:
-        return f"expected at least {ENOUGH} neighbouring frames but got {len(problem.frames.z)}"
-    if len(series.t) < ENOUGH:
-        return f"expected at least {ENOUGH} samples but got {len(series.t)}"
+    if len(problem.frames.z) < MIN_DIFFERENCES:
+        return f"expected at least {MIN_DIFFERENCES} neighbouring frames but got {len(problem.frames.z)}"
+    if len(series.t) < MIN_DIFFERENCES:
+        return f"expected at least {MIN_DIFFERENCES} samples but got {len(series.t)}"
     if series.constant:
         return "it is constant, which looks the same at every offset"
-    if given is not None and np.sum(problem.rows(given)) < ENOUGH:
+    if given is not None and np.sum(problem.rows(given)) < MIN_DIFFERENCES:
         running = f"{series.t[0] + given.offset:.4g} s to {series.t[-1] + given.offset:.4g} s"
         return f"it was running from {running} but the film lasts from {t[0]:.4g} s to {t[-1]:.4g} s"
     return ""
 
 
-def lags(problem: Problem) -> Array:
+def _candidate_offsets(problem: AlignmentProblem) -> Array:
     """Offsets to be tried: those that leave the sensor over half of the film, as near to 0 as the effort allows."""
     t, s = problem.frames.t, problem.series.t
     span = float(t[-1] - t[0])
-    least = min(OVERLAP * span, 0.9 * float(s[-1] - s[0]))
+    least = min(MIN_OVERLAP * span, 0.9 * float(s[-1] - s[0]))
     low, high = t[0] + least - s[-1], t[-1] - least - s[0]
-    step = STEP * max(problem.frames.interval, problem.series.interval)
+    step = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
     middle = 0.0 if low <= 0.0 <= high else (low + high) / 2.0
-    reach = EFFORT / len(t) / 2.0 * step
+    reach = MAX_SEARCH_VALUES / len(t) / 2.0 * step
     low, high = max(low, middle - reach), min(high, middle + reach)
     return middle + step * np.arange(np.ceil((low - middle) / step), np.floor((high - middle) / step) + 1)
 
 
-def search(problem: Problem) -> Alignment:
+def _search_offset(problem: AlignmentProblem) -> Alignment:
     """The best of many offsets; its gain is None where none stands out."""
-    for gain in GAINS if problem.sigma is not None else GAINS[:1]:
-        found = _search(problem, gain)
+    for gain in SEARCH_GAINS if problem.sigma is not None else SEARCH_GAINS[:1]:
+        found = _search_at_gain(problem, gain)
         if found.gain is not None:
             break
     return found
 
 
-def _search(problem: Problem, gain: float) -> Alignment:
-    frames, tried = problem.frames, lags(problem)
-    begun = replace(start(frames), gain=gain)
-    level = noise_level(problem, begun, seen=False)
-    misfit, none, gains = _scan(problem, tried, begun, level)
+def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
+    frames, tried = problem.frames, _candidate_offsets(problem)
+    initial = replace(_unaligned(frames), gain=gain)
+    level = _unmodelled_variance(problem, initial, seen=False)
+    misfit, none, gains = _scan(problem, tried, initial, level)
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
-        level = noise_level(problem, replace(begun, offset=float(tried[np.argmin(misfit)])))
-        misfit, none, gains = _scan(problem, tried, begun, level)
+        level = _unmodelled_variance(problem, replace(initial, offset=float(tried[np.argmin(misfit)])))
+        misfit, none, gains = _scan(problem, tried, initial, level)
     lowest = float(np.min(misfit))
     span = f"{1e3 * tried[0]:.4g} to {1e3 * tried[-1]:.4g} ms"
-    if none - lowest < CLEAR:
+    if none - lowest < MIN_EXPLAINED_CHI2:
         unseen = f"at no offset from {span} does it explain what the camera saw"
-        return replace(start(frames), reason=f"{unseen}; 0 is kept")
+        return replace(_unaligned(frames), reason=f"{unseen}; 0 is kept")
     rivals = _minima(
-        misfit, RIVAL + 4.0 * np.sqrt(4.0 * _drowned(problem, begun, level))
+        misfit, MAX_RIVAL_CHI2 + 4.0 * np.sqrt(4.0 * _sensor_dominated(problem, initial, level))
     )  # each offset has its own noise
     rivals = rivals if len(rivals) else np.array([np.argmin(misfit)])
     rivals = rivals[np.argsort(np.abs(tried[rivals]))]
@@ -189,14 +189,14 @@ def _search(problem: Problem, gain: float) -> Alignment:
     if len(rivals) > 1:
         said = f"nearest to 0 of those that explain the same ({1e3 * tried[rivals[1]]:.4g} ms would do, too)"
     chosen = rivals[0]
-    return replace(begun, offset=float(tried[chosen]), gain=float(gains[chosen]), level=level, reason=said)
+    return replace(initial, offset=float(tried[chosen]), gain=float(gains[chosen]), level=level, reason=said)
 
 
-def _scan(problem: Problem, tried: Array, begun: Alignment, level: float) -> tuple[Array, float, Array]:
+def _scan(problem: AlignmentProblem, tried: Array, initial: Alignment, level: float) -> tuple[Array, float, Array]:
     """chi2 (k,) and gain (k,) at every offset, and chi2 without the sensor."""
     frames = problem.frames
-    white = Whitener(_covariance(problem, float(np.median(tried)), begun.gain or 1.0, level))
-    basis = np.linalg.qr(white(_drifting(problem)))[0]
+    white = Whitener(_covariance(problem, float(np.median(tried)), initial.gain or 1.0, level))
+    basis = np.linalg.qr(white(_with_drift(problem)))[0]
     rest = white(frames.z)
     rest = rest - basis @ (basis.T @ rest)
     misfit, gains = np.empty(len(tried)), np.empty(len(tried))
@@ -211,25 +211,25 @@ def _scan(problem: Problem, tried: Array, begun: Alignment, level: float) -> tup
     return misfit, float(rest @ rest), gains
 
 
-def _table(problem: Problem, tried: Array) -> tuple[Array, Array]:
+def _table(problem: AlignmentProblem, tried: Array) -> tuple[Array, Array]:
     """The sensor's differences over three frames on a fine grid of its own clock: times and values."""
     frames, h = problem.frames, problem.frames.interval
     ends = frames.t[frames.centre[[0, -1]]] - tried[[-1, 0]]
-    count = int((ends[1] - ends[0]) / (FINE * max(h, problem.series.interval))) + 2
+    count = int((ends[1] - ends[0]) / (TABLE_STEP * max(h, problem.series.interval))) + 2
     u = np.linspace(ends[0], ends[1], count)
     before, here, after = (problem.series.integral(u + k * h, 2) for k in (-1.0, 0.0, 1.0))
     return u, (before - 2.0 * here + after) / h**2
 
 
-def _drifting(problem: Problem) -> Array:
+def _with_drift(problem: AlignmentProblem) -> Array:
     """What acts beside, and a drift: a sensor that creeps shall not be matched by its creep."""
     t = problem.frames.t[problem.frames.centre]
-    return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.beside], axis=1)
+    return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.other_regressors], axis=1)
 
 
-def _drowned(problem: Problem, begun: Alignment, level: float) -> float:
+def _sensor_dominated(problem: AlignmentProblem, initial: Alignment, level: float) -> float:
     """How many of the differences, at low frequency, are ruled by the sensor's noise and not by the camera's."""
-    covariance = _covariance(problem, 0.0, begun.gain or 1.0, level)
+    covariance = _covariance(problem, 0.0, initial.gain or 1.0, level)
     camera, whole = _spectrum(problem.frames.camera), _spectrum(covariance)
     return len(problem.frames.z) * float(np.mean(np.clip(1.0 - camera / whole, 0.0, 1.0)))
 
@@ -243,20 +243,20 @@ def _minima(values: Array, within: float) -> NDArray[np.int64]:
     return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
 
 
-def _covariance(problem: Problem, offset: float, gain: float, level: float) -> csr_array:
+def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: float) -> csr_array:
     sigma = 1.0 if problem.sigma is None else gain * problem.sigma
     return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
 
 
-def noise_level(problem: Problem, alignment: Alignment, *, seen: bool = True) -> float:
+def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, seen: bool = True) -> float:
     """Variance of the white forces that are in nobody's account, by restricted maximum likelihood; 1 where known."""
     if problem.sigma is not None:
         return 1.0
     frames = problem.frames
     shape = frames.noise(problem.series, alignment.offset)
-    columns = [problem.beside]
+    columns = [problem.other_regressors]
     if seen:
-        columns.insert(0, frames.felt(problem.series, alignment.lag(frames.t)[:, None]))
+        columns.insert(0, frames.sensor_differences(problem.series, alignment.lag(frames.t)[:, None]))
     regressors = np.concatenate(columns, axis=1)
     usual = float(np.mean(frames.camera.diagonal()) / np.mean(shape.diagonal()))
 
@@ -272,33 +272,33 @@ def noise_level(problem: Problem, alignment: Alignment, *, seen: bool = True) ->
     return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x))
 
 
-def refine(problem: Problem, begun: Alignment, *, free: bool = True) -> Alignment:
+def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True) -> Alignment:
     """Gauss-Newton steps from an offset near the best, with standard deviations; `free` frees the offset."""
-    found = _converged(problem, begun, free, False)
-    if free and len(problem.frames.z) >= LONG and found.sigma_offset is not None:
-        drifting = _converged(problem, found, free, True)
-        if drifting.sigma_rate is not None and DRIFTS * drifting.sigma_rate < abs(drifting.rate):
+    found = _iterate(problem, initial, free, False)
+    if free and len(problem.frames.z) >= MIN_DIFFERENCES_FOR_RATE and found.sigma_offset is not None:
+        drifting = _iterate(problem, found, free, True)
+        if drifting.sigma_rate is not None and MIN_RATE_SIGMAS * drifting.sigma_rate < abs(drifting.rate):
             return drifting
     return found
 
 
-def _converged(problem: Problem, found: Alignment, free: bool, drift: bool) -> Alignment:
-    widest = STEP * max(problem.frames.interval, problem.series.interval)
-    for _ in range(ROUNDS):
+def _iterate(problem: AlignmentProblem, found: Alignment, free: bool, drift: bool) -> Alignment:
+    widest = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
+    for _ in range(MAX_ITERATIONS):
         rows = problem.rows(found)
-        if np.sum(rows) < ENOUGH or abs(found.rate) > FASTEST:
-            return start(problem.frames)
-        fitted = fit(problem.take(rows), found, free, drift)
+        if np.sum(rows) < MIN_DIFFERENCES or abs(found.rate) > MAX_RATE:
+            return _unaligned(problem.frames)
+        fitted = fit_alignment(problem.select(rows), found, free, drift)
         found = _updated(found, fitted, free, drift, widest)
         if not free or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
             break
-    kept = problem.take(rows)
+    kept = problem.select(rows)
     if problem.sigma is None:
-        found = replace(found, level=noise_level(kept, found))
-    return _updated(found, fit(kept, found, free, drift), free, drift, widest)
+        found = replace(found, level=_unmodelled_variance(kept, found))
+    return _updated(found, fit_alignment(kept, found, free, drift), free, drift, widest)
 
 
-def _updated(found: Alignment, fitted: Fitted, free: bool, drift: bool, widest: float) -> Alignment:
+def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, widest: float) -> Alignment:
     spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     theta, k = fitted.theta, 1 + free + (free and drift)
     step = float(np.clip(theta[1], -widest, widest)) if free else 0.0
@@ -315,20 +315,20 @@ def _updated(found: Alignment, fitted: Fitted, free: bool, drift: bool, widest: 
     )
 
 
-def fit(problem: Problem, at: Alignment, free: bool = True, drift: bool = False) -> Fitted:
+def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, drift: bool = False) -> AlignmentFit:
     """Linear solution round an alignment. What acts beside ends with the bias."""
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
     lag = at.lag(frames.t)[:, None]
     dilated = (1.0 + at.rate) ** 2  # of time, in which the sensor is integrated twice
-    columns = [frames.felt(series, lag) / dilated]
+    columns = [frames.sensor_differences(series, lag) / dilated]
     if free:
-        slope = -gain * frames.felt(series, lag, 1) / dilated
+        slope = -gain * frames.sensor_differences(series, lag, 1) / dilated
         columns += [slope, slope * (at.middle - frames.t[frames.centre])[:, None]][: 1 + drift]
     noise = frames.noise(series, at.offset)
     covariance = frames.camera + at.level * (1.0 if problem.sigma is None else gain * problem.sigma) ** 2 * noise
     white = Whitener(covariance)
-    regressors = white(np.concatenate([*columns, problem.beside], axis=1))
+    regressors = white(np.concatenate([*columns, problem.other_regressors], axis=1))
     z = white(frames.z)
     size = np.sqrt(np.sum(regressors**2, axis=0)) + 1e-300
     normal = (regressors / size).T @ (regressors / size)
@@ -339,12 +339,12 @@ def fit(problem: Problem, at: Alignment, free: bool = True, drift: bool = False)
     inverse = np.linalg.pinv(corrected, rcond=1e-10, hermitian=True)
     theta = inverse @ ((regressors / size).T @ z) / size
     residual = z - regressors @ theta
-    modelled = octaves(regressors, residual)[0] > ALPHA
-    spread = normal if modelled else _scores(regressors / size, residual)
-    return Fitted(theta, inverse @ spread @ inverse / np.outer(size, size), residual, regressors)
+    modelled = whiteness_test(regressors, residual)[0] > ALPHA_WHITENESS
+    spread = normal if modelled else _score_covariance(regressors / size, residual)
+    return AlignmentFit(theta, inverse @ spread @ inverse / np.outer(size, size), residual, regressors)
 
 
-def octaves(regressors: Array, residual: Array) -> tuple[float, Array]:
+def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:
     """How far a white residual (r,) is from white: p of its loudest octave or line, and its cosine power less 1.
 
     `p` counts how many octaves and lines there are. `regressors` (r, p) tell what they took from each octave.
@@ -353,13 +353,13 @@ def octaves(regressors: Array, residual: Array) -> tuple[float, Array]:
     basis = dct(np.linalg.qr(regressors)[0], axis=0, norm="ortho")
     free = 1.0 - np.sum(basis**2, axis=1)
     n = len(power)
-    edges = [0, *(FIRST * 2**k for k in range(32) if FIRST * 2**k < 0.75 * n), n]
+    edges = [0, *(LOWEST_BAND_SIZE * 2**k for k in range(32) if LOWEST_BAND_SIZE * 2**k < 0.75 * n), n]
     p = [chi2.sf(np.sum(power[i:j]), max(float(np.sum(free[i:j])), 0.5)) for i, j in pairwise(edges)]
     line = n * float(chi2.sf(np.max(power[1:] + power[:-1]), 2))
     return min(1.0, 2.0 * float(np.min(p)) * len(p), 2.0 * line), power - free
 
 
-def _noise_share(problem: Problem, covariance: csr_array, noise: csr_array, gain: float) -> Array:
+def _noise_share(problem: AlignmentProblem, covariance: csr_array, noise: csr_array, gain: float) -> Array:
     """What the sensor's own noise adds to the squares of its white differences, and to those of their slope."""
     sigma = problem.series.sigma if problem.sigma is None else problem.sigma
     whole = _spectrum(covariance)
@@ -376,21 +376,21 @@ def _spectrum(covariance: csr_array) -> Array:
     return np.asarray(after[0] + 2.0 * np.cos(np.outer(FREQUENCIES, lag)) @ after[1:])
 
 
-def _scores(regressors: Array, residual: Array) -> Array:
+def _score_covariance(regressors: Array, residual: Array) -> Array:
     """Spread of the scores, from parts of the record so long that what is left in them is independent."""
-    parts = np.array_split(np.arange(len(residual)), min(BLOCKS, max(len(residual) // 8, 2)))
+    parts = np.array_split(np.arange(len(residual)), min(SCORE_BLOCKS, max(len(residual) // 8, 2)))
     sums = np.array([regressors[p].T @ residual[p] for p in parts])
     return np.asarray(sums.T @ sums) * len(parts) / max(len(parts) - regressors.shape[1], 1)
 
 
-def _doubt(problem: Problem, begun: Alignment, found: Alignment) -> Alignment:
+def _accepted(problem: AlignmentProblem, initial: Alignment, found: Alignment) -> Alignment:
     """The alignment if its offset is worth something, else 0 and why."""
-    if found.gain is None or abs(found.gain) < np.sqrt(CLEAR) * (found.sigma_gain or 0.0):
-        return replace(start(problem.frames), reason="at no offset does it explain what the camera saw; 0 is kept")
+    if found.gain is None or abs(found.gain) < np.sqrt(MIN_EXPLAINED_CHI2) * (found.sigma_gain or 0.0):
+        return replace(_unaligned(problem.frames), reason="at no offset does it explain what the camera saw; 0 is kept")
     reach = 4.0 * max(problem.frames.interval, problem.series.interval)
     span = float(problem.frames.t[-1] - problem.frames.t[0])
     if found.sigma_offset is None or not 0.0 < found.sigma_offset < 0.1 * span:
-        return replace(start(problem.frames), reason="it looks the same at every offset; 0 is kept")
-    if abs(found.offset - begun.offset) > max(reach, 5.0 * found.sigma_offset):
-        return replace(start(problem.frames), reason="its offset could not be pinned down; 0 is kept")
+        return replace(_unaligned(problem.frames), reason="it looks the same at every offset; 0 is kept")
+    if abs(found.offset - initial.offset) > max(reach, 5.0 * found.sigma_offset):
+        return replace(_unaligned(problem.frames), reason="its offset could not be pinned down; 0 is kept")
     return found

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.records import Array, Displacement, Mask, Motion
-from frictrack.sensors.align import Alignment, Problem, align
-from frictrack.sensors.frames import Frames, second_differences
-from frictrack.sensors.series import Series
+from frictrack.sensors.align import Alignment, AlignmentProblem, align
+from frictrack.sensors.frame_differences import FrameDifferences, second_differences
+from frictrack.sensors.sensor_record import SensorRecord
 
-MOVING = 3.0  # |v| over sigma_v above which friction has the sign of the motion
+MIN_SPEED_SIGMAS = 3.0  # |v| over sigma_v; above it friction has the sign of the motion
 
 
 def align_drive(
     displacement: Displacement,
     motion: Motion,
-    series: Series,
+    series: SensorRecord,
     *,
     offset: float | None = None,
     until: float = np.inf,
@@ -29,18 +29,18 @@ def align_drive(
     """
     frames = second_differences(displacement.rows(displacement.span))
     moving = _moving(frames, motion) & (frames.ends()[1] <= until)
-    frames = frames.take(moving)
-    return align(Problem(frames, series, _friction(frames, motion)), offset)
+    frames = frames.select(moving)
+    return align(AlignmentProblem(frames, series, _friction_regressors(frames, motion)), offset)
 
 
-def _moving(frames: Frames, motion: Motion) -> Mask:
+def _moving(frames: FrameDifferences, motion: Motion) -> Mask:
     """Differences (r,) all through which the slider moves one way."""
     v = motion.v[frames.map.indices.reshape(-1, 3)]
     sigma = motion.sigma_v[frames.map.indices.reshape(-1, 3)]
-    return np.asarray(np.all(v > MOVING * sigma, axis=1) | np.all(v < -MOVING * sigma, axis=1))
+    return np.asarray(np.all(v > MIN_SPEED_SIGMAS * sigma, axis=1) | np.all(v < -MIN_SPEED_SIGMAS * sigma, axis=1))
 
 
-def _friction(frames: Frames, motion: Motion) -> Array:
+def _friction_regressors(frames: FrameDifferences, motion: Motion) -> Array:
     """What a plain friction law and a constant force add, (r, 2 or 3)."""
     v = motion.v[frames.centre]
     columns = [-v, np.ones(len(v))]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SURE = 3.0  # standard deviations above the stated energy that cannot be
-LITTLE = 0.1  # of the stated energy, below which something must be wrong
+IMPOSSIBLE_SIGMAS = 3.0  # standard deviations above the stated energy that cannot be chance
+SUSPICIOUS_SHARE = 0.1  # of the stated energy; less suggests a wrong scale, frame rate or mass
 
 
 @dataclass(frozen=True)
-class Energy:
+class ReleaseEnergy:
     """Kinetic energy at release (J), its standard deviation, its share of the stated one, and what that means."""
 
     kinetic: float
@@ -23,7 +23,7 @@ class Energy:
 
 def release_energy(
     mass: tuple[float, float], speed: tuple[float, float], stated: float, scale_error: float = 0.0
-) -> Energy:
+) -> ReleaseEnergy:
     """Kinetic energy m v^2 / 2 of a slider when it comes free, against the stated energy (J) of what struck it.
 
     `mass` (kg) and `speed` (m/s) with their standard deviations; `scale_error` is the relative one of the scale.
@@ -33,11 +33,11 @@ def release_energy(
     kinetic = 0.5 * m * v**2
     relative = np.sqrt((sigma_m / m) ** 2 + (2.0 * sigma_v / v) ** 2 + (2.0 * scale_error) ** 2) if v else 0.0
     sigma, share = float(kinetic * relative), float(kinetic / stated)
-    if kinetic - SURE * sigma > stated:
-        return Energy(kinetic, sigma, share, "impossible", _impossible(kinetic, sigma, stated))
-    if share < LITTLE:
-        return Energy(kinetic, sigma, share, "suspicious", _suspicious(kinetic, sigma, stated))
-    return Energy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")
+    if kinetic - IMPOSSIBLE_SIGMAS * sigma > stated:
+        return ReleaseEnergy(kinetic, sigma, share, "impossible", _impossible(kinetic, sigma, stated))
+    if share < SUSPICIOUS_SHARE:
+        return ReleaseEnergy(kinetic, sigma, share, "suspicious", _suspicious(kinetic, sigma, stated))
+    return ReleaseEnergy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")
 
 
 def _impossible(kinetic: float, sigma: float, stated: float) -> str:

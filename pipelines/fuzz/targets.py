@@ -25,7 +25,7 @@ from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import checked
 from frictrack.flow.stages import FILM
 from frictrack.recording import open_recording, opened
-from frictrack.sensors import Series
+from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import with_header
 from frictrack.study import edited, load, parse, read_clocked, read_table
@@ -199,7 +199,7 @@ def sensor(data: bytes, folder: Path) -> None:
     read = read_clocked(path, ("a", "friction"))
     values = read.a if read.a is not None else read.friction
     with np.errstate(all="ignore"):
-        series = Series(read.t, values)
+        series = SensorRecord(read.t, values)
         series.average(np.linspace(read.t[0], read.t[-1], 5), series.interval)
 
 

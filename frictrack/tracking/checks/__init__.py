@@ -2,11 +2,11 @@
 
 from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
 from frictrack.tracking.checks.rest import at_rest, moves_with
-from frictrack.tracking.checks.timing import corrected, slips, timing_note
+from frictrack.tracking.checks.timing import correct_ticks, slips, timing_note
 
 __all__ = [
     "at_rest",
-    "corrected",
+    "correct_ticks",
     "forward_backward",
     "key_frames",
     "moves_with",

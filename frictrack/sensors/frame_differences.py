@@ -19,17 +19,17 @@ from scipy.sparse import csr_array
 
 from frictrack.motion.noise import noise_level
 from frictrack.records import Array, Displacement, Mask
-from frictrack.sensors.series import Series
+from frictrack.sensors.sensor_record import SensorRecord
 
-SPLINE = 16  # samples on either side of one, from which its spline is made
-TAIL = 4  # samples beyond the triangle up to which it acts: it falls to 0.27 from one to the next
-ALIKE = 0.02  # of the frame interval, to which gaps are told apart
-FINE = 32  # points per sample or frame of the table of a sample's effect
-FAR = 4.5  # frame intervals between two frames, beyond which no difference is taken over them
+SPLINE_REACH_SAMPLES = 16  # samples on either side from which the spline of one sample is made
+SPLINE_TAIL_SAMPLES = 4  # samples beyond the triangle in which a spline still acts: it falls to 0.27 per sample
+GAP_RESOLUTION = 0.02  # of the frame interval; gaps that differ by less share one table
+POINTS_PER_SAMPLE = 32  # of the table of a sample's effect, per sample or frame, whichever is shorter
+MAX_FRAME_GAP = 4.5  # frame intervals between two frames; no difference is taken over a longer gap
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class FrameDifferences:
     """Second differences `z` (r,) in m/s^2 round the frames `centre` (r,), and the map (r, n) that makes them."""
 
     t: Array  # of all frames, s
@@ -43,57 +43,59 @@ class Frames:
         """Frame interval, s."""
         return float(np.median(np.diff(self.t)))
 
-    def take(self, rows: Mask) -> Frames:
+    def select(self, rows: Mask) -> FrameDifferences:
         """Only some of the rows."""
         i = np.flatnonzero(rows)
-        return Frames(self.t, self.z[i], self.centre[i], self.map[i], self.camera[i][:, i])
+        return FrameDifferences(self.t, self.z[i], self.centre[i], self.map[i], self.camera[i][:, i])
 
     def ends(self) -> tuple[Array, Array]:
         """First and last time (r,) that a difference reaches to."""
         first, last = self.map.indices.reshape(-1, 3)[:, [0, 2]].T
         return self.t[first], self.t[last]
 
-    def felt(self, series: Series, lags: Array, order: int = 2) -> Array:
+    def sensor_differences(self, series: SensorRecord, lags: Array, order: int = 2) -> Array:
         """The sensor's differences (r, k) when its clock is `lags` (k,) or (n, k) s behind the camera's."""
         return np.asarray(self.map @ series.integral(self.t[:, None] - lags, order))
 
-    def noise(self, series: Series, offset: float) -> csr_array:
+    def noise(self, series: SensorRecord, offset: float) -> csr_array:
         """Covariance of the differences for a sensor whose samples have white noise of unit variance.
 
         Every sample acts by its own spline, which dies out within few samples.
         """
         d, centre = series.interval, self.t[self.centre]
         first, last = self.ends()
-        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + TAIL
+        reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + SPLINE_TAIL_SAMPLES
         near = np.rint((centre - offset - series.t[0]) / d)
         column = near[:, None] + np.arange(-reach, reach + 1)
         away = (centre - offset - series.t[0])[:, None] - column * d
-        gaps = np.rint(np.stack([centre - first, last - centre], axis=1) / self.interval / ALIKE).astype(np.int64)
+        gaps = np.rint(np.stack([centre - first, last - centre], axis=1) / self.interval / GAP_RESOLUTION).astype(
+            np.int64
+        )
         effect = np.empty_like(away)
         kinds, kind = np.unique(gaps, axis=0, return_inverse=True)
         for k in range(len(kinds)):
             rows = kind.ravel() == k
-            effect[rows] = np.interp(away[rows], *_effect(d, reach, kinds[k] * ALIKE * self.interval))
+            effect[rows] = np.interp(away[rows], *_sample_effect(d, reach, kinds[k] * GAP_RESOLUTION * self.interval))
         column = (column - np.min(column)).astype(np.int64)
         row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
         spread = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
         return csr_array(spread @ spread.T)
 
 
-def _effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
+def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
     """What one sample in a row, d apart, does to a difference that lies u from it: u and the effect.
 
     `gaps` (2,) are the times between the difference's three frames.
     """
-    samples = np.arange(-SPLINE, SPLINE + 1.0)
-    alone = Series(d * samples, np.where(samples == 0.0, 1.0, 0.0))
+    samples = np.arange(-SPLINE_REACH_SAMPLES, SPLINE_REACH_SAMPLES + 1.0)
+    alone = SensorRecord(d * samples, np.where(samples == 0.0, 1.0, 0.0))
     width = (reach + 1) * d
-    u = np.linspace(-width, width, int(2.0 * width * FINE / min(d, *gaps)) + 1)
+    u = np.linspace(-width, width, int(2.0 * width * POINTS_PER_SAMPLE / min(d, *gaps)) + 1)
     before, here, after = (alone.integral(u + at, 2) for at in (-gaps[0], 0.0, gaps[1]))
     return u, ((after - here) / gaps[1] - (here - before) / gaps[0]) / np.mean(gaps)
 
 
-def second_differences(displacement: Displacement) -> Frames:
+def second_differences(displacement: Displacement) -> FrameDifferences:
     """Second differences over each three neighbouring valid frames.
 
     The noise is white, at the level that the displacement itself shows; what sigma_x says counts relatively.
@@ -101,7 +103,7 @@ def second_differences(displacement: Displacement) -> Frames:
     known = displacement.valid & np.isfinite(displacement.x)
     at, t = np.flatnonzero(known), displacement.t
     h = np.diff(t[at])
-    rows = np.flatnonzero(np.maximum(h[1:], h[:-1]) < FAR * np.median(np.diff(t))) + 1
+    rows = np.flatnonzero(np.maximum(h[1:], h[:-1]) < MAX_FRAME_GAP * np.median(np.diff(t))) + 1
     before, after = h[rows - 1], h[rows]
     half = (before + after) / 2.0
     weights = np.stack([1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after], axis=1) / half[:, None]
@@ -109,15 +111,17 @@ def second_differences(displacement: Displacement) -> Frames:
     place = np.repeat(np.arange(len(rows)), 3)
     mapping = csr_array((weights.ravel(), (place, columns.ravel())), shape=(len(rows), len(t)))
     x = np.where(known, displacement.x, 0.0)
-    return Frames(t, mapping @ x, at[rows], mapping, _white(mapping, _sigma(displacement, known)))
+    return FrameDifferences(
+        t, mapping @ x, at[rows], mapping, _noise_covariance(mapping, _frame_noise(displacement, known))
+    )
 
 
-def _white(mapping: csr_array, sigma: Array) -> csr_array:
+def _noise_covariance(mapping: csr_array, sigma: Array) -> csr_array:
     scaled = mapping.multiply(sigma[None, :])
     return csr_array(scaled @ scaled.T)
 
 
-def _sigma(displacement: Displacement, known: Mask) -> Array:
+def _frame_noise(displacement: Displacement, known: Mask) -> Array:
     """White noise of every frame (n,), m."""
     stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
     usual = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0

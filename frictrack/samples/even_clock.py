@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.samples.outliers import FOURTH, MEDIAN_TO_SIGMA
+from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
-EVEN = 0.01  # of the interval: stamps may be off by this much
-COARSE = 1.01  # steps of rounded stamps by which a row may be off the even clock
-WIDEST = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
-SPREAD = 6  # rows on either side that say how fast the mass moves
-FEWEST = 16  # rows whose noise can say which stamps are right
+MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
+MAX_ROUNDING_STEPS = 1.01  # steps of rounded stamps by which a row may be off the even clock
+MAX_JITTER = 0.2  # of the interval, rms: stamps that jitter by more show no even clock
+SPEED_REACH_ROWS = 6  # rows on either side from which the speed is taken
+MIN_ROWS = 16  # rows whose noise can show which stamps are right
 
 Ticks = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class EvenClock:
     """Times of rows on an even clock (n,) s, how late each was sampled (n,) s, and findings in words."""
 
     t: Array
@@ -38,10 +38,10 @@ def is_even(t: Array) -> bool:
     if usual <= 0:
         return False
     steps = np.diff(t) / usual
-    return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= EVEN)))
+    return bool(np.all((np.rint(steps) >= 1) & (np.abs(steps - np.rint(steps)) <= MAX_UNEVENNESS)))
 
 
-def rounded_clock(t: Array) -> Clock | None:
+def rounded_clock(t: Array) -> EvenClock | None:
     """An even clock through stamps (n,) that are rounded so far that they repeat; None where they are not."""
     steps = np.diff(np.unique(t))
     if len(steps) < 2 or len(steps) > 0.9 * len(t):
@@ -49,15 +49,15 @@ def rounded_clock(t: Array) -> Clock | None:
     rounding = float(np.min(steps))
     rows = np.arange(len(t))
     slope, start = np.polyfit(rows, t, 1)
-    if slope <= 0 or np.max(np.abs(t - start - slope * rows)) > COARSE * rounding:
+    if slope <= 0 or np.max(np.abs(t - start - slope * rows)) > MAX_ROUNDING_STEPS * rounding:
         return None
     note = (
         f"time stamps are rounded to {rounding:.4g} s and repeat: the rows are taken as evenly spaced by {slope:.6g} s"
     )
-    return Clock(start + slope * rows, np.zeros(len(t)), (note,))
+    return EvenClock(start + slope * rows, np.zeros(len(t)), (note,))
 
 
-def jittered_clock(t: Array, ticks: Ticks, x: Array) -> Clock | None:
+def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
     """An even clock for stamps (n,) that jitter about whole frame intervals `ticks` (n,); None where they do not.
 
     The positions x (n,) tell whether stamps or samples are uneven.
@@ -76,32 +76,32 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> Clock | None:
     interval, start = np.polyfit(ticks, t, 1)
     even = start + interval * ticks
     late = t - even
-    if interval <= 0 or np.std(late) > WIDEST * interval:
+    if interval <= 0 or np.std(late) > MAX_JITTER * interval:
         return None
     share = 100 * float(np.std(late)) / interval
-    as_even = _noise(x, ticks)
-    as_stamped = _noise(x - speed(t, x) * late, ticks)
+    as_even = _noise_level(x, ticks)
+    as_stamped = _noise_level(x - speed(t, x) * late, ticks)
     jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
-    if len(t) >= FEWEST and as_even < as_stamped:
-        return Clock(
+    if len(t) >= MIN_ROWS and as_even < as_stamped:
+        return EvenClock(
             even, np.zeros(len(t)), (f"{jitter}; the motion is even, so that the rows are taken as evenly spaced",)
         )
     note = f"{jitter}; each position is moved to the even clock by its speed times how late it was sampled"
-    return Clock(even, late, (note,))
+    return EvenClock(even, late, (note,))
 
 
 def speed(t: Array, x: Array) -> Array:
     """Speed (n,) of positions x at times t: the median over several spans, which outliers leave alone."""
     rows = np.arange(len(t))
     quotients = []
-    for k in range(1, SPREAD + 1):
+    for k in range(1, SPEED_REACH_ROWS + 1):
         before, after = np.maximum(rows - k, 0), np.minimum(rows + k, len(t) - 1)
         quotients.append((x[after] - x[before]) / (t[after] - t[before]))
     return np.asarray(np.median(quotients, axis=0))
 
 
-def _noise(x: Array, ticks: Ticks) -> float:
+def _noise_level(x: Array, ticks: Ticks) -> float:
     """Noise of positions by their fourth differences."""
     whole = ticks[4:] - ticks[:-4] == 4
-    difference = np.convolve(x, FOURTH, mode="valid")[whole]
+    difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid")[whole]
     return MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))) / float(np.sqrt(70.0)) if len(difference) else 0.0

@@ -13,22 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.samples.steps import FEWEST, NEAR, usual_steps
+from frictrack.samples.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
-STILL = 0.15  # of the usual step, below which there was none
-FULL = 0.6  # of the usual step, which those before and after must have: nothing stops and goes on in between
-USUAL = 0.75  # quantile of the sizes of steps near one that is usual
-CLEAR = 8.0  # standard deviations of the usual step
-OFF = 0.25  # of a step, by which the step after may miss whole ones
-OFTEN = 0.2  # share of repeats from which the first and the last frame may be one
-LONGEST = 4  # repeats in a row: a mass may stick for longer
-THIRD = np.array([1.0, -3.0, 3.0, -1.0])
+MAX_STILL_STEP = 0.15  # of the usual step; a smaller one is none
+MIN_NEIGHBOUR_STEP = 0.6  # of the usual step, before and after: nothing stops and goes on in between
+USUAL_QUANTILE = 0.75  # of the sizes of nearby steps, taken as the usual step
+MIN_STEP_SIGMAS = 8.0  # standard deviations that the usual step must have
+MAX_STEP_ERROR = 0.25  # of a step, by which the step after a repeat may miss a whole number of steps
+FREQUENT_SHARE = 0.2  # share of repeats from which the first and the last frame may be one too
+MAX_REPEATS = 4  # in a row: a mass may stick for longer
+THIRD_DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])
 
 Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Repeat:
+class RepeatedFrames:
     """Frames `first` to `last` repeat the one before; `ticks` intervals pass from that to the frame after them."""
 
     first: int
@@ -36,7 +36,7 @@ class Repeat:
     ticks: int
 
 
-def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = False) -> list[Repeat]:
+def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = False) -> list[RepeatedFrames]:
     """Frames that repeat the one before, in order.
 
     Parameters
@@ -62,35 +62,35 @@ def repeats(p: Array, good: Mask, sigma: Array, *, held: bool, exact: bool = Fal
 
     """
     steps = np.where(good[1:] & good[:-1], np.diff(p), np.nan)
-    usual = usual_steps(np.abs(steps), USUAL)  # a high quantile, so that many repeats do not count
-    still = (steps == 0.0) if exact else np.abs(steps) < STILL * usual
+    usual = usual_steps(np.abs(steps), USUAL_QUANTILE)  # a high quantile, so that many repeats do not count
+    still = (steps == 0.0) if exact else np.abs(steps) < MAX_STILL_STEP * usual
     if not still.any():
         return []
-    often = bool(np.sum(still) > OFTEN * len(still))
-    found = [run for run in _runs(still) if _moves(steps, run, usual, ends=often)]
+    often = bool(np.sum(still) > FREQUENT_SHARE * len(still))
+    found = [run for run in _runs_of_repeats(still) if _moves_on_both_sides(steps, run, usual, ends=often)]
     noise = _noise(p, sigma, good, found)
-    found = [run for run in found if usual[run.start] > CLEAR * noise]
+    found = [run for run in found if usual[run.start] > MIN_STEP_SIGMAS * noise]
     if exact and often and len({run.stop - run.start for run in found[1:-1]}) > 1:
         return []
-    clean = _clean(steps, still)
-    judged = (_judged(steps, run, clean, held=held) for run in found)
+    clean = _undisturbed_steps(steps, still)
+    judged = (_classify(steps, run, clean, held=held) for run in found)
     return [one for one in judged if one is not None]
 
 
-def _runs(still: Mask) -> Iterator[slice]:
+def _runs_of_repeats(still: Mask) -> Iterator[slice]:
     """Consecutive steps that are none, few enough."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False]))))
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        if stop - first <= LONGEST:
+        if stop - first <= MAX_REPEATS:
             yield slice(int(first), int(stop))
 
 
-def _moves(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
+def _moves_on_both_sides(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
     """Whether the mass moves at full speed, the same way, before and after; at the `ends` of the record on one side."""
     near = [steps[i] for i in (run.start - 1, run.stop) if 0 <= i < len(steps)]
     if len(near) < (1 if ends else 2) or not np.all(np.isfinite(near)):
         return False
-    return bool(min(np.abs(near)) > FULL * usual[run.start] and near[0] * near[-1] > 0)
+    return bool(min(np.abs(near)) > MIN_NEIGHBOUR_STEP * usual[run.start] and near[0] * near[-1] > 0)
 
 
 def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:
@@ -98,29 +98,29 @@ def _noise(p: Array, sigma: Array, good: Mask, found: list[slice]) -> float:
     keep = np.array(good)
     for run in found:
         keep[run.start + 1 : run.stop + 1] = False
-    third = np.convolve(p[keep], THIRD, mode="valid")
+    third = np.convolve(p[keep], THIRD_DIFFERENCE, mode="valid")
     stated = float(np.median(sigma[keep]))
     measured = 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0) if len(third) else 0.0
     return float(np.sqrt(2.0)) * max(stated, measured)
 
 
-def _clean(steps: Array, still: Mask) -> Array:
+def _undisturbed_steps(steps: Array, still: Mask) -> Array:
     """Steps that pass between two frames neither of which repeats another; NaN elsewhere."""
     after = np.concatenate(([False], still[:-1]))
     before = np.concatenate((still[1:], [False]))
     return np.where(still | after | before, np.nan, steps)
 
 
-def _judged(steps: Array, run: slice, clean: Array, *, held: bool) -> Repeat | None:
+def _classify(steps: Array, run: slice, clean: Array, *, held: bool) -> RepeatedFrames | None:
     """How many frame intervals pass over a run of repeats; None where the step after it is no whole number of them."""
     count = run.stop - run.start
     if run.stop == len(steps):
-        return Repeat(run.start + 1, run.stop, count + 1)
-    near = clean[max(run.start - NEAR, 0) : run.stop + NEAR]
+        return RepeatedFrames(run.start + 1, run.stop, count + 1)
+    near = clean[max(run.start - REACH_STEPS, 0) : run.stop + REACH_STEPS]
     known = near[np.isfinite(near)]
-    whole = Repeat(run.start + 1, run.stop, count + 1 if held else 1)
-    if len(known) < FEWEST:
+    whole = RepeatedFrames(run.start + 1, run.stop, count + 1 if held else 1)
+    if len(known) < MIN_KNOWN_STEPS:
         return whole
     ratio = float(steps[run.stop] / np.median(known))
     ticks = max(round(ratio), 1)
-    return replace(whole, ticks=ticks) if abs(ratio - ticks) < OFF * max(ticks, 1) else None
+    return replace(whole, ticks=ticks) if abs(ratio - ticks) < MAX_STEP_ERROR * max(ticks, 1) else None

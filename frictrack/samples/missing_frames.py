@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.samples.outliers import MEDIAN_TO_SIGMA
-from frictrack.samples.steps import FEWEST, NEAR, usual_steps
+from frictrack.samples.usual_steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
-ALIKE = 0.25  # of the usual step, within which a step passes over one interval
-EXACT = 4.0  # standard deviations within which a step is a whole multiple
-PRECISE = 0.06  # intervals: deviation of a multiple from which it can be told
-LARGEST = 200
+SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes over one interval
+MAX_MULTIPLE_SIGMAS = 4.0  # standard deviations within which a step is a whole multiple
+MAX_MULTIPLE_ERROR = 0.06  # intervals: a multiple that is known no better cannot be counted
+MAX_MULTIPLE = 200  # intervals in one step
 
 Ticks = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Gap:
+class MissingFrames:
     """So many frames are `missing` before the frame `at`; how many standard deviations the step is too long."""
 
     at: int
@@ -32,7 +32,7 @@ class Gap:
     significance: float
 
 
-def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]:
+def missing_frames(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[MissingFrames]:
     """Missing frames of a course, in order.
 
     Parameters
@@ -51,32 +51,32 @@ def gaps(p: Array, ticks: Ticks, good: Mask, smallest: float = 0.0) -> list[Gap]
     >>> import numpy as np
     >>> k = np.delete(np.arange(60.0), [20, 24, 25])
     >>> p = k + 0.01 * np.random.default_rng(0).standard_normal(57)
-    >>> [(gap.at, gap.missing) for gap in gaps(p, np.arange(57), np.ones(57, bool))]
+    >>> [(gap.at, gap.missing) for gap in missing_frames(p, np.arange(57), np.ones(57, bool))]
     [(20, 1), (23, 2)]
 
     """
     rows = np.flatnonzero(good)
-    if len(rows) < 2 * FEWEST + 2:
+    if len(rows) < 2 * MIN_KNOWN_STEPS + 2:
         return []
     steps = np.diff(p[rows]) / np.diff(ticks[rows])
     usual = usual_steps(steps)
     follows = np.diff(ticks[rows]) == 1
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = steps / usual
-    tried = np.flatnonzero(follows & (ratio > 1.5) & (ratio < LARGEST) & (np.abs(steps - usual) > smallest))
-    found = [(i, _gap(steps, ratio, int(i))) for i in tried]
-    return [Gap(int(rows[i + 1]), missing, z) for i, (missing, z) in found if missing]
+    tried = np.flatnonzero(follows & (ratio > 1.5) & (ratio < MAX_MULTIPLE) & (np.abs(steps - usual) > smallest))
+    found = [(i, _missing_in_step(steps, ratio, int(i))) for i in tried]
+    return [MissingFrames(int(rows[i + 1]), missing, z) for i, (missing, z) in found if missing]
 
 
-def _gap(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
+def _missing_in_step(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
     """Frames missing within a step, and the significance of that; 0 where it is no whole multiple of its neighbours.
 
     `ratio` (n,) are the steps over usual ones.
     """
-    single = np.abs(ratio - 1) < ALIKE
-    near = np.arange(max(i - NEAR, 0), min(i + NEAR + 1, len(steps)))
+    single = np.abs(ratio - 1) < SINGLE_STEP_TOLERANCE
+    near = np.arange(max(i - REACH_STEPS, 0), min(i + REACH_STEPS + 1, len(steps)))
     used = near[single[near] & (near != i)]
-    if min(np.sum(used < i), np.sum(used > i)) < FEWEST or not _goes_on(ratio, i):
+    if min(np.sum(used < i), np.sum(used > i)) < MIN_KNOWN_STEPS or not _neighbours_advance(ratio, i):
         return 0, 0.0
     design = np.stack([np.ones(len(used)), used - i], axis=1)
     best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
@@ -85,10 +85,10 @@ def _gap(steps: Array, ratio: Array, i: int) -> tuple[int, float]:
     error = spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
     usual = float(best[0])
     multiple = round(steps[i] / usual)
-    whole = abs(steps[i] - multiple * usual) < EXACT * error and error < PRECISE * abs(usual)
+    whole = abs(steps[i] - multiple * usual) < MAX_MULTIPLE_SIGMAS * error and error < MAX_MULTIPLE_ERROR * abs(usual)
     return (multiple - 1, abs(steps[i] - usual) / error) if whole else (0, 0.0)
 
 
-def _goes_on(ratio: Array, i: int) -> bool:
+def _neighbours_advance(ratio: Array, i: int) -> bool:
     """Whether the steps on both sides pass an interval or more: a sample that is off makes a long step and a short."""
-    return bool(ratio[i - 1] > 1 - ALIKE and ratio[i + 1] > 1 - ALIKE)
+    return bool(ratio[i - 1] > 1 - SINGLE_STEP_TOLERANCE and ratio[i + 1] > 1 - SINGLE_STEP_TOLERANCE)

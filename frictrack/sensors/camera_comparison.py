@@ -8,17 +8,26 @@ import numpy as np
 
 from frictrack.motion.known import KnownAcceleration
 from frictrack.records import GRAVITY, Array
-from frictrack.sensors.align import ALPHA, FIRST, Alignment, Fitted, Problem, align, fit, octaves
-from frictrack.sensors.frames import Whitener
-from frictrack.sensors.series import Series
+from frictrack.sensors.align import (
+    ALPHA_WHITENESS,
+    LOWEST_BAND_SIZE,
+    Alignment,
+    AlignmentFit,
+    AlignmentProblem,
+    align,
+    fit_alignment,
+    whiteness_test,
+)
+from frictrack.sensors.frame_differences import Whitener
+from frictrack.sensors.sensor_record import SensorRecord
 
-SURE = 3.0  # standard deviations from which on a gain or a bias is spoken of
-GAIN = 0.05  # how far a sensor's sensitivity is commonly off
-LATE = 4.0  # standard deviations by which a given offset may be off
-SHARE = 0.5  # of an excess that one line, or one moment, must hold to be named
-MOMENTS = 12  # parts of the record of which one may be to blame
-WINDOWS = 24  # means by which the difference is quoted
-UNITS = {
+REPORT_SIGMAS = 3.0  # standard deviations from which a gain or a bias is reported
+GAIN_TOLERANCE = 0.05  # relative error of a sensor's sensitivity that is common
+MAX_OFFSET_SIGMAS = 4.0  # standard deviations by which a given offset may differ from the data's
+MIN_CAUSE_SHARE = 0.5  # of the excess that one frequency, or one moment, must hold to be named as the cause
+N_MOMENTS = 12  # parts of the record that are searched for a single moment of disagreement
+N_WINDOWS = 24  # means in which the difference is quoted
+GAIN_EXPLANATIONS = {
     -1.0: 'its axis points the other way: flip its sign with columns = {a = "-a (m/s^2)"}',
     GRAVITY: 'it is in units of gravity: say so with columns = {a = "a (g)"}',
     -GRAVITY: 'it is in units of gravity and its axis points the other way: columns = {a = "-a (g)"}',
@@ -27,7 +36,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SensorComparison:
     """The camera and a sensor side by side.
 
     `verdict` is "consistent", "disagrees" or "not compared"; `says` one sentence on each thing found, the cause of
@@ -45,23 +54,23 @@ class Comparison:
     window: float | None = None
 
 
-def compare(problem: Problem, alignment: Alignment, scale_error: float = 0.0) -> Comparison:
+def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_error: float = 0.0) -> SensorComparison:
     """Compare an accelerometer with the camera once it is aligned; `scale_error` is the relative one of the scale."""
     if alignment.gain is None or alignment.sigma_gain is None:
-        return Comparison("not compared", (f"not compared with the camera: {alignment.reason}",))
+        return SensorComparison("not compared", (f"not compared with the camera: {alignment.reason}",))
     free = alignment.sigma_offset is not None
-    kept = problem.take(problem.rows(alignment))
-    fitted = fit(kept, alignment, free, alignment.sigma_rate is not None)
-    p, excess = octaves(fitted.regressors, fitted.residual)
+    kept = problem.select(problem.rows(alignment))
+    fitted = fit_alignment(kept, alignment, free, alignment.sigma_rate is not None)
+    p, excess = whiteness_test(fitted.regressors, fitted.residual)
     faults = [
-        "" if free else _off_delay(problem, alignment),
-        _misfit(kept, fitted, excess) if p < ALPHA else "",
-        _off_gain(alignment, scale_error),
-        _off_bias(alignment),
+        "" if free else _offset_fault(problem, alignment),
+        _describe_misfit(kept, fitted, excess) if p < ALPHA_WHITENESS else "",
+        _gain_fault(alignment, scale_error),
+        _bias_fault(alignment),
     ]
     faults = [fault for fault in faults if fault]
-    difference, expected, window = _differences(kept, alignment)
-    return Comparison(
+    difference, expected, window = _rms_difference(kept, alignment)
+    return SensorComparison(
         verdict="disagrees" if faults else "consistent",
         says=(*faults, *_findings(problem.series, alignment, scale_error)),
         p=p,
@@ -72,7 +81,7 @@ def compare(problem: Problem, alignment: Alignment, scale_error: float = 0.0) ->
     )
 
 
-def known_acceleration(series: Series, alignment: Alignment, t: Array) -> KnownAcceleration:
+def known_acceleration(series: SensorRecord, alignment: Alignment, t: Array) -> KnownAcceleration:
     """What an aligned accelerometer says at the camera's frames t (n,): delay, gain and bias taken out.
 
     Means over one frame interval. A sensor slower than the camera says the same for several frames; its noise is
@@ -85,18 +94,18 @@ def known_acceleration(series: Series, alignment: Alignment, t: Array) -> KnownA
     return KnownAcceleration(a, abs(alignment.gain) * float(np.sqrt(series.density / h)))
 
 
-def _off_gain(alignment: Alignment, scale_error: float) -> str:
+def _gain_fault(alignment: Alignment, scale_error: float) -> str:
     """A gain beyond what sensors are commonly off by, and what would explain it."""
     gain, sigma = alignment.gain, alignment.sigma_gain
     assert gain is not None
     assert sigma is not None
-    if abs(gain - 1.0) <= GAIN + SURE * np.hypot(sigma, scale_error):
+    if abs(gain - 1.0) <= GAIN_TOLERANCE + REPORT_SIGMAS * np.hypot(sigma, scale_error):
         return ""
     said = f"its gain is {gain:.4g} +/- {sigma:.2g} instead of 1"
-    if abs(gain) < SURE * sigma:
+    if abs(gain) < REPORT_SIGMAS * sigma:
         return f"{said}: it does not follow what the camera sees; check that it belongs to this run"
-    for unit, why in UNITS.items():
-        if abs(gain / unit - 1.0) < GAIN + SURE * sigma / abs(unit):
+    for unit, why in GAIN_EXPLANATIONS.items():
+        if abs(gain / unit - 1.0) < GAIN_TOLERANCE + REPORT_SIGMAS * sigma / abs(unit):
             return f"{said}: {why}"
     frames = f", or the frame rate by {np.sqrt(gain):.4g}" if gain > 0 else ""
     return (
@@ -105,11 +114,11 @@ def _off_gain(alignment: Alignment, scale_error: float) -> str:
     )
 
 
-def _off_bias(alignment: Alignment) -> str:
+def _bias_fault(alignment: Alignment) -> str:
     bias, sigma = alignment.bias, alignment.sigma_bias
     assert bias is not None
     assert sigma is not None
-    if abs(bias) <= GRAVITY + SURE * sigma:
+    if abs(bias) <= GRAVITY + REPORT_SIGMAS * sigma:
         return ""
     return (
         f"its zero is off by {bias:.3g} m/s^2, more than any tilt could do ({GRAVITY:.3g}): "
@@ -117,11 +126,11 @@ def _off_bias(alignment: Alignment) -> str:
     )
 
 
-def _off_delay(problem: Problem, alignment: Alignment) -> str:
+def _offset_fault(problem: AlignmentProblem, alignment: Alignment) -> str:
     """Whether a given offset is refuted by the data."""
-    kept = problem.take(problem.rows(alignment))
-    fitted = fit(kept, alignment)
-    if fitted.theta[1] ** 2 < LATE**2 * fitted.covariance[1, 1]:
+    kept = problem.select(problem.rows(alignment))
+    fitted = fit_alignment(kept, alignment)
+    if fitted.theta[1] ** 2 < MAX_OFFSET_SIGMAS**2 * fitted.covariance[1, 1]:
         return ""
     better = align(problem)
     if better.sigma_offset is None:
@@ -133,27 +142,27 @@ def _off_delay(problem: Problem, alignment: Alignment) -> str:
     )
 
 
-def _misfit(problem: Problem, fitted: Fitted, excess: Array) -> str:
+def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Array) -> str:
     """What the difference looks like that the noises do not explain."""
     frames, n = problem.frames, len(excess)
     total = float(np.sum(excess))
     line = int(np.argmax(excess))
     frequency = line / (2.0 * n * frames.interval)
     near = float(np.sum(excess[max(line - 2, 0) : line + 3]))
-    if near > SHARE * total > 0.0 and line >= FIRST:
+    if near > MIN_CAUSE_SHARE * total > 0.0 and line >= LOWEST_BAND_SIZE:
         return (
             f"they differ by a line at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
             "or the tracked target shakes; fix both to the slider"
         )
-    moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, MOMENTS)])
+    moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, N_MOMENTS)])
     loud = int(np.argmax(moments))
-    if moments[loud] > SHARE * float(np.sum(moments)) > 0.0:
-        at = np.array_split(frames.t[frames.centre], MOMENTS)[loud]
+    if moments[loud] > MIN_CAUSE_SHARE * float(np.sum(moments)) > 0.0:
+        at = np.array_split(frames.t[frames.centre], N_MOMENTS)[loud]
         return (
             f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: a blow beyond the sensor's range or bandwidth, "
             "a mounting that gives, or a target lost; look at these frames"
         )
-    if float(np.sum(excess[: 2 * FIRST])) > SHARE * total > 0.0:
+    if float(np.sum(excess[: 2 * LOWEST_BAND_SIZE])) > MIN_CAUSE_SHARE * total > 0.0:
         return (
             "they differ slowly: a sensor that drifts, does not go down to 0 Hz, or tilts on its way; or a scale that "
             "changes along the course; check the sensor's lowest frequency"
@@ -164,13 +173,17 @@ def _misfit(problem: Problem, fitted: Fitted, excess: Array) -> str:
     )
 
 
-def _findings(series: Series, alignment: Alignment, scale_error: float) -> list[str]:
+def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) -> list[str]:
     """What is worth saying of a sensor though it is no disagreement."""
     found = []
     gain, sigma, bias = alignment.gain or 1.0, alignment.sigma_gain or 0.0, alignment.bias or 0.0
-    if SURE * np.hypot(sigma, scale_error) < abs(gain - 1.0) <= GAIN + SURE * np.hypot(sigma, scale_error):
+    if (
+        REPORT_SIGMAS * np.hypot(sigma, scale_error)
+        < abs(gain - 1.0)
+        <= GAIN_TOLERANCE + REPORT_SIGMAS * np.hypot(sigma, scale_error)
+    ):
         found.append(f"the camera sees {gain:.4g} +/- {sigma:.2g} times what it says; taken out as its sensitivity")
-    if SURE * (alignment.sigma_bias or 0.0) < abs(bias) <= GRAVITY:
+    if REPORT_SIGMAS * (alignment.sigma_bias or 0.0) < abs(bias) <= GRAVITY:
         tilt = np.degrees(np.arcsin(abs(bias) / GRAVITY))
         found.append(f"its zero is off by {bias:.3g} m/s^2 (as a tilt of {tilt:.2g} deg would do); taken out")
     if alignment.sigma_rate is not None:
@@ -182,17 +195,17 @@ def _findings(series: Series, alignment: Alignment, scale_error: float) -> list[
     return found
 
 
-def _differences(problem: Problem, alignment: Alignment) -> tuple[float, float, float]:
+def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[float, float, float]:
     """Rms of the difference's means as both noises let them be told, what these explain of it, and a mean's time."""
     frames, series = problem.frames, problem.series
     gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
     rest = (
         frames.z
-        - gain * frames.felt(series, alignment.lag(frames.t)[:, None])[:, 0] / (1.0 + alignment.rate) ** 2
+        - gain * frames.sensor_differences(series, alignment.lag(frames.t)[:, None])[:, 0] / (1.0 + alignment.rate) ** 2
         - bias
     )
     white = Whitener(frames.camera + (gain * series.sigma) ** 2 * frames.noise(series, alignment.offset))
-    count = min(WINDOWS, len(rest) // 2)
+    count = min(N_WINDOWS, len(rest) // 2)
     means = (np.arange(len(rest)) * count // len(rest))[:, None] == np.arange(count)
     columns = white(means.astype(float))
     covariance = np.linalg.inv(columns.T @ columns)

@@ -6,12 +6,12 @@ import numpy as np
 
 from frictrack.records import Array
 
-NEAR = 12  # steps on either side that say what is usual
-FEWEST = 3  # known steps that can say it
+REACH_STEPS = 12  # steps on either side from which the usual step is taken
+MIN_KNOWN_STEPS = 3  # known steps that can show it
 
 
 def usual_steps(steps: Array, share: float = 0.5) -> Array:
-    """Quantile (n,) of the steps near every step; NaN where fewer than `FEWEST` are known.
+    """Quantile (n,) of the steps near every step; NaN where fewer than `MIN_KNOWN_STEPS` are known.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ def usual_steps(steps: Array, share: float = 0.5) -> Array:
     [1.0, 1.0, 1.0, 1.0, 1.0]
 
     """
-    padded = np.pad(steps, NEAR, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEAR + 1)
-    enough = np.sum(np.isfinite(windows), axis=1) >= FEWEST
+    padded = np.pad(steps, REACH_STEPS, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH_STEPS + 1)
+    enough = np.sum(np.isfinite(windows), axis=1) >= MIN_KNOWN_STEPS
     out = np.full(len(steps), np.nan)
     out[enough] = np.nanquantile(windows[enough], share, axis=1)
     return out

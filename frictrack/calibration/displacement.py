@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frictrack.calibration.course import Axis, Line, directions, forward, in_plane, path, remarks
-from frictrack.calibration.mapping import plane_map
+from frictrack.calibration.course_direction import Axis, Line, directions, forward, in_plane, path, remarks
 from frictrack.calibration.plane import PlaneMap
+from frictrack.calibration.rotating_target import straightened
 from frictrack.calibration.scale import SHORT, Scale
+from frictrack.calibration.scale_to_map import plane_map
 from frictrack.calibration.shake import steadied
-from frictrack.calibration.straight import straightened
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Displacement, Mask, Track
 

@@ -13,16 +13,16 @@ from frictrack.errors import FrictrackError
 from frictrack.motion.noise import noise_level
 from frictrack.records import Array, Mask, stretches
 
-GAP = 2.5  # sample intervals without a sample, from which on the sensor was not running
-CLIPPED = 3  # equal samples at the extreme in a row
-HELD = 0.05  # of all samples equal to the one before: a coarse or held record, of which clipping cannot be told
-FEW = 0.2  # of the record: an extreme taken by more samples is a level, not clipping
-SMALLEST = 2  # samples of a record
-MOST_LOST = 0.5  # of the samples
+MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running
+MIN_CLIPPED_SAMPLES = 3  # equal samples in a row at the extreme
+MAX_HELD_SHARE = 0.05  # of all samples equal to the one before; in a coarser record clipping cannot be recognised
+MAX_CLIPPED_SHARE = 0.2  # of the record; an extreme that more samples share is a level, not clipping
+MIN_SAMPLES = 2
+MAX_MISSING_SHARE = 0.5  # of the samples
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class SensorRecord:
     """A sensor's samples: `t` (m,) in s on its own clock, `values` (m,) in SI units, NaN where it gave none.
 
     Raises FrictrackError for fewer than two samples, time that does not rise, more than half without a value,
@@ -34,7 +34,7 @@ class Series:
     name: str = "sensor"
 
     def __post_init__(self) -> None:
-        if fault := _fault(self.t, self.values):
+        if fault := _record_fault(self.t, self.values):
             raise FrictrackError(f"{self.name}: {fault}")
 
     @cached_property
@@ -49,8 +49,8 @@ class Series:
         out = np.zeros(len(v), dtype=bool)
         for extreme in (np.nanmax(v), np.nanmin(v)):
             at = v == extreme
-            if extreme != 0.0 and np.mean(at) < FEW and np.mean(np.diff(v[~at]) == 0.0) < HELD:
-                out |= _runs(at, CLIPPED)
+            if extreme != 0.0 and np.mean(at) < MAX_CLIPPED_SHARE and np.mean(np.diff(v[~at]) == 0.0) < MAX_HELD_SHARE:
+                out |= _long_runs(at, MIN_CLIPPED_SAMPLES)
         return out
 
     @cached_property
@@ -70,7 +70,7 @@ class Series:
         steps = np.abs(np.diff(v))
         rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
         sigma = float(np.nan_to_num(noise_level(self.values, self.known)[0]))
-        return max(sigma, rounding) if np.isfinite(rounding) and np.mean(steps == 0.0) > HELD else sigma
+        return max(sigma, rounding) if np.isfinite(rounding) and np.mean(steps == 0.0) > MAX_HELD_SHARE else sigma
 
     @cached_property
     def density(self) -> float:
@@ -116,7 +116,7 @@ class Series:
         """Whether the sensor was running all the time from `start` (k,) to `end` (k,), on its own clock."""
         slack = 0.5 * np.maximum(end - start, self.interval) * (1.0 + 1e-9)
         inside = (start >= self.t[0] - slack) & (end <= self.t[-1] + slack)
-        lost = np.diff(self.t) > GAP * self.interval
+        lost = np.diff(self.t) > MAX_GAP_INTERVALS * self.interval
         lost |= ~self.known[1:] | ~self.known[:-1]
         count = np.concatenate(([0], np.cumsum(lost)))
         tiny = 1e-6 * self.interval
@@ -124,12 +124,12 @@ class Series:
         last = np.clip(np.searchsorted(self.t, end - tiny, side="left"), 0, len(count) - 1)
         return np.asarray(inside & (count[np.maximum(last, first)] == count[first]))
 
-    def changed(self, law: Callable[[Array], Array]) -> Series:
+    def changed(self, law: Callable[[Array], Array]) -> SensorRecord:
         """The same samples in another unit or sign."""
-        return Series(self.t, law(self.values), self.name)
+        return SensorRecord(self.t, law(self.values), self.name)
 
 
-def _fault(t: Array, values: Array) -> str:
+def _record_fault(t: Array, values: Array) -> str:
     """What is wrong with a record, in words; nothing when it is sound."""
     if np.shape(t) != np.shape(values) or np.ndim(t) != 1:
         return f"expected one value per time but got {np.shape(values)} values at {np.shape(t)} times"
@@ -137,15 +137,15 @@ def _fault(t: Array, values: Array) -> str:
     if len(back):
         i = int(back[0])
         return f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}; mend its clock"
-    if len(t) < SMALLEST:
-        return f"expected at least {SMALLEST} samples but got {len(t)}"
+    if len(t) < MIN_SAMPLES:
+        return f"expected at least {MIN_SAMPLES} samples but got {len(t)}"
     lost = int(np.sum(~np.isfinite(values)))
-    if lost > MOST_LOST * len(t):
+    if lost > MAX_MISSING_SHARE * len(t):
         return f"expected numbers but {lost} of {len(t)} samples are none; leave the sensor out, or mend the record"
     return ""
 
 
-def _runs(mask: Mask, least: int) -> Mask:
+def _long_runs(mask: Mask, least: int) -> Mask:
     """The same mask without stretches shorter than `least`."""
     out = np.zeros(len(mask), dtype=bool)
     for s in stretches(mask):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from frictrack.calibration import scale as written
-from frictrack.calibration.course import Axis, directions, path
+from frictrack.calibration.course_direction import Axis, directions, path
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
 from frictrack.calibration.scale import Scale
 from frictrack.errors import FrictrackError
@@ -78,7 +78,7 @@ def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None
 
 
 def _points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
-    from frictrack.calibration.points import from_points  # noqa: PLC0415
+    from frictrack.calibration.known_points import from_points  # noqa: PLC0415
 
     return from_points(scale, straight)
 
@@ -110,7 +110,7 @@ def _target(
     scale: dict[str, Any], seen: tuple[Track | None, Recording | None], along: Array, straight: Straight
 ) -> PlaneMap:
     """The map whose numbers are the target's size in m and the two ends of its outline along the course."""
-    from frictrack.calibration.outline import target_width  # noqa: PLC0415
+    from frictrack.calibration.target_size import target_width  # noqa: PLC0415
 
     track, film = seen
     size, std = written.positive(scale["target"], "the target's size along the course")

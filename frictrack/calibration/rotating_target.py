@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.calibration.course import frames_per_independent
+from frictrack.calibration.course_direction import frames_per_independent
 from frictrack.records import Array, Track
 
 LARGE = np.pi / 2  # rad: a target that turns farther is seen along its axis, and does not rock on its course
