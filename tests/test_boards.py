@@ -12,8 +12,8 @@ import tifffile
 from pinhole import CENTRE, FOCAL, LENS, NO_LENS, SIZE, charuco, checkers, homography, pictured, shot, through, turned
 
 from frictrack.calibration import parse_scale, plane_map
-from frictrack.calibration.board import Board, View
-from frictrack.calibration.camera import plane_of
+from frictrack.calibration.board import Board, BoardView
+from frictrack.calibration.camera import plane_from_views
 from frictrack.errors import FrictrackError
 
 TILTED = turned(0.1, 0.35, 0.05), np.array([-0.05, -0.03, 0.6])  # keystone of a fifth
@@ -106,13 +106,13 @@ def test_points_that_determine_nothing(scale, said):
 
 
 def seen(pose, lens, rng, name="a"):
-    return View(name, 0, shot(GRID, *pose, lens) + rng.normal(0, 0.05, GRID.shape), GRID, SIZE)
+    return BoardView(name, 0, shot(GRID, *pose, lens) + rng.normal(0, 0.05, GRID.shape), GRID, SIZE)
 
 
 @pytest.mark.parametrize("lens", [NO_LENS, (-0.03, 0, 0, 0, 0), (-0.25, 0, 0, 0, 0)])
 def test_one_view_gives_perspective_and_the_radial_distortion(lens):
     rng, path = np.random.default_rng(2), shot(PATH, *FLAT, lens)
-    maps = [plane_of([seen(FLAT, lens, rng)], BOARD) for _ in range(80)]
+    maps = [plane_from_views([seen(FLAT, lens, rng)], BOARD) for _ in range(80)]
     assert 0.88 < spread([z_of(m, path[[0, -1]]) for m in maps]) < 1.12
     assert np.median([np.abs(m(path) - PATH).max() for m in maps]) < 30e-6  # beyond the board, 0.05 px at 0.37 mm/px
     assert "radial distortion" in maps[0].used
@@ -121,7 +121,7 @@ def test_one_view_gives_perspective_and_the_radial_distortion(lens):
 def test_one_small_view_does_not_tell_the_lens_and_says_so():
     rng = np.random.default_rng(3)
     pose = FLAT[0], np.array([-0.07, -0.04, 3.0])
-    made = plane_of([seen(pose, LENS, rng)], BOARD)
+    made = plane_from_views([seen(pose, LENS, rng)], BOARD)
     assert "without lens distortion, which this one picture does not tell" in made.used
 
 
@@ -135,7 +135,7 @@ def poses():
 
 def test_several_views_give_camera_lens_and_plane(poses):
     rng, path = np.random.default_rng(4), shot(PATH, *FLAT, LENS)
-    maps = [plane_of([seen(pose, LENS, rng) for pose in poses], BOARD) for _ in range(60)]
+    maps = [plane_from_views([seen(pose, LENS, rng) for pose in poses], BOARD) for _ in range(60)]
     assert 0.88 < spread([z_of(m, path[[0, -1]]) for m in maps]) < 1.15
     assert np.median([np.abs(m(path) - PATH).max() for m in maps]) < 25e-6
     np.testing.assert_allclose(maps[0].values[:4], [*FOCAL, *CENTRE], atol=6)
@@ -145,12 +145,12 @@ def test_several_views_give_camera_lens_and_plane(poses):
 
 def test_the_square_of_the_board_is_as_sure_as_stated():
     rng, path = np.random.default_rng(5), shot(PATH, *FLAT)
-    made = plane_of([seen(FLAT, NO_LENS, rng)], Board((9, 6), 0.02, relative=0.01))
+    made = plane_from_views([seen(FLAT, NO_LENS, rng)], Board((9, 6), 0.02, relative=0.01))
     assert made.length(path[[0, -1]])[1] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_jacobian_is_the_slope_of_the_map():
-    made = plane_of([seen(FLAT, LENS, np.random.default_rng(6))], BOARD)
+    made = plane_from_views([seen(FLAT, LENS, np.random.default_rng(6))], BOARD)
     at = shot(PATH, *FLAT, LENS)[10:11]
     for step in ([1e-3, 0.0], [0.0, 1e-3]):
         slope = made.jacobian(at)[0] @ step

@@ -228,13 +228,13 @@ def test_runs_in_both_directions_share_the_axis_of_the_track():
 
 
 def test_the_angle_of_the_track_is_as_sure_as_stated():
-    from frictrack.calibration.course_direction import path  # noqa: PLC0415
+    from frictrack.calibration.course_direction import fit_path  # noqa: PLC0415
 
     z = []
     for seed in range(200):
         t = a_slide(2.0, sigma=0.05, n=200, seed=seed)
-        line = path(np.stack([t.x_px, t.y_px], axis=1), np.full(200, 0.05))
-        angle = np.arctan2(-line.along[1], line.along[0])
+        line = fit_path(np.stack([t.x_px, t.y_px], axis=1), np.full(200, 0.05))
+        angle = np.arctan2(-line.direction[1], line.direction[0])
         z.append((np.mod(angle + np.pi / 2, np.pi) - np.pi / 2 - np.radians(2.0)) / line.std)
     assert 0.85 < np.sqrt(np.mean(np.square(z))) < 1.15
 

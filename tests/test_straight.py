@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.calibration import calibrate
-from frictrack.calibration.rotating_target import straightened
+from frictrack.calibration.rotating_target import follow_straight_point
 from frictrack.records import Track
 
 N, NOISE, TURN_NOISE = 300, 0.01, 1e-4
@@ -38,7 +38,7 @@ def tracked(middle, angle, arm, rng):
 @pytest.mark.parametrize("degrees", [200.0, -330.0, 1500.0])
 def test_the_middle_of_a_turning_mass_is_found_from_its_straight_course(degrees):
     track, middle = turning(degrees)
-    found, (note,) = straightened(track)
+    found, (note,) = follow_straight_point(track)
     off = np.stack([found.x_px, found.y_px], axis=1) - middle
     assert np.std(track.x_px - middle[:, 0]) > 0.5
     stated = np.sqrt(np.mean(found.sigma_px**2) + found.systematic**2)
@@ -50,7 +50,7 @@ def test_the_stated_error_of_the_arm_is_its_scatter():
     along = []
     for seed in range(40):
         track, middle = turning(200.0, seed=seed)
-        found, _ = straightened(track)
+        found, _ = follow_straight_point(track)
         slow = np.polyfit(np.arange(N), found.x_px - middle[:, 0], 5)
         along.append(np.mean(np.polyval(slow, np.arange(N)) ** 2) / found.systematic**2)
     assert 0.2 < np.mean(along) < 1.5  # its part along the course, beside some of the noise
@@ -68,16 +68,16 @@ def test_a_target_that_rocks_on_its_course_is_left_as_it_is():
     t = np.linspace(0.0, 1.0, N)
     middle = np.stack([40 + 300 * t, np.full(N, 60.0)], axis=1)
     track = tracked(middle, 0.1 * np.sin(40 * t), ARM, np.random.default_rng(0))
-    assert straightened(track) == (track, ())
+    assert follow_straight_point(track) == (track, ())
 
 
 def test_a_middle_that_is_followed_already_is_left_as_it_is():
     track, _ = turning(400.0, arm=np.zeros(2))
-    assert straightened(track) == (track, ())
+    assert follow_straight_point(track) == (track, ())
 
 
 def test_a_swing_across_the_course_is_no_arm():
     t = np.linspace(0.0, 1.0, N)
     middle = np.stack([40 + 300 * t, 60 + 3 * np.sin(40 * t)], axis=1)
     track = tracked(middle, np.radians(250.0) * t, np.zeros(2), np.random.default_rng(0))
-    assert straightened(track) == (track, ())
+    assert follow_straight_point(track) == (track, ())

@@ -8,6 +8,6 @@ from frictrack.calibration.displacement import calibrate
 from frictrack.calibration.plane import PlaneMap
 from frictrack.calibration.scale import Scale, parse_scale
 from frictrack.calibration.scale_to_map import plane_map
-from frictrack.calibration.shake import Shake, shake, steadied
+from frictrack.calibration.shake import Shake, estimate_shake, subtract_shake
 
-__all__ = ["PlaneMap", "Scale", "Shake", "calibrate", "parse_scale", "plane_map", "shake", "steadied"]
+__all__ = ["PlaneMap", "Scale", "Shake", "calibrate", "estimate_shake", "parse_scale", "plane_map", "subtract_shake"]

@@ -12,24 +12,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.calibration.scale import board_squares, check_board, files, positive
+from frictrack.calibration.scale import board_files, board_squares, check_board, parse_length
 from frictrack.errors import FrictrackError
 from frictrack.recording import open_recording
 from frictrack.records import Array
 
 Grey = NDArray[np.uint8]
 
-PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
-LARGEST = 200_000_000  # pixels of a picture
-SAMPLES = 40  # frames of a recording that are looked at
-MOST = 20  # views that are used
-MOVED = 0.02  # of the picture's width that the board must move to be another view
-REFINED = 0.35  # of a square's side: half of the window in which a corner is refined
-LEAST = 6  # corners of a ChArUco board
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+MAX_PIXELS = 200_000_000  # of a picture
+N_FRAMES = 40  # of a recording that are searched for the board
+MAX_VIEWS = 20  # views that are used
+MIN_BOARD_MOTION = 0.02  # of the picture's width that the board must move to be another view
+REFINEMENT_REACH = 0.35  # of a square's side: half of the window in which a corner is refined
+MIN_CHARUCO_CORNERS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BoardView:
     """One picture of the board: its corners (n, 2) px and their places on the board (n, 2) m."""
 
     name: str
@@ -77,7 +77,7 @@ class Board:
         """The corners of a ChArUco board that are seen; it may be partly hidden."""
         for detector, places in self._detectors:
             at, numbers, _, _ = detector.detectBoard(grey)
-            if numbers is not None and len(numbers) >= LEAST:
+            if numbers is not None and len(numbers) >= MIN_CHARUCO_CORNERS:
                 return np.asarray(at, dtype=np.float64).reshape(-1, 2), places[np.ravel(numbers)]
         return None
 
@@ -93,7 +93,7 @@ class Board:
             out.append((cv2.aruco.CharucoDetector(board), places))
         return out
 
-    def swapped(self, grey: Grey) -> str:
+    def squares_hint(self, grey: Grey) -> str:
         """What to write instead, where the inner corners were counted for squares; "" where that is not it."""
         if self.dictionary or self._checker(grey, self.squares) is None:
             return ""
@@ -104,7 +104,7 @@ class Board:
 def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
     """Corners (rows, columns, 2) to the saddle between their four squares: three times nearer than they were found."""
     side = min(float(np.min(np.linalg.norm(np.diff(at, axis=axis), axis=2))) for axis in (0, 1))
-    reach = int(np.clip(REFINED * side, 2, 15))
+    reach = int(np.clip(REFINEMENT_REACH * side, 2, 15))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
     fine = cv2.cornerSubPix(grey, at.reshape(-1, 1, 2).copy(), (reach, reach), (-1, -1), criteria)
     return np.asarray(fine, dtype=np.float64).reshape(-1, 2)
@@ -113,7 +113,7 @@ def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
 def board_of(scale: Mapping[str, Any]) -> Board:
     """The board as a scale describes it."""
     check_board(scale)
-    square, std = positive(scale["square"], "the side of a square")
+    square, std = parse_length(scale["square"], "the side of a square")
     if "dictionary" not in scale:
         return Board(board_squares(scale), square, std / square)
     name = str(scale["dictionary"])
@@ -122,7 +122,7 @@ def board_of(scale: Mapping[str, Any]) -> Board:
         raise FrictrackError(
             f'expected a dictionary such as DICT_4X4_50 but got "{name}"; known are {", ".join(known)}'
         )
-    board = Board(board_squares(scale), square, std / square, name, positive(scale["marker"], "the marker")[0])
+    board = Board(board_squares(scale), square, std / square, name, parse_length(scale["marker"], "the marker")[0])
     markers = board.squares[0] * board.squares[1] // 2
     held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
     if held < markers:
@@ -132,37 +132,37 @@ def board_of(scale: Mapping[str, Any]) -> Board:
     return board
 
 
-Seen = tuple[list[View], list[str]]  # views, and the names of pictures in which the board is not found
+FoundViews = tuple[list[BoardView], list[str]]  # views, and the names of pictures in which the board is not found
 
 
-def views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> Seen:
+def find_views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | None = None) -> FoundViews:
     """The board in every picture that shows it, at most 20 that differ, the one in the plane of the course first.
 
     `shape` (h, w) is that of the film. Raises `FrictrackError` when the board is in no picture, not in the picture
     `plane`, or the pictures are of another size than the film.
     """
-    paths = tuple(files(scale))
-    return _views(paths, _changed(paths), scale.get("plane"), board, shape)
+    paths = tuple(board_files(scale))
+    return _cached_views(paths, _modification_times(paths), scale.get("plane"), board, shape)
 
 
-def _changed(paths: tuple[Path, ...]) -> tuple[int, ...]:
+def _modification_times(paths: tuple[Path, ...]) -> tuple[int, ...]:
     """When the files were written: the runs of one camera share its board, which is looked for once."""
     each = [p for path in paths for p in (sorted(path.iterdir()) if path.is_dir() else [path])]
     return tuple(p.stat().st_mtime_ns for p in each if p.exists())
 
 
 @lru_cache(maxsize=16)
-def _views(
+def _cached_views(
     paths: tuple[Path, ...],
     _: tuple[int, ...],
     plane: int | None,
     board: Board,
     shape: tuple[int, int] | None,
-) -> Seen:
+) -> FoundViews:
     film = _is_film(paths)
     if plane is None and not film:
         plane = 0  # the first picture must show the board; a film may come to it late
-    found: list[View] = []
+    found: list[BoardView] = []
     missed: list[str] = []
     sizes: set[tuple[int, int]] = set()
     grey = np.zeros((0, 0), np.uint8)
@@ -171,26 +171,26 @@ def _views(
         _check_size(name, sizes, shape)
         corners = board.corners(grey)
         if corners is None and number == plane:
-            raise FrictrackError(_lost(board, name, grey))
+            raise FrictrackError(_not_found(board, name, grey))
         if corners is None:
             missed.append(name)
             continue
-        seen = View(name, number, *corners, (grey.shape[1], grey.shape[0]))
+        seen = BoardView(name, number, *corners, (grey.shape[1], grey.shape[0]))
         if number == plane or all(_differs(seen, other) for other in found):
             found.append(seen)
     if not found:
-        raise FrictrackError(_lost(board, paths[0].name, grey))
-    return _first(found, plane), [] if film else missed
+        raise FrictrackError(_not_found(board, paths[0].name, grey))
+    return _select_views(found, plane), [] if film else missed
 
 
-def _first(found: list[View], plane: int | None) -> list[View]:
+def _select_views(found: list[BoardView], plane: int | None) -> list[BoardView]:
     """The view in the plane of the course first, and not too many more."""
     chosen = next((v for v in found if v.number == plane), None)
     if plane is not None and chosen is None:
         raise FrictrackError(f"expected plane as the number of a picture of the board but got {plane}")
     rest = [v for v in found if v is not chosen]
-    kept = rest if len(rest) < MOST else [rest[i] for i in np.linspace(0, len(rest) - 1, MOST).astype(int)]
-    return [chosen, *kept[: MOST - 1]] if chosen else kept
+    kept = rest if len(rest) < MAX_VIEWS else [rest[i] for i in np.linspace(0, len(rest) - 1, MAX_VIEWS).astype(int)]
+    return [chosen, *kept[: MAX_VIEWS - 1]] if chosen else kept
 
 
 def _check_size(name: str, sizes: set[tuple[int, int]], shape: tuple[int, int] | None) -> None:
@@ -207,34 +207,35 @@ def _check_size(name: str, sizes: set[tuple[int, int]], shape: tuple[int, int] |
         )
 
 
-def _lost(board: Board, name: str, grey: Grey) -> str:
+def _not_found(board: Board, name: str, grey: Grey) -> str:
     along, across = board.squares
     check = "all of it must be in the picture, sharp, flat and evenly lit, with a white rim"
     if board.dictionary:
         check = f"check squares (along, then across) and dictionary ({board.dictionary}), focus and light"
-    return (
-        f"expected a {board.kind} of {along} x {across} squares in {name} but found none; {check}{board.swapped(grey)}"
-    )
+    hint = board.squares_hint(grey)
+    return f"expected a {board.kind} of {along} x {across} squares in {name} but found none; {check}{hint}"
 
 
-def _differs(seen: View, other: View) -> bool:
+def _differs(seen: BoardView, other: BoardView) -> bool:
     """Whether the board was moved between two pictures; parts of it that only one shows do not count."""
     if len(seen.points) != len(other.points):
         return True
     moved = float(np.max(np.linalg.norm(seen.points - other.points, axis=1)))
-    return moved > MOVED * seen.size[0]
+    return moved > MIN_BOARD_MOTION * seen.size[0]
 
 
 def _is_film(paths: tuple[Path, ...]) -> bool:
     return (
-        len(paths) == 1 and not paths[0].is_dir() and (paths[0].suffix.lower() not in PICTURES or _pages(paths[0]) > 1)
+        len(paths) == 1
+        and not paths[0].is_dir()
+        and (paths[0].suffix.lower() not in PICTURE_SUFFIXES or _pages(paths[0]) > 1)
     )
 
 
 def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int, str, Grey]]:
     """Number, name and grey picture of every file, or of those in a folder."""
     if len(paths) == 1 and paths[0].is_dir():
-        paths = tuple(sorted(p for p in paths[0].iterdir() if p.suffix.lower() in PICTURES))
+        paths = tuple(sorted(p for p in paths[0].iterdir() if p.suffix.lower() in PICTURE_SUFFIXES))
     if not paths:
         raise FrictrackError("expected pictures of the board in its folder but found none")
     if plane is not None and plane >= len(paths):
@@ -255,7 +256,7 @@ def _pages(path: Path) -> int:
 def _frames(path: Path, plane: int | None) -> Iterator[tuple[int, str, Grey]]:
     """Number, name and grey picture of frames spread over a recording."""
     recording = open_recording(path, fps=1.0)  # time does not matter here
-    wanted = np.unique(np.linspace(0, recording.n_frames - 1, SAMPLES).astype(int)).tolist()
+    wanted = np.unique(np.linspace(0, recording.n_frames - 1, N_FRAMES).astype(int)).tolist()
     if plane is not None:
         if plane >= recording.n_frames:
             raise FrictrackError(f"expected plane as one of {recording.n_frames} frames of {path.name} but got {plane}")
@@ -272,7 +273,7 @@ def read_grey(path: Path) -> Grey:
         picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     except (cv2.error, OSError):
         picture = None
-    if picture is None or picture.size > LARGEST:
+    if picture is None or picture.size > MAX_PIXELS:
         raise FrictrackError(f"{path.name}: expected a picture of the board but it cannot be read as one")
     return _grey8(picture)
 

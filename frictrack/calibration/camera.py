@@ -13,20 +13,22 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frictrack.calibration.board import Board, View
-from frictrack.calibration.homography import BEND, Homography, Norm, view
+from frictrack.calibration.board import Board, BoardView
+from frictrack.calibration.homography import MAX_RADIAL_COEFFICIENT, Homography, Normalisation, fit_view
 from frictrack.calibration.lens import Lens
 from frictrack.calibration.plane import PlaneMap, project
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
-LEAST_VIEWS = 3
-DETERMINED = 0.01  # standard deviation of the distortion in the corners up to which one view tells it
-SURE = 0.2  # relative standard deviation of the focal length above which the views do not tell it
-INTRINSIC = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
-COARSE = 1.0  # px of reprojection error that is worth a word
-CORNER = 0.02  # px: a corner is known no better than this, whatever its neighbours say (print, light, detection)
-FEW = "the pictures do not tell the camera (three and more are needed, tilted differently): only one of them is used"
+MIN_VIEWS = 3
+MAX_DISTORTION_SIGMA = 0.01  # standard deviation of the distortion in the corners that one view may have
+MAX_FOCAL_ERROR = 0.2  # relative standard deviation of the focal length above which the views do not determine it
+N_INTRINSICS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+MAX_REPROJECTION_PX = 1.0  # a larger reprojection error is reported
+MIN_CORNER_SIGMA_PX = 0.02  # a corner is known no better than this (print, light, detection)
+TOO_FEW_VIEWS = (
+    "the pictures do not tell the camera (three and more are needed, tilted differently): only one of them is used"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,53 +40,55 @@ class _Camera:
     rms: float  # px, of the distance
 
 
-def plane_of(seen: list[View], board: Board, lens: Lens | None = None) -> PlaneMap:
+def plane_from_views(seen: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
     """The map to the plane of the first view, m; `lens` is one that was calibrated before."""
-    made = _posed(seen[0], lens, board) if lens else _bundle(seen, board)
+    made = _from_known_lens(seen[0], lens, board) if lens else _from_all_views(seen, board)
     if made is None:
-        made = _single(seen[0], board)
-        made = replace(made, notes=(*made.notes, FEW)) if len(seen) > 1 else made
+        made = _from_one_view(seen[0], board)
+        made = replace(made, notes=(*made.notes, TOO_FEW_VIEWS)) if len(seen) > 1 else made
     points = seen[0].points
     middle, reach = points.mean(axis=0), float(np.hypot(*np.ptp(points, axis=0)))
     made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
     return made.scaled(1.0, board.relative)
 
 
-def _single(first: View, board: Board) -> PlaneMap:
+def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
     """One view: homography, and the radial coefficient where the view tells it well."""
     one = np.ones(len(first.points))
     width, height = first.size
-    frame = Norm(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
-    flat = view(first.points, first.places, one)
-    bowed = view(first.points, first.places, one, lens=frame)
+    frame = Normalisation(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
+    flat = fit_view(first.points, first.places, one)
+    bowed = fit_view(first.points, first.places, one, lens=frame)
     k, std = float(bowed.map.values[-1]), float(np.sqrt(bowed.map.covariance[-1, -1] * _variance(bowed)))
-    told = std < DETERMINED and abs(k) < BEND
-    kept = bowed if told else flat
-    word = (
+    determined = std < MAX_DISTORTION_SIGMA and abs(k) < MAX_RADIAL_COEFFICIENT
+    kept = bowed if determined else flat
+    distortion = (
         f"radial distortion {1e2 * k:+.2f} ± {1e2 * std:.2g} % in the corners, from this one picture"
-        if told
+        if determined
         else "without lens distortion, which this one picture does not tell; several, tilted, would"
     )
-    used = f"scale by a {board.kind}, {len(one)} corners in {first.name}, {kept.rms:.2g} px from the plane; {word}"
+    used = (
+        f"scale by a {board.kind}, {len(one)} corners in {first.name}, {kept.rms:.2g} px from the plane; {distortion}"
+    )
     covariance = kept.map.covariance * _variance(kept)
-    return replace(kept.map, covariance=covariance, used=used, notes=_coarse(kept.rms))
+    return replace(kept.map, covariance=covariance, used=used, notes=_reprojection_note(kept.rms))
 
 
 def _variance(fitted: Homography) -> float:
     """Variance of a corner along one axis, px^2."""
     if fitted.degrees < 1:
         raise FrictrackError("expected more corners of the board in its picture; show more of it")
-    return max(fitted.chi2 / fitted.degrees, CORNER**2)
+    return max(fitted.chi2 / fitted.degrees, MIN_CORNER_SIGMA_PX**2)
 
 
-def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
+def _from_all_views(seen: list[BoardView], board: Board) -> PlaneMap | None:
     """Camera, lens and pose from several views; None where the views do not tell the camera."""
-    best = _calibrated(seen) if len(seen) >= LEAST_VIEWS else None
+    best = _calibrated(seen) if len(seen) >= MIN_VIEWS else None
     if best is None:
         return None
     covariance = _covariance(seen, best)
     values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
-    if covariance is None or np.sqrt(covariance[0, 0]) > SURE * values[0]:
+    if covariance is None or np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
         return None
     depth = float(best.poses[0, 5])
     used = (
@@ -92,10 +96,10 @@ def _bundle(seen: list[View], board: Board) -> PlaneMap | None:
         f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({seen[0].name}) fitted together; it is "
         f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's is {0.1 / depth:.2g} % of every length"
     )
-    return PlaneMap(values, covariance, _place, used=used, notes=_coarse(best.rms))
+    return PlaneMap(values, covariance, _points_on_plane, used=used, notes=_reprojection_note(best.rms))
 
 
-def _calibrated(seen: list[View]) -> _Camera | None:
+def _calibrated(seen: list[BoardView]) -> _Camera | None:
     """Camera, lens and poses; None where OpenCV finds none in front of which all boards lie."""
     solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in seen]
     flat = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in seen]
@@ -118,13 +122,13 @@ def _intrinsics(lens: Lens) -> Array:
     return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion])
 
 
-def _covariance(seen: list[View], camera: _Camera) -> Array | None:
+def _covariance(seen: list[BoardView], camera: _Camera) -> Array | None:
     """Covariance (15, 15) of camera, lens and first pose, with all other poses free (their part eliminated)."""
-    normal = np.zeros((INTRINSIC, INTRINSIC))
-    square, count = 0.0, -INTRINSIC
+    normal = np.zeros((N_INTRINSICS, N_INTRINSICS))
+    square, count = 0.0, -N_INTRINSICS
     own = cross = None
     for k, v in enumerate(seen):
-        pose, lens, misfit = _slopes(v, camera, k)
+        pose, lens, misfit = _corner_jacobians(v, camera, k)
         square, count = square + float(misfit @ misfit), count + len(misfit) - 6
         normal += lens.T @ lens
         if k == 0:
@@ -138,26 +142,26 @@ def _covariance(seen: list[View], camera: _Camera) -> Array | None:
     if count < 1 or not np.all(size > 0):
         return None
     inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    return np.asarray(inverse * max(square / count, CORNER**2))
+    return np.asarray(inverse * max(square / count, MIN_CORNER_SIGMA_PX**2))
 
 
-def _slopes(v: View, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
+def _corner_jacobians(v: BoardView, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
     """Change of the corners (2 n,) with the pose (2 n, 6) and with camera and lens (2 n, 9), and their misfit."""
     solid = np.column_stack([v.places, np.zeros(len(v.places))])
     pose = camera.poses[k]
     at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
     slopes, at = _floats(slopes), _floats(at).reshape(-1, 2)
-    return slopes[:, :6], slopes[:, 6 : 6 + INTRINSIC], (at - v.points).ravel()
+    return slopes[:, :6], slopes[:, 6 : 6 + N_INTRINSICS], (at - v.points).ravel()
 
 
 def _floats(raw: Any) -> Array:
     return np.asarray(raw, dtype=np.float64)
 
 
-def _place(values: Array, points: Array) -> Array:
+def _points_on_plane(values: Array, points: Array) -> Array:
     """Picture points on the plane z = 0 of a board, m."""
-    lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:INTRINSIC])
-    return on_plane(lens.rays(points), values[INTRINSIC:])
+    lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:N_INTRINSICS])
+    return on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
 def on_plane(rays: Array, pose: Array) -> Array:
@@ -168,7 +172,7 @@ def on_plane(rays: Array, pose: Array) -> Array:
     return project(inverse * np.sign(inverse[2] @ (pose[3:] / pose[5])), rays)
 
 
-def _posed(first: View, lens: Lens, board: Board) -> PlaneMap:
+def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
     """The pose of the board under a lens that is known."""
     if lens.size and lens.size != first.size:
         raise FrictrackError(
@@ -187,17 +191,19 @@ def _posed(first: View, lens: Lens, board: Board) -> PlaneMap:
     at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
     misfit = (at.reshape(-1, 2) - first.points).ravel()
     normal = slopes[:, :6].T @ slopes[:, :6]
-    covariance = np.linalg.inv(normal) * max(float(misfit @ misfit) / (len(misfit) - 6), CORNER**2)
+    covariance = np.linalg.inv(normal) * max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
     rms = float(np.sqrt(2 * np.mean(misfit**2)))
     used = (
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"
     )
-    return PlaneMap(pose, covariance, lambda p, points: on_plane(lens.rays(points), p), used=used, notes=_coarse(rms))
+    return PlaneMap(
+        pose, covariance, lambda p, points: on_plane(lens.rays(points), p), used=used, notes=_reprojection_note(rms)
+    )
 
 
-def _coarse(rms: float) -> tuple[str, ...]:
-    if rms <= COARSE:
+def _reprojection_note(rms: float) -> tuple[str, ...]:
+    if rms <= MAX_REPROJECTION_PX:
         return ()
     return (
         f"the board's corners fit to {rms:.1f} px only: check that it is flat and sharp, and that squares is right",

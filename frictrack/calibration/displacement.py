@@ -6,17 +6,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frictrack.calibration.course_direction import Axis, Line, directions, forward, in_plane, path, remarks
+from frictrack.calibration.course_direction import (
+    Axis,
+    PathLine,
+    direction_notes,
+    directions,
+    fit_path,
+    in_plane,
+    orient_forward,
+)
 from frictrack.calibration.plane import PlaneMap
-from frictrack.calibration.rotating_target import straightened
-from frictrack.calibration.scale import SHORT, Scale
+from frictrack.calibration.rotating_target import follow_straight_point
+from frictrack.calibration.scale import MIN_RULER_SHARE, Scale
 from frictrack.calibration.scale_to_map import plane_map
-from frictrack.calibration.shake import steadied
+from frictrack.calibration.shake import subtract_shake
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Displacement, Mask, Track
 
-LEAST_PATH = 10.0  # px: for a shorter path the uncertainty of the scale is that of this length
-VARIES = 5e-3  # change of the pitch along the path that is worth a word
+MIN_PATH_PX = 10.0  # a shorter path gets the uncertainty of the scale over this length
+MIN_PITCH_CHANGE = 5e-3  # relative change of the pitch along the path that is reported
 
 
 def calibrate(
@@ -44,26 +52,25 @@ def calibrate(
     and to all runs of one camera.
     """
     plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
-    track, told = steadied(track, reference)
-    track, straight = straightened(track)
-    told = (*told, *straight)
+    track, shake_notes = subtract_shake(track, reference)
+    track, rotation_notes = follow_straight_point(track)
     at = np.stack([track.x_px, track.y_px], axis=1)
     variance = np.stack([track.sigma_px, track.sigma_y_px], axis=1) ** 2
     valid = np.all(np.isfinite(at), axis=1)
     place = np.full(at.shape, np.nan)
     place[valid] = plane(at[valid])
-    _check_seen(place, valid)
+    _check_placed(place, valid)
     along, across = directions(axis)
     x, y = in_plane(plane, along, across)
     jacobian = np.full((len(at), 2, 2), np.nan)
     jacobian[valid] = plane.jacobian(at[valid])
-    line = path(place[valid], _sigma(variance, jacobian, y)[valid])
+    line = fit_path(place[valid], _sigma(variance, jacobian, y)[valid])
     if isinstance(axis, str):
-        x, y = _along_path(plane, line, y)
+        x, y = _path_axes(plane, line, y)
     place = place - _zero(plane, origin_px)
     ends = _ends(at[valid], place[valid] @ x)
     pitch = _pitch(plane, ends.mean(axis=0), x)
-    notes = (*_told(plane, ends, x), *remarks(line, x, axis))
+    notes = (*_scale_notes(plane, ends, x), *direction_notes(line, x, axis))
     return Displacement(
         t=track.t,
         x=place @ x + x_offset,
@@ -76,11 +83,11 @@ def calibrate(
         pixel_pitch=pitch,
         systematic=track.systematic * pitch,
         relative_scale_error=plane.length(ends)[1],
-        notes=(*track.notes, *told, *notes),
+        notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
     )
 
 
-def _check_seen(place: Array, valid: Mask) -> None:
+def _check_placed(place: Array, valid: Mask) -> None:
     if not np.any(valid):
         raise FrictrackError(
             "expected a target that is found but it is lost in every frame; check target and reference"
@@ -99,11 +106,11 @@ def _sigma(variance: Array, jacobian: Array, direction: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(weight * variance, axis=1)))
 
 
-def _along_path(plane: PlaneMap, line: Line | None, y: Array) -> tuple[Array, Array]:
+def _path_axes(plane: PlaneMap, line: PathLine | None, y: Array) -> tuple[Array, Array]:
     """Unit vectors along the path's own direction and across it, the second on the side of `y`."""
     if line is None:
         raise FrictrackError('expected a target that travels for axis = "track" but it rests; give axis = [dx, dy]')
-    x = forward(line.along, plane.jacobian(np.array([plane.centre]))[0])
+    x = orient_forward(line.direction, plane.jacobian(np.array([plane.centre]))[0])
     across = np.array([-x[1], x[0]])
     return x, across if across @ y >= 0 else -across
 
@@ -118,8 +125,8 @@ def _zero(plane: PlaneMap, origin_px: Sequence[float] | None) -> Array:
 def _ends(at: Array, x: Array) -> Array:
     """Picture points (2, 2) px at both ends of the path; some px apart even for a target that rests."""
     ends = at[[int(np.argmin(x)), int(np.argmax(x))]]
-    if np.hypot(*(ends[1] - ends[0])) < LEAST_PATH:
-        ends = ends.mean(axis=0) + np.array([[-LEAST_PATH / 2, 0.0], [LEAST_PATH / 2, 0.0]])
+    if np.hypot(*(ends[1] - ends[0])) < MIN_PATH_PX:
+        ends = ends.mean(axis=0) + np.array([[-MIN_PATH_PX / 2, 0.0], [MIN_PATH_PX / 2, 0.0]])
     return np.asarray(ends)
 
 
@@ -129,7 +136,7 @@ def _pitch(plane: PlaneMap, middle: Array, x: Array) -> float:
     return plane.pitch(middle, np.linalg.solve(turn, x))
 
 
-def _told(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
+def _scale_notes(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
     """What the scale is made from, how good it is on this path, and what is to be said of it."""
     if not plane.used:
         return plane.notes
@@ -139,11 +146,11 @@ def _told(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
     sure = f"its length known to {share:.2g} %" if share else "its uncertainty not given"
     notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {sure}"]
     change = max(first, middle, last) / min(first, middle, last) - 1
-    if change > VARIES:
+    if change > MIN_PITCH_CHANGE:
         notes.append(
             f"the pitch changes by {100 * change:.2g} % along the path (perspective and lens), which is undone"
         )
-    if 0 < plane.reach < SHORT * path_px:
+    if 0 < plane.reach < MIN_RULER_SHARE * path_px:
         notes.append(
             f"the scale was read over {plane.reach:.0f} px but the path is {path_px:.0f} px long: a longer ruler, or "
             "points farther apart, would give a surer scale"

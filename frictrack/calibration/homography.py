@@ -19,14 +19,14 @@ from frictrack.calibration.plane import PlaneMap, Straight, as_seen, project
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
-FLAT = 0.02  # extent of the points across over that along, below which they are on one line
-NUMBERS = 8  # of a homography
-NEWTON = 20
-BEND = 0.3  # a larger k is no lens
+MIN_ASPECT = 0.02  # extent of the points across over that lengthwise; less is one line
+N_PARAMETERS = 8  # of a homography
+NEWTON_STEPS = 20
+MAX_RADIAL_COEFFICIENT = 0.3  # a larger k is no lens
 
 
 @dataclass(frozen=True, eq=False)
-class Norm:
+class Normalisation:
     """Coordinates of order one: (points - middle) / size."""
 
     middle: Array
@@ -51,8 +51,8 @@ class Homography:
     degrees: int
 
 
-def view(
-    points: Array, places: Array, sigma: Array, straight: Straight = as_seen, lens: Norm | None = None
+def fit_view(
+    points: Array, places: Array, sigma: Array, straight: Straight = as_seen, lens: Normalisation | None = None
 ) -> Homography:
     """Fit a plane to points (n, 2) px at known places (n, 2) m; `sigma` (n,) px of each point, along x and y.
 
@@ -67,12 +67,12 @@ def view(
         raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
     picture = _norm(seen)
     start = _linear(there(places), picture(seen))
-    bend = None if lens is None else partial(bent, lens=lens)
+    bend = None if lens is None else partial(distort, lens=lens)
     values, covariance, misfit = _fit(start, (there, picture, bend), (points if bend else seen, places), sigma)
-    unbend: Callable[[float, Array], Array] = (lambda k, p: p) if lens is None else partial(unbent, lens=lens)
+    unbend: Callable[[float, Array], Array] = (lambda k, p: p) if lens is None else partial(undistort, lens=lens)
 
     def place(given: Array, at: Array) -> Array:
-        flat = straight(at) if lens is None else unbend(float(given[NUMBERS]), at)
+        flat = straight(at) if lens is None else unbend(float(given[N_PARAMETERS]), at)
         return there.back(project(_inverse(given), picture(flat)))
 
     middle = points.mean(axis=0)
@@ -83,7 +83,10 @@ def view(
 
 
 def _fit(
-    start: Array, how: tuple[Norm, Norm, Callable[..., Array] | None], data: tuple[Array, Array], sigma: Array
+    start: Array,
+    how: tuple[Normalisation, Normalisation, Callable[..., Array] | None],
+    data: tuple[Array, Array],
+    sigma: Array,
 ) -> tuple[Array, Array, Array]:
     """Values, covariance, and the residuals (2, n) in standard deviations."""
     (there, picture, bend), (points, places) = how, data
@@ -91,7 +94,7 @@ def _fit(
 
     def residual(values: Array) -> Array:
         at = picture.back(project(_matrix(values), flat))
-        at = at if bend is None else bend(float(values[NUMBERS]), at)
+        at = at if bend is None else bend(float(values[N_PARAMETERS]), at)
         return np.nan_to_num(((at - points) / sigma[:, None]).T.ravel(), nan=1e6)
 
     free = np.concatenate([start, [0.0] * (bend is not None)])
@@ -105,24 +108,24 @@ def _fit(
     return found.x, covariance, found.fun.reshape(2, -1)
 
 
-def bent(k: float, points: Array, lens: Norm) -> Array:
+def distort(k: float, points: Array, lens: Normalisation) -> Array:
     """Where a lens of radial coefficient k shows straight points (n, 2) px."""
     q = lens(points)
     return lens.back(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
 
 
-def unbent(k: float, points: Array, lens: Norm) -> Array:
+def undistort(k: float, points: Array, lens: Normalisation) -> Array:
     """The straight points of those seen (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
     seen = lens(points)
     radius = np.linalg.norm(seen, axis=1)
     r = radius.copy()
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_STEPS):
         r -= (r * (1 + k * r**2) - radius) / np.maximum(1 + 3 * k * r**2, 0.1)
     return lens.back(seen / (1 + k * r**2)[:, None])
 
 
 def _matrix(values: Array) -> Array:
-    return np.append(values[:NUMBERS], 1.0).reshape(3, 3)
+    return np.append(values[:N_PARAMETERS], 1.0).reshape(3, 3)
 
 
 def _inverse(values: Array) -> Array:
@@ -139,22 +142,22 @@ def _linear(places: Array, points: Array) -> Array:
     none = np.zeros_like(at)
     rows = np.vstack([np.hstack([at, none, -x[:, None] * at]), np.hstack([none, at, -y[:, None] * at])])
     _, strength, right = svd(rows, full_matrices=True)
-    if strength[NUMBERS - 1] < 1e-6 * strength[0]:
+    if strength[N_PARAMETERS - 1] < 1e-6 * strength[0]:
         raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
     h = right[-1] / (right[-1, -1] or 1.0)
     if abs(right[-1, -1]) < 1e-6 or np.any(at @ h[6:] <= 0):
         raise FrictrackError(
             "no camera can see the places where the points are; check that points and plane come in the same order"
         )
-    return np.asarray(h[:NUMBERS], dtype=np.float64)
+    return np.asarray(h[:N_PARAMETERS], dtype=np.float64)
 
 
-def _norm(points: Array) -> Norm:
+def _norm(points: Array) -> Normalisation:
     middle = points.mean(axis=0)
-    return Norm(middle, float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))))
+    return Normalisation(middle, float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))))
 
 
 def _check_spread(points: Array, what: str) -> None:
     strength = svd(points - points.mean(axis=0), compute_uv=False)
-    if not strength[1] > FLAT * strength[0]:
+    if not strength[1] > MIN_ASPECT * strength[0]:
         raise FrictrackError(f"expected {what} that span a plane but all of them lie on one line; add one beside it")

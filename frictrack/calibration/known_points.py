@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from frictrack.calibration.homography import Homography, view
+from frictrack.calibration.homography import Homography, fit_view
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen
 from frictrack.calibration.scale import check_points, click_std
 from frictrack.records import Array
 
-UNLIKELY = 1e-3  # chance below which the points do not fit as well as they were clicked
+ALPHA_MISFIT = 1e-3  # significance level at which the points fit worse than they were clicked
 
 
 def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
@@ -22,21 +22,21 @@ def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> Plane
     points, places, std = check_points(scale)
     click = click_std(scale)
     sigma = np.full(len(points), click)
-    fitted = view(points, places, sigma, straight)
+    fitted = fit_view(points, places, sigma, straight)
     if np.any(std > 0):  # uncertain places count as clicks that are as uncertain
         pitch = np.sqrt(np.abs(np.linalg.det(fitted.map.jacobian(points))))
         sigma = np.sqrt(click**2 + np.mean(std**2, axis=1) / pitch**2)
-        fitted = view(points, places, sigma, straight)
-    return _told(fitted, click, points)
+        fitted = fit_view(points, places, sigma, straight)
+    return _with_misfit(fitted, click, points)
 
 
-def _told(fitted: Homography, click: float, points: Array) -> PlaneMap:
+def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
     n, degrees = len(points), fitted.degrees
     used = f"scale by {n} points of known place, clicked to {click:g} px"
     if degrees == 0:
         return replace(fitted.map, used=f"{used}; a fifth point would show whether they fit")
     used += f"; they fit to {fitted.rms:.2g} px"
-    if chi2.sf(fitted.chi2, degrees) >= UNLIKELY:
+    if chi2.sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
         return replace(fitted.map, used=used)
     spread = fitted.chi2 / degrees
     note = (

@@ -22,11 +22,11 @@ DISTORTION = (
     "distortion_coefficients", "dist_coeffs", "distCoeffs", "dist_coeff", "Distortion_Coefficients", "dist", "D", "D1",
 )  # fmt: skip
 WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
-LENGTHS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
-LARGEST = 1_000_000  # bytes of a lens file
-DEEPEST = 50  # brackets in brackets; a matrix has two
-CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-RETURNS = 0.01  # px: a point straightened and distorted again must come back this near
+COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
+MAX_FILE_BYTES = 1_000_000
+MAX_NESTING = 50  # brackets in brackets; a matrix has two
+STOP_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+MAX_ROUND_TRIP_PX = 0.01  # a point undistorted and distorted again must come back this near
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +43,18 @@ class Lens:
         if not len(flat):
             return np.zeros((0, 2))
         rays: Array = np.asarray(
-            cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=CRITERIA), dtype=np.float64
+            cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=STOP_CRITERIA), dtype=np.float64
         ).reshape(-1, 2)
-        off = np.linalg.norm(self.seen(rays) - flat[:, 0], axis=1)
-        return np.where((off < RETURNS)[:, None], rays, np.nan)
+        off = np.linalg.norm(self.project_rays(rays) - flat[:, 0], axis=1)
+        return np.where((off < MAX_ROUND_TRIP_PX)[:, None], rays, np.nan)
 
-    def seen(self, rays: Array) -> Array:
+    def project_rays(self, rays: Array) -> Array:
         """Picture points (n, 2) px of normalised directions (n, 2)."""
         solid = np.column_stack([rays, np.ones(len(rays))])
         points, _ = cv2.projectPoints(solid, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(points, dtype=np.float64).reshape(-1, 2)
 
-    def straight(self, points: Array) -> Array:
+    def undistorted(self, points: Array) -> Array:
         """Where the lens without its distortion would show the points (n, 2) px."""
         focal, centre = np.diag(self.matrix)[:2], self.matrix[:2, 2]
         return self.rays(points) * focal + centre
@@ -67,8 +67,8 @@ def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
     one of the two, holds another lens model, or is made for pictures of another size.
     """
     fields = _fields(path)
-    matrix = _named(fields, MATRIX, path, "a camera matrix")
-    distortion = _named(fields, DISTORTION, path, "distortion coefficients").ravel()
+    matrix = _field(fields, MATRIX, path, "a camera matrix")
+    distortion = _field(fields, DISTORTION, path, "distortion coefficients").ravel()
     if matrix.size != 9 or not _is_camera(matrix.reshape(3, 3)):
         raise FrictrackError(f"{path.name}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px")
     _check_model(path, fields, distortion)
@@ -85,8 +85,8 @@ def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
     model = str(fields.get("distortion_model", fields.get("model", "")))
     if model in ("equidistant", "fisheye", "kannala_brandt"):
         raise FrictrackError(f'{path.name}: expected the usual lens model (k1, k2, p1, p2, k3) but got "{model}"')
-    if distortion.size not in LENGTHS or not np.all(np.isfinite(distortion)):
-        counts = ", ".join(str(n) for n in LENGTHS)
+    if distortion.size not in COEFFICIENT_COUNTS or not np.all(np.isfinite(distortion)):
+        counts = ", ".join(str(n) for n in COEFFICIENT_COUNTS)
         raise FrictrackError(f"{path.name}: expected {counts} distortion coefficients but got {distortion.size}")
 
 
@@ -96,7 +96,7 @@ def _is_camera(matrix: Array) -> bool:
     )
 
 
-def _named(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
+def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
     value = next((fields[name] for name in names if name in fields), None)
     if value is None:
         came = ", ".join(list(fields)[:8]) or "nothing"
@@ -123,7 +123,7 @@ def _size(fields: dict[str, Any], path: Path) -> tuple[int, int] | None:
 def _fields(path: Path) -> dict[str, Any]:
     """The names at the top of the file with numbers, texts and matrices (as lists) behind them."""
     try:
-        if path.stat().st_size > LARGEST:
+        if path.stat().st_size > MAX_FILE_BYTES:
             raise FrictrackError(f"{path.name}: expected a lens file but it has {path.stat().st_size / 1e6:.0f} MB")
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as e:
@@ -131,25 +131,25 @@ def _fields(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
     try:
-        if _depth(text) > DEEPEST:
+        if _nesting(text) > MAX_NESTING:
             raise ValueError("brackets without end")
-        fields = _json(text) if text.lstrip().startswith("{") else _storage(text)
+        fields = _json(text) if text.lstrip().startswith("{") else _yaml_or_xml(text)
     except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
     return fields
 
 
-def _depth(text: str) -> int:
+def _nesting(text: str) -> int:
     """How deep brackets stand in brackets at most: a parser's time goes with the square of it."""
     steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
     return max(accumulate(steps), default=0)
 
 
 def _json(text: str) -> dict[str, Any]:
-    return _unwrapped(json.loads(text))
+    return _plain_matrices(json.loads(text))
 
 
-def _unwrapped(found: dict[str, Any]) -> dict[str, Any]:
+def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
     """Matrices as their numbers alone."""
     return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
@@ -169,7 +169,7 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_matrix)
 
 
-def _storage(text: str) -> dict[str, Any]:
+def _yaml_or_xml(text: str) -> dict[str, Any]:
     """OpenCV's own format, or YAML without its first line (ROS writes such). OpenCV's parser may never return."""
     if text.lstrip().startswith("<?xml"):
         return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
@@ -177,7 +177,7 @@ def _storage(text: str) -> dict[str, Any]:
     found = yaml.load("\n".join(lines), _Loader)
     if not isinstance(found, dict):
         raise ValueError("no names at the top")
-    return _unwrapped(found)
+    return _plain_matrices(found)
 
 
 def _element(element: ElementTree.Element) -> Any:

@@ -16,7 +16,7 @@ from frictrack.records import Array
 
 Place = Callable[[Array, Array], Array]
 
-STEP = 0.01  # px of the central differences; also the share of a standard deviation
+DIFFERENCE_STEP = 0.01  # of central differences: px, and the share of a standard deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class PlaneMap:
     def jacobian(self, points: Array) -> Array:
         """Change (n, 2, 2) of the point in the plane, m, per px of movement in the picture."""
         points = np.asarray(points, dtype=np.float64)
-        sides = [(self(points + d) - self(points - d)) / (2 * STEP) for d in STEP * np.eye(2)]
+        sides = [(self(points + d) - self(points - d)) / (2 * DIFFERENCE_STEP) for d in DIFFERENCE_STEP * np.eye(2)]
         return np.stack(sides, axis=2)
 
     def pitch(self, at: Array, direction: Array) -> float:
@@ -61,10 +61,10 @@ class PlaneMap:
         for k in range(len(slope)):
             std = float(np.sqrt(self.covariance[k, k]))
             step = np.zeros(len(self.values))
-            step[k] = STEP * std
+            step[k] = DIFFERENCE_STEP * std
             if std > 0:
                 far, near = (_distance(self.place(self.values + s, ends)) for s in (step, -step))
-                slope[k] = (far - near) / (2 * STEP * std)
+                slope[k] = (far - near) / (2 * DIFFERENCE_STEP * std)
         return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
 
     def scaled(self, factor: float, relative: float) -> PlaneMap:

@@ -14,11 +14,11 @@ import numpy as np
 from frictrack.calibration.course_direction import frames_per_independent
 from frictrack.records import Array, Track
 
-LARGE = np.pi / 2  # rad: a target that turns farther is seen along its axis, and does not rock on its course
-FEWEST = 24  # frames
-SIGNIFICANT = 5.0  # standard deviations of the arm from which the point is moved
-WELL_KNOWN = 0.2  # of the arm, that its standard deviation may be
-ROUNDS = 4  # of the direction of the course and the arm; two are enough where the path is long
+MIN_ROTATION = np.pi / 2  # rad; a target that turns farther is seen along its axis, and does not rock on its course
+MIN_FRAMES = 24
+MIN_ARM_SIGMAS = 5.0  # standard deviations of the arm from which the point is moved
+MAX_ARM_ERROR = 0.2  # of the arm, that its standard deviation may be
+N_ROUNDS = 4  # of the direction of the course and the arm; two are enough where the path is long
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class _Arm:
     std: float
 
 
-def straightened(track: Track) -> tuple[Track, tuple[str, ...]]:
+def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
     """Places of the point of a target that moves along a straight course, and in words how far off it lies.
 
     Parameters
@@ -44,15 +44,15 @@ def straightened(track: Track) -> tuple[Track, tuple[str, ...]]:
 
     """
     known = track.found & np.isfinite(track.angle)
-    if np.count_nonzero(known) < FEWEST:
+    if np.count_nonzero(known) < MIN_FRAMES:
         return track, ()
     angle = np.full(len(track.angle), np.nan)
     angle[known] = np.unwrap(track.angle[known])
-    if np.ptp(angle[known]) < LARGE:
+    if np.ptp(angle[known]) < MIN_ROTATION:
         return track, ()
     arm = _arm(np.stack([track.x_px, track.y_px], axis=1)[known], angle[known])
     length = float(np.hypot(*arm.at))
-    if length < SIGNIFICANT * arm.std or arm.std > WELL_KNOWN * length:
+    if length < MIN_ARM_SIGMAS * arm.std or arm.std > MAX_ARM_ERROR * length:
         return track, ()
     moved = _turned(arm.at, angle)
     lever = _turned(np.array([-arm.at[1], arm.at[0]]), angle)  # px per rad
@@ -80,7 +80,7 @@ def _turned(arm: Array, angle: Array) -> Array:
 def _arm(place: Array, angle: Array) -> _Arm:
     """The arm with which the path of places (n, 2) is smoothest across its own direction, by least squares."""
     at = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(N_ROUNDS):
         path = place + _turned(at, angle)
         along = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
         across = np.array([-along[1], along[0]])

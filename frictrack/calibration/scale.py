@@ -21,12 +21,12 @@ KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
     "target": (frozenset({"target"}), frozenset()),
     "board": (frozenset({"board", "squares", "square"}), frozenset({"dictionary", "marker", "plane"})),
 }  # keys that must and may be there
-WANTED = (
+EXAMPLES = (
     '"0.5 mm/px", {points = [[x, y], [x, y]], length = "100 mm"}, {target = "40 mm"}, '
     '{board = "board.png", squares = [9, 6], square = "10 mm"} or {points = [four of them], plane = [[X, Y], ...]}'
 )
-CLICK = "0.5 px"  # standard deviation of a click, along x and along y
-SHORT = 0.2  # of the path: a shorter ruler gets a note
+DEFAULT_CLICK = "0.5 px"  # standard deviation of a click, along x and along y
+MIN_RULER_SHARE = 0.2  # of the path: a shorter ruler gets a note
 
 
 def parse_scale(scale: Scale | None) -> tuple[float, float]:
@@ -39,10 +39,10 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
     """
     kind, written = kind_of(scale), cast(Any, scale)
     if kind == "number":
-        value, std = number(scale)
+        value, std = parse_number(scale)
         return value, std / value
     if kind == "ruler":
-        made = ruler(written)
+        made = map_from_ruler(written)
         return made.pitch(np.zeros(2), np.array([1.0, 0.0])), made.length(np.array([[0.0, 0.0], [1.0, 0.0]]))[1]
     if kind == "several":
         return [parse_scale(one) for one in written][0]  # noqa: RUF015 - all are checked
@@ -61,21 +61,21 @@ def kind_of(scale: Any) -> str:
         return "several"
     if not isinstance(scale, Mapping):
         return "number"
-    given = frozenset(scale)
+    map_from_number = frozenset(scale)
     for kind, (needed, allowed) in KINDS.items():
-        if needed <= given <= needed | allowed:
+        if needed <= map_from_number <= needed | allowed:
             return kind
-    raise FrictrackError(_unlike(given))
+    raise FrictrackError(_describe_wrong_keys(map_from_number))
 
 
-def _unlike(given: frozenset[str]) -> str:
+def _describe_wrong_keys(map_from_number: frozenset[str]) -> str:
     """What is wrong with the keys of a scale: the kind that comes nearest, and what it lacks or has too much."""
     words = {"board": {"board", "squares", "square"}, "target": {"target"}, "points": {"plane"}}
-    likely = next((kind for kind, marks in words.items() if given & marks), "ruler")
+    likely = next((kind for kind, marks in words.items() if map_from_number & marks), "ruler")
     needed, allowed = KINDS[likely]
-    lacking, foreign = sorted(needed - given), sorted(given - needed - allowed)
-    if not given & (needed | allowed):
-        return f"expected a scale as {WANTED} but got the keys {', '.join(sorted(given)) or 'none'}"
+    lacking, foreign = sorted(needed - map_from_number), sorted(map_from_number - needed - allowed)
+    if not map_from_number & (needed | allowed):
+        return f"expected a scale as {EXAMPLES} but got the keys {', '.join(sorted(map_from_number)) or 'none'}"
     if foreign:
         known = ", ".join(sorted(needed | allowed))
         return f"expected a scale by {likely} with the keys {known} but got {', '.join(foreign)} too"
@@ -83,7 +83,7 @@ def _unlike(given: frozenset[str]) -> str:
     return f"expected a scale by {likely} with {' and '.join(sorted(needed))} but {missing} is missing"
 
 
-def number(scale: Any) -> tuple[float, float]:
+def parse_number(scale: Any) -> tuple[float, float]:
     """Metres per pixel and its standard deviation."""
     value, std = quantity(scale, "m/px", "the scale")
     if not value > 0:
@@ -91,16 +91,16 @@ def number(scale: Any) -> tuple[float, float]:
     return value, std
 
 
-def given(scale: Any, straight: Straight = as_seen) -> PlaneMap:
+def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
     """The map of a scale that is a number."""
-    value, std = number(scale)
+    value, std = parse_number(scale)
     return uniform([value], [[std**2]], lambda values: float(values[0]), straight)
 
 
-def ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
+def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
     """The map of two points of known distance: its numbers are the length and the four clicks."""
     points = picture_points(scale["points"], 2)
-    length, std = positive(scale["length"], "the length between the two points")
+    length, std = parse_length(scale["length"], "the length between the two points")
     click = click_std(scale)
     distance = float(np.hypot(*(points[1] - points[0])))
     if not distance > 0:
@@ -130,7 +130,7 @@ def picture_points(raw: Any, least: int) -> Array:
     return points
 
 
-def positive(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
+def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
     """A length above 0 and its standard deviation."""
     value, std = quantity(raw, unit, what)
     if not value > 0:
@@ -140,7 +140,7 @@ def positive(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
 
 def click_std(scale: Mapping[str, Any]) -> float:
     """Standard deviation of a click, px."""
-    return positive(scale.get("click", CLICK), "click, the standard deviation of a click,", "px")[0]
+    return parse_length(scale.get("click", DEFAULT_CLICK), "click, the standard deviation of a click,", "px")[0]
 
 
 def plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -186,27 +186,27 @@ def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
 def check_board(scale: Mapping[str, Any]) -> None:
     """A board as it is written; its pictures are read later."""
     board_squares(scale)
-    square, _ = positive(scale["square"], "the side of a square")
+    square, _ = parse_length(scale["square"], "the side of a square")
     if ("dictionary" in scale) != ("marker" in scale):
         raise FrictrackError("expected both dictionary and marker for a ChArUco board, neither for a checkerboard")
-    if "marker" in scale and positive(scale["marker"], "the side of a marker")[0] >= square:
+    if "marker" in scale and parse_length(scale["marker"], "the side of a marker")[0] >= square:
         raise FrictrackError(f"expected a marker smaller than its square but got {scale['marker']!r}")
     if type(scale.get("plane", 0)) is not int or scale.get("plane", 0) < 0:
         raise FrictrackError(f"expected plane as the number of a picture (the first is 0) but got {scale['plane']!r}")
-    files(scale)
+    board_files(scale)
 
 
-def files(scale: Mapping[str, Any]) -> list[Path]:
+def board_files(scale: Mapping[str, Any]) -> list[Path]:
     """The files that a board's pictures lie in."""
     raw = scale["board"]
-    given = list(raw) if isinstance(raw, list | tuple) else [raw]
-    if not given or not all(isinstance(one, str | Path) and str(one) for one in given):
+    map_from_number = list(raw) if isinstance(raw, list | tuple) else [raw]
+    if not map_from_number or not all(isinstance(one, str | Path) and str(one) for one in map_from_number):
         raise FrictrackError(f"expected board as a picture, several, a folder or a recording but got {raw!r}")
-    return [Path(one) for one in given]
+    return [Path(one) for one in map_from_number]
 
 
 CHECKS: Mapping[str, Callable[[Any], Any]] = {
     "points": check_points,
-    "target": lambda scale: positive(scale["target"], "the target's size along the course"),
+    "target": lambda scale: parse_length(scale["target"], "the target's size along the course"),
     "board": check_board,
 }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from frictrack.calibration import scale as written
-from frictrack.calibration.course_direction import Axis, directions, path
+from frictrack.calibration.course_direction import Axis, directions, fit_path
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
 from frictrack.calibration.scale import Scale
 from frictrack.errors import FrictrackError
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from frictrack.calibration.lens import Lens
     from frictrack.recording import Recording
 
-DISAGREE = 2.0  # standard deviations between two scales that is worth a word ...
-CLOSE = 2e-3  # ... and the share of the scale below which it is not
+MIN_DISAGREEMENT_SIGMAS = 2.0  # standard deviations between two scales from which it is reported ...
+MIN_DISAGREEMENT = 2e-3  # ... and the least relative difference that is reported
 
 
 def plane_map(
@@ -47,16 +47,18 @@ def plane_map(
     """
     kind = written.kind_of(scale)
     if kind == "several":
-        return _checked([plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track)
+        return _compare_maps(
+            [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track
+        )
     shape = film.shape if film is not None else None
     known = _lens(lens, shape)
-    straight = known.straight if known else as_seen
+    straight = known.undistorted if known else as_seen
     makers = {
-        "number": lambda: written.given(scale, straight),
-        "ruler": lambda: written.ruler(_table(scale), straight),
-        "points": lambda: _points(_table(scale), straight),
-        "target": lambda: _target(_table(scale), (track, film), _direction(track, axis), straight),
-        "board": lambda: _board(_table(scale), known, shape),
+        "number": lambda: written.map_from_number(scale, straight),
+        "ruler": lambda: written.map_from_ruler(_table(scale), straight),
+        "points": lambda: _map_by_points(_table(scale), straight),
+        "target": lambda: _map_by_target(_table(scale), (track, film), _direction(track, axis), straight),
+        "board": lambda: _map_by_board(_table(scale), known, shape),
     }
     made = makers[kind]()
     if lens is None:
@@ -69,27 +71,27 @@ def _table(scale: Any) -> dict[str, Any]:
     return dict(scale)
 
 
-def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
-    if path is None:
+def _lens(fit_path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
+    if fit_path is None:
         return None
     from frictrack.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    return read_lens(Path(path), shape)
+    return read_lens(Path(fit_path), shape)
 
 
-def _points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
+def _map_by_points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
     from frictrack.calibration.known_points import from_points  # noqa: PLC0415
 
     return from_points(scale, straight)
 
 
-def _board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
-    from frictrack.calibration.board import board_of, views  # noqa: PLC0415
-    from frictrack.calibration.camera import plane_of  # noqa: PLC0415
+def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
+    from frictrack.calibration.board import board_of, find_views  # noqa: PLC0415
+    from frictrack.calibration.camera import plane_from_views  # noqa: PLC0415
 
     board = board_of(scale)
-    seen, missed = views(scale, board, shape)
-    made = plane_of(seen, board, lens)
+    seen, missed = find_views(scale, board, shape)
+    made = plane_from_views(seen, board, lens)
     if not missed:
         return made
     names = f"{missed[0]} and {len(missed) - 1} more" if len(missed) > 1 else missed[0]
@@ -100,26 +102,26 @@ def _direction(track: Track | None, axis: Axis) -> Array:
     """The course in the picture: the axis, or that of the path where this is asked for."""
     if isinstance(axis, str) and track is not None:
         found = track.found
-        line = path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
+        line = fit_path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
         if line is not None:
-            return line.along
+            return line.direction
     return directions(axis)[0]
 
 
-def _target(
-    scale: dict[str, Any], seen: tuple[Track | None, Recording | None], along: Array, straight: Straight
+def _map_by_target(
+    scale: dict[str, Any], seen: tuple[Track | None, Recording | None], direction: Array, straight: Straight
 ) -> PlaneMap:
     """The map whose numbers are the target's size in m and the two ends of its outline along the course."""
     from frictrack.calibration.target_size import target_width  # noqa: PLC0415
 
     track, film = seen
-    size, std = written.positive(scale["target"], "the target's size along the course")
+    size, std = written.parse_length(scale["target"], "the target's size along the course")
     if track is None:
         raise FrictrackError("expected a track for a scale by the target's size but got none")
-    width = target_width(track, along, film)
+    width = target_width(track, direction, film)
 
     def pitch(values: Array) -> float:
-        reach = along * values[1] / 2
+        reach = direction * values[1] / 2
         middle = width.ends.mean(axis=0)
         ends = straight(np.stack([middle - reach, middle + reach]))
         return float(values[0] / np.hypot(*(ends[1] - ends[0])))
@@ -128,7 +130,7 @@ def _target(
     return replace(made, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
 
 
-def _checked(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
+def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
     """The first of several maps, with a note on each that disagrees with it in the middle of the path."""
     first = maps[0]
     at = np.array(first.centre)
@@ -140,7 +142,7 @@ def _checked(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
     for other in maps[1:]:
         theirs, also = other.length(ends)
         ratio, sigma = theirs / length - 1, float(np.hypot(std, also))
-        if abs(ratio) > max(DISAGREE * sigma, CLOSE):
+        if abs(ratio) > max(MIN_DISAGREEMENT_SIGMAS * sigma, MIN_DISAGREEMENT):
             notes.append(
                 f"two scales disagree: {1e5 * theirs:.5g} µm/px ({other.used or 'as given'}) is {100 * ratio:+.2g} % "
                 f"off the {1e5 * length:.5g} µm/px that is used, and their standard deviation is {100 * sigma:.2g} %"

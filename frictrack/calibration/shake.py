@@ -17,12 +17,12 @@ from scipy.stats import chi2
 from frictrack.errors import FrictrackError
 from frictrack.records import Array, Mask, Track
 
-SURE = 1e-3  # probability that noise alone is taken for shake, over all frequencies of an axis
-KNOWN = 5.0  # times its own uncertainty, that shake must be before it is subtracted
-WIDTH = 5  # frequencies over which the spectrum is smoothed; each has one degree of freedom (real cosines)
-LEAST = 32  # frames in which the reference must be found
-TONES = 6  # steady tones fitted at most, along each axis
-ROUNDS = 8  # of Gauss-Newton on their frequencies
+ALPHA_SHAKE = 1e-3  # probability that noise alone is taken for shake, over all frequencies of an axis
+MIN_SHAKE_SIGMAS = 5.0  # times its own uncertainty that shake must be before it is subtracted
+N_SMOOTHED = 5  # frequencies over which the spectrum is smoothed; each has one degree of freedom (real cosines)
+MIN_FRAMES = 32  # in which the reference must be found
+MAX_TONES = 6  # steady tones fitted along each axis
+MAX_ROUNDS = 8  # of Gauss-Newton on their frequencies
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +41,12 @@ class Shake:
     left_in: float = 0.0  # px
 
     @property
-    def seen(self) -> bool:
+    def detected(self) -> bool:
         """Whether there is any."""
         return self.frequency is not None
 
 
-def shake(reference: Track, least: float = 0.0) -> Shake:
+def estimate_shake(reference: Track, least: float = 0.0) -> Shake:
     """Shake told by the track of something fixed; none where it moves hardly more than its own noise.
 
     For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
@@ -57,17 +57,17 @@ def shake(reference: Track, least: float = 0.0) -> Shake:
     """
     if not np.any(reference.found):
         raise FrictrackError(f'the reference "{reference.name}" was found in no frame; choose another one')
-    at = _bridged(np.stack([reference.x_px, reference.y_px], axis=1), reference.found)
+    at = _interpolate_lost(np.stack([reference.x_px, reference.y_px], axis=1), reference.found)
     at = at - at.mean(axis=0)
     stated = [float(np.nanmedian(s)) for s in (reference.sigma_px, reference.sigma_y_px)]
     movement, variance, left_in = np.zeros(at.shape), np.zeros(2), 0.0
-    if np.count_nonzero(reference.found) >= LEAST:
+    if np.count_nonzero(reference.found) >= MIN_FRAMES:
         for axis in range(2):
-            told, error = above_noise(at[:, axis], reference.t, stated[axis])
-            if np.std(told) >= least:
-                movement[:, axis], variance[axis] = told, error
+            motion, error = significant_motion(at[:, axis], reference.t, stated[axis])
+            if np.std(motion) >= least:
+                movement[:, axis], variance[axis] = motion, error
             else:
-                left_in = max(left_in, float(np.std(told)))
+                left_in = max(left_in, float(np.std(motion)))
     return Shake(
         movement,
         sigma=np.sqrt(variance),
@@ -78,7 +78,7 @@ def shake(reference: Track, least: float = 0.0) -> Shake:
     )
 
 
-def steadied(track: Track, reference: Track | None, least: float = 0.0) -> tuple[Track, tuple[str, ...]]:
+def subtract_shake(track: Track, reference: Track | None, least: float = 0.0) -> tuple[Track, tuple[str, ...]]:
     """The track without the camera's shake, and in words what was done; as it is without a reference.
 
     Shake smaller than `least` px (rms) is left in. The uncertainty that the reference adds goes into sigma. Where
@@ -89,9 +89,9 @@ def steadied(track: Track, reference: Track | None, least: float = 0.0) -> tuple
         return track, ()
     if len(reference) != len(track):
         raise FrictrackError(f"expected a reference track of {len(track)} frames but got {len(reference)}")
-    found = shake(reference, least)
-    if not found.seen:
-        return track, (*reference.notes, _rests(reference, found))
+    found = estimate_shake(reference, least)
+    if not found.detected:
+        return track, (*reference.notes, _nothing_subtracted(reference, found))
     gone = np.where(reference.found, 0.0, np.nan)
     steady = replace(
         track,
@@ -106,13 +106,13 @@ def steadied(track: Track, reference: Track | None, least: float = 0.0) -> tuple
     return steady, (*reference.notes, _subtracted(reference, found))
 
 
-def _bridged(at: Array, found: Mask) -> Array:
+def _interpolate_lost(at: Array, found: Mask) -> Array:
     """Places (n, 2) with lost frames interpolated."""
     n = np.arange(len(at))
     return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
 
 
-def above_noise(x: Array, t: Array, stated: float = 0.0) -> tuple[Array, float]:
+def significant_motion(x: Array, t: Array, stated: float = 0.0) -> tuple[Array, float]:
     """What of a series x (n,) about zero is more than its white noise, and the variance of what is told.
 
     The noise is at least a quarter of the `stated` variance, or a film without noise would shake.
@@ -122,11 +122,11 @@ def above_noise(x: Array, t: Array, stated: float = 0.0) -> tuple[Array, float]:
     noise = max(float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated**2, 1e-20)
     tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
     spectrum = dct(x - tones, norm="ortho")
-    gain = _gain(spectrum**2, noise)
+    gain = _wiener_gain(spectrum**2, noise)
     movement = tones + idct(gain * spectrum, norm="ortho")
     variance = noise * (float(gain.mean()) + 3 * count / len(x))
     # Shake that is half known, half subtracted, is neither a tone any more nor gone.
-    known = float(np.std(movement)) > KNOWN * np.sqrt(variance)
+    known = float(np.std(movement)) > MIN_SHAKE_SIGMAS * np.sqrt(variance)
     return (movement, variance) if known else (np.zeros(len(x)), 0.0)
 
 
@@ -136,22 +136,24 @@ def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
     `time` (n,) is in frames; where frames are missing, it has gaps.
     """
     n, model = len(x), np.zeros(len(x))
-    least = 2 * np.log(n / SURE) + 10  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
+    least = (
+        2 * np.log(n / ALPHA_SHAKE) + 10
+    )  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
     found: list[float] = []
-    while len(found) < TONES:
+    while len(found) < MAX_TONES:
         power = np.abs(np.fft.rfft((x - model) * np.hanning(n), 4 * n))
         power[:6] = 0.0  # less than one and a half periods in the film is no tone but a drift
-        fitted, tried = _fitted(x, time, np.array([*found, float(np.argmax(power)) / (4 * n)]))
+        fitted, tried = _fit_tones(x, time, np.array([*found, float(np.argmax(power)) / (4 * n)]))
         if float(np.sum((x - model) ** 2) - np.sum((x - fitted) ** 2)) < least * noise:
             break
         model, found = fitted, tried.tolist()
     return model - model.mean(), len(found)
 
 
-def _fitted(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
+def _fit_tones(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
     """Tones fitted to x (n,) from first frequencies (k,) in cycles per frame: their sum and the frequencies."""
     k, model = len(cycles), np.zeros(len(x))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         turn = 2 * np.pi * time[:, None] * cycles
         waves = np.concatenate([np.ones((len(x), 1)), np.cos(turn), np.sin(turn)], axis=1)
         size = np.linalg.lstsq(waves, x, rcond=1e-9)[0]
@@ -165,11 +167,11 @@ def _fitted(x: Array, time: Array, cycles: Array) -> tuple[Array, Array]:
     return model, cycles
 
 
-def _gain(power: Array, noise: float) -> Array:
+def _wiener_gain(power: Array, noise: float) -> Array:
     """Share of each cosine that is kept."""
-    smooth = uniform_filter1d(power, WIDTH, mode="nearest")
-    stands_out = smooth > noise * float(chi2.isf(SURE / len(power), WIDTH)) / WIDTH
-    near = uniform_filter1d(stands_out.astype(np.float64), WIDTH, mode="nearest") > 0
+    smooth = uniform_filter1d(power, N_SMOOTHED, mode="nearest")
+    stands_out = smooth > noise * float(chi2.isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
+    near = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
     return np.where(near, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
 
 
@@ -180,21 +182,21 @@ def _strongest(movement: Array, t: Array) -> float:
     return float(np.argmax(power)) / (16 * n * float(np.median(np.diff(t))))
 
 
-def _rests(reference: Track, found: Shake) -> str:
-    if np.count_nonzero(reference.found) < LEAST:
+def _nothing_subtracted(reference: Track, found: Shake) -> str:
+    if np.count_nonzero(reference.found) < MIN_FRAMES:
         return (
-            f"the fixed reference {_where(reference)} is seen in {np.count_nonzero(reference.found)} frames, which are "
+            f"the fixed reference {_label(reference)} is seen in {np.count_nonzero(reference.found)} frames, which are "
             "too few to tell camera shake from noise; nothing is subtracted"
         )
     if found.left_in:
         x, y, w, h = (round(v) for v in reference.target or (0, 0, 0, 0))
         return (
-            f"camera shake of {found.left_in:.2g} px (rms) is told by the fixed reference {_where(reference)} and "
+            f"camera shake of {found.left_in:.2g} px (rms) is told by the fixed reference {_label(reference)} and "
             f"left in: other films may not show so little; reference = [{x}, {y}, {w}, {h}] subtracts it"
         )
     x, y = found.floor
     return (
-        f"no camera shake: the fixed reference {_where(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "
+        f"no camera shake: the fixed reference {_label(reference)} moves by {x:.2g} px along x and {y:.2g} px along y "
         f"(rms), of which nothing stands out of its noise well enough to be subtracted"
     )
 
@@ -203,12 +205,12 @@ def _subtracted(reference: Track, found: Shake) -> str:
     (x, y), sigma, floor = found.size, float(np.max(found.sigma)), float(np.max(found.floor))
     return (
         f"camera shake of {x:.2g} px along x and {y:.2g} px along y (rms), strongest at {found.frequency:.0f} Hz, is "
-        f"told by the fixed reference {_where(reference)} and subtracted; this adds {sigma:.2g} px of uncertainty, and "
+        f"told by the fixed reference {_label(reference)} and subtracted; this adds {sigma:.2g} px of uncertainty, and "
         f'the reference keeps {floor:.2g} px of noise (reference = "none" leaves the shake in)'
     )
 
 
-def _where(reference: Track) -> str:
+def _label(reference: Track) -> str:
     if reference.target is None:
         return f'"{reference.name}"'
     return "[" + ", ".join(f"{v:.0f}" for v in reference.target) + "]"

@@ -19,21 +19,21 @@ from frictrack.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Track
 
-FRAMES = 48
-RIM = 12  # px beyond the rectangle, or a fifth of it where that is more
-OVERSAMPLED = 4  # readings per px along the course
-EDGE = 0.15  # px: how far light and focus may move an edge
-CLEAR = 4.0  # noise of the background above which a line belongs to the target
-BAND = 0.8  # of the rectangle's height that is read
-LEAST = 12  # lines on which the edge must be found
-ROUND = 0.1  # curvature of the squared chords from which they are those of a disc
-VAGUE = 0.3  # px: an edge that is known no better is none
-GROUPS = 6  # of lines, whose scatter says how well the edge is known
-DEEP, NEAR = 7, 3  # px from the edge within which its two levels are read
+N_FRAMES = 48  # whose median is the picture
+RIM_PX = 12  # beyond the rectangle, or a fifth of it where that is more
+READINGS_PER_PX = 4  # readings per px along the course
+EDGE_ERROR_PX = 0.15  # by which light and focus may move an edge
+MIN_CONTRAST = 4.0  # noise of the background above which a line belongs to the target
+READ_SHARE = 0.8  # of the rectangle's height that is read
+MIN_LINES = 12  # lines on which the edge must be found
+MIN_CURVATURE = 0.1  # of the squared chords, from which the target is a disc
+MAX_EDGE_SIGMA_PX = 0.3  # an edge that is known no better is none
+N_GROUPS = 6  # of lines, whose scatter is the uncertainty of the edge
+PROFILE_REACH_PX, EDGE_ZONE_PX = 7, 3  # px from the edge within which its two levels are read
 
 
 @dataclass(frozen=True, eq=False)
-class Width:
+class TargetWidth:
     """The target's extent along the course: the two `ends` (2, 2) px of the picture, and its deviation, px."""
 
     ends: Array
@@ -46,31 +46,31 @@ class Width:
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
 
 
-def target_width(track: Track, direction: Array, film: Recording | None = None) -> Width:
+def target_width(track: Track, direction: Array, film: Recording | None = None) -> TargetWidth:
     """Extent of the target along `direction` (2,) of the picture, from the film or else the track's own picture.
 
     Raises `FrictrackError` when the outline does not stand out from the background on both sides.
     """
     if track.target is None or (film is None and track.picture is None):
         raise FrictrackError("expected a track with its target's rectangle for a scale by the target's size")
-    picture = _averaged(track, film) if film is not None else np.asarray(track.picture)
-    along = np.asarray(direction, dtype=np.float64) / np.hypot(*direction)
-    lines = _lines(picture, along, track.target[2:])
+    picture = _median_picture(track, film) if film is not None else np.asarray(track.picture)
+    course = np.asarray(direction, dtype=np.float64) / np.hypot(*direction)
+    lines = _lines(picture, course, track.target[2:])
     left, right = _edge(lines), _edge(lines[:, ::-1])
-    chords = (lines.shape[1] - 1 - right.at - left.at) / OVERSAMPLED
-    width, shape = _widest(chords)
-    std = float(np.sqrt(left.std**2 + right.std**2 + 2 * EDGE**2))
-    middle = float(np.median(left.at - right.at)) / 2 / OVERSAMPLED
-    centre = np.array(track.target[:2]) + (np.array(track.target[2:]) - 1) / 2 + along * middle
-    ends = np.stack([centre - along * width / 2, centre + along * width / 2])
-    return Width(ends, std, f"{width:.2f} ± {std:.2f} px from edge to edge ({shape})")
+    chords = (lines.shape[1] - 1 - right.at - left.at) / READINGS_PER_PX
+    width, shape = _width_and_shape(chords)
+    std = float(np.sqrt(left.std**2 + right.std**2 + 2 * EDGE_ERROR_PX**2))
+    middle = float(np.median(left.at - right.at)) / 2 / READINGS_PER_PX
+    centre = np.array(track.target[:2]) + (np.array(track.target[2:]) - 1) / 2 + course * middle
+    ends = np.stack([centre - course * width / 2, centre + course * width / 2])
+    return TargetWidth(ends, std, f"{width:.2f} ± {std:.2f} px from edge to edge ({shape})")
 
 
-def _averaged(track: Track, film: Recording) -> Array:
+def _median_picture(track: Track, film: Recording) -> Array:
     """Median (h, w) of cut-outs with a rim round the rectangle, registered to a small part of a pixel."""
     assert track.target is not None
     w, h = (round(s) for s in track.target[2:])
-    size = tuple(s + 2 * max(RIM, s // 5) for s in (w, h))
+    size = tuple(s + 2 * max(RIM_PX, s // 5) for s in (w, h))
     half = (np.array(size) - 1) / 2 + 2
     at = np.stack([track.x_px, track.y_px], axis=1)
     room = np.array(film.shape[::-1]) - 1
@@ -80,7 +80,7 @@ def _averaged(track: Track, film: Recording) -> Array:
             "the target is nowhere in the film with a rim of background round it, so its size gives no scale; "
             'give a ruler as scale = {points = [[x, y], [x, y]], length = "100 mm"}'
         )
-    chosen = np.unique(whole[_spread(at[whole])])
+    chosen = np.unique(whole[_spread_rows(at[whole])])
     shift = [np.array([[1, 0, s[0]], [0, 1, s[1]]]) for s in at[chosen] - (np.array(size) - 1) / 2]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     cuts = [
@@ -90,23 +90,23 @@ def _averaged(track: Track, film: Recording) -> Array:
     return np.asarray(np.median(cuts, axis=0), dtype=np.float64)
 
 
-def _spread(at: Array) -> np.ndarray:
+def _spread_rows(at: Array) -> np.ndarray:
     """Rows spread over the path that is travelled."""
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(at, axis=0).T))])
     path = 0.9 * path / max(path[-1], 1e-9) + 0.1 * np.linspace(0, 1, len(path))
-    return np.searchsorted(path, np.linspace(0, path[-1], FRAMES)).clip(0, len(at) - 1)
+    return np.searchsorted(path, np.linspace(0, path[-1], N_FRAMES)).clip(0, len(at) - 1)
 
 
-def _lines(picture: Array, along: Array, size: tuple[float, ...]) -> Array:
-    """Readings (lines, n) along the course, through the middle of the picture, `OVERSAMPLED` per px."""
-    across = np.array([-along[1], along[0]])
+def _lines(picture: Array, course: Array, size: tuple[float, ...]) -> Array:
+    """Readings (lines, n) along the course, through the middle of the picture, `READINGS_PER_PX` per px."""
+    across = np.array([-course[1], course[0]])
     middle = (np.array(picture.shape[::-1]) - 1) / 2
-    high = BAND * float(np.abs(across) @ np.array(size)) / 2
-    reach = min(m / max(abs(a), 1e-9) for m, a in zip(middle, along, strict=True))
+    high = READ_SHARE * float(np.abs(across) @ np.array(size)) / 2
+    reach = min(m / max(abs(a), 1e-9) for m, a in zip(middle, course, strict=True))
     offsets = np.arange(-np.floor(high), np.floor(high) + 1)
-    n = int(np.floor(reach * OVERSAMPLED))
-    s = np.arange(-n, n + 1) / OVERSAMPLED
-    at = middle + offsets[:, None, None] * across + s[None, :, None] * along
+    n = int(np.floor(reach * READINGS_PER_PX))
+    s = np.arange(-n, n + 1) / READINGS_PER_PX
+    at = middle + offsets[:, None, None] * across + s[None, :, None] * course
     lines = map_coordinates(picture, [at[..., 1], at[..., 0]], order=3, mode="nearest")
     return np.asarray(lines, dtype=np.float64)
 
@@ -125,25 +125,25 @@ def _edge(lines: Array) -> _Edge:
     Texture moves the edge of a single line; over many lines it averages out, and half-way between the levels outside
     and inside is the edge.
     """
-    rough = _rough(lines)
+    rough = _first_edges(lines)
     good = np.flatnonzero(np.isfinite(rough))
-    if len(good) < max(LEAST, 0.6 * len(lines)):
-        raise _unclear()
+    if len(good) < max(MIN_LINES, 0.6 * len(lines)):
+        raise _no_outline()
     filled = np.interp(np.arange(len(lines)), good, rough[good])
     window = max(len(lines) // 3 // 2 * 2 + 1, 5)
     smooth = savgol_filter(median_filter(filled, size=min(window, 7), mode="nearest"), window, 2, mode="interp")
-    offset = np.arange(-DEEP * OVERSAMPLED, DEEP * OVERSAMPLED + 1)
+    offset = np.arange(-PROFILE_REACH_PX * READINGS_PER_PX, PROFILE_REACH_PX * READINGS_PER_PX + 1)
     readings = np.arange(lines.shape[1])
     laid = np.array([np.interp(at + offset, readings, line) for at, line in zip(smooth, lines, strict=True)])
-    found = np.array([_half_way(group.mean(axis=0)) for group in np.array_split(laid, GROUPS)])
+    found = np.array([_half_level(group.mean(axis=0)) for group in np.array_split(laid, N_GROUPS)])
     shifts, steps = found.T
-    std = float(shifts.std(ddof=1) / np.sqrt(GROUPS) / OVERSAMPLED)
-    if not std < VAGUE or abs(np.sign(steps).sum()) < GROUPS:
-        raise _unclear()
+    std = float(shifts.std(ddof=1) / np.sqrt(N_GROUPS) / READINGS_PER_PX)
+    if not std < MAX_EDGE_SIGMA_PX or abs(np.sign(steps).sum()) < N_GROUPS:
+        raise _no_outline()
     return _Edge(smooth + shifts.mean(), std)
 
 
-def _unclear() -> FrictrackError:
+def _no_outline() -> FrictrackError:
     return FrictrackError(
         "the target's outline does not stand out from the background on both sides, so its size gives no scale; "
         "give target = [x, y, w, h] round all of it, or a ruler: "
@@ -151,9 +151,9 @@ def _unclear() -> FrictrackError:
     )
 
 
-def _half_way(profile: Array) -> tuple[float, float]:
+def _half_level(profile: Array) -> tuple[float, float]:
     """Shift, in readings, of the place half-way between outside and inside from the middle of a profile; the step."""
-    flat = NEAR * OVERSAMPLED
+    flat = EDGE_ZONE_PX * READINGS_PER_PX
     middle = len(profile) // 2
     outside, inside = float(np.mean(profile[: middle - flat])), float(np.mean(profile[middle + flat :]))
     over = (profile - (outside + inside) / 2) * np.sign(inside - outside)
@@ -164,22 +164,22 @@ def _half_way(profile: Array) -> tuple[float, float]:
     return float(i - over[i] / (over[i + 1] - over[i]) - middle), inside - outside
 
 
-def _rough(lines: Array) -> Array:
+def _first_edges(lines: Array) -> Array:
     """Reading number (lines,) at which each line first differs from its background; NaN where that is not clear."""
-    rim = max(3 * OVERSAMPLED // 2, 4)
+    rim = max(3 * READINGS_PER_PX // 2, 4)
     outside = np.median(lines[:, :rim], axis=1)
     noise = max(1.5 * float(np.median(np.abs(lines[:, :rim] - outside[:, None]))), 1.0)
     off = np.abs(lines - outside[:, None])[:, : lines.shape[1] * 3 // 4]
-    level = np.maximum(0.5 * np.quantile(off[:, : lines.shape[1] // 2], 0.75, axis=1), CLEAR * noise)
+    level = np.maximum(0.5 * np.quantile(off[:, : lines.shape[1] // 2], 0.75, axis=1), MIN_CONTRAST * noise)
     first = np.argmax(off > level[:, None], axis=1).astype(np.float64)
-    return np.where(np.any(off > level[:, None], axis=1) & (first >= OVERSAMPLED), first, np.nan)
+    return np.where(np.any(off > level[:, None], axis=1) & (first >= READINGS_PER_PX), first, np.nan)
 
 
-def _widest(chords: Array) -> tuple[float, str]:
+def _width_and_shape(chords: Array) -> tuple[float, str]:
     """The width, px, and the shape that it was read from."""
     u = np.linspace(-1.0, 1.0, len(chords))
     c, b, a = np.polyfit(u, chords**2, 2)
     left = chords**2 - np.polyval([c, b, a], u)
-    if -c > ROUND * a and np.std(left) < 0.2 * abs(c) and abs(b) < -2 * c:
+    if -c > MIN_CURVATURE * a and np.std(left) < 0.2 * abs(c) and abs(b) < -2 * c:
         return float(np.sqrt(a - b**2 / (4 * c))), "round: its diameter"
     return float(np.median(chords)), "straight: the middle chord"

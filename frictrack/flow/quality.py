@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.calibration import shake, steadied
+from frictrack.calibration import estimate_shake, subtract_shake
 from frictrack.flow.rotation import turning_note
 from frictrack.records import MEASURED, Array, Track
 from frictrack.results import Film
@@ -73,12 +73,12 @@ def _clean(
         track = retimed(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
         track, reference = retimed(track, found), None if reference is None else retimed(reference, found)
-    return *steadied(track, reference, least), found
+    return *subtract_shake(track, reference, least), found
 
 
 def _beside(track: Track, reference: Track | None) -> Track:
     """The track less the reference as it was measured, where that shakes."""
-    if reference is None or not shake(reference).seen:
+    if reference is None or not estimate_shake(reference).detected:
         return track
     x, y = (np.nan_to_num(q - np.nanmean(q)) for q in (reference.x_px, reference.y_px))
     return replace(
@@ -94,12 +94,12 @@ def left_of_shake(reference: Track | None, least: float) -> tuple[float, float, 
     """What may be left of a camera shake: frequency in Hz, rms along x in px, and why; None without any."""
     if reference is None:
         return None
-    used = shake(reference, least)
-    if used.seen:
+    used = estimate_shake(reference, least)
+    if used.detected:
         told = "error of the reference's movement, which was subtracted"
         return used.frequency or 0.0, float(used.sigma[0]), told
     if used.left_in:
-        return shake(reference).frequency or 0.0, used.left_in, "too small to be subtracted, left in"
+        return estimate_shake(reference).frequency or 0.0, used.left_in, "too small to be subtracted, left in"
     return None
 
 
@@ -206,7 +206,7 @@ def _reference(track: Track | None, um: float | None) -> dict[str, Any]:
     """The live noise floor: what a fixed reference does beyond camera shake."""
     if track is None:
         return dict.fromkeys(("reference", "noise_floor_px", "noise_floor_um", "shake_px", "shake_Hz"))
-    found = shake(track)
+    found = estimate_shake(track)
     floor = float(found.floor[0])
     return {
         "reference": None if track.target is None else list(track.target),

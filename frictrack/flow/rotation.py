@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.calibration.rotating_target import LARGE
+from frictrack.calibration.rotating_target import MIN_ROTATION
 from frictrack.records import Array, Mask, Track
 
 SPAN = 9  # frames over which an angle is averaged
@@ -40,7 +40,7 @@ def turning_note(track: Track) -> tuple[str, ...]:
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
     turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"
-    return (turns + (rocks if np.ptp(angle) < LARGE else ""),)
+    return (turns + (rocks if np.ptp(angle) < MIN_ROTATION else ""),)
 
 
 def _doubt(track: Track, angle: Array, known: Mask, mean: Array) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.calibration.shake import above_noise
+from frictrack.calibration.shake import significant_motion
 from frictrack.friction import CERTAIN, MOVING, is_moving, release_time
 from frictrack.records import GRAVITY, Array, Run
 
@@ -102,5 +102,5 @@ def _significant_angle(times: Array, angle: Array) -> Array | None:
         return None
     bridged = np.interp(times, times[known], angle[known])
     middle = float(np.mean(bridged))
-    turned = above_noise(bridged - middle, times)[0]
+    turned = significant_motion(bridged - middle, times)[0]
     return middle + turned if turned.any() else turned
