@@ -9,9 +9,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
 from frictrack.motion import KnownAcceleration, covariance, differentiate, low_pass, noise_level
-from frictrack.motion.filter import ALL, MISSING
-from frictrack.motion.structure import Growth, Structure
-from frictrack.motion.system import Data, Lines, cutoff_of, factored, penalty
+from frictrack.motion.filter import METHOD_NAMES, MISSING_SIGMA
+from frictrack.motion.structure import Structure, StructureSearch
+from frictrack.motion.system import LineParameters, SmootherData, cutoff_of, factor_smoother, penalty
 from frictrack.records import Displacement
 
 FPS = 4000.0
@@ -63,7 +63,7 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
     w[[0, 20, 21, 22]] = 0.0
     lam, omega, mu = 1e4 * np.exp(rng.normal(size=n - 4)), np.array([0.3, 0.9])[:lines], np.array([1e3, 1e5])[:lines]
     worth, bent = (rng.uniform(0, 50, n - 2), rng.normal(size=n - 2)) if sensed else (None, None)
-    made = factored(Data(y, w, bent, worth), lam, Lines(omega, mu))
+    made = factor_smoother(SmootherData(y, w, bent, worth), lam, LineParameters(omega, mu))
 
     every = np.hstack([np.eye(n)] * (1 + lines))
     fourth, second = np.diff(np.eye(n), 4, axis=0), np.diff(np.eye(n), 2, axis=0)
@@ -111,7 +111,9 @@ def test_likelihood_is_that_of_the_dense_covariance(rng):
         return (n - 4) * np.log(y @ p @ y / degrees) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
 
     def ours(lam, omega, mu):
-        return factored(Data(y, np.ones(n)), np.full(n - 4, lam), Lines(np.array([omega]), np.array([mu]))).judged()[0]
+        return factor_smoother(
+            SmootherData(y, np.ones(n)), np.full(n - 4, lam), LineParameters(np.array([omega]), np.array([mu]))
+        ).restricted_likelihood()[0]
 
     settings = [(1e2, 0.5, 1e2), (1e4, 0.5, 1e2), (1e4, 0.5, 1e5), (1e4, 1.1, 1e5)]
     theirs, found = np.array([dense(*s) for s in settings]), np.array([ours(*s) for s in settings])
@@ -154,7 +156,7 @@ def test_cutoff_is_that_of_the_process_that_made_the_signal(rng):
         u = np.linspace(-1, 1, n)
         y = signal + rng.normal(size=n)
         y -= np.polyval(np.polyfit(u, y, 3), u)
-        found.append(cutoff_of(np.exp(Growth(Data(y, np.ones(n))).stiff.stiffness[0]), 1 / FPS))
+        found.append(cutoff_of(np.exp(StructureSearch(SmootherData(y, np.ones(n))).stiff.stiffness[0]), 1 / FPS))
     assert np.median(found) == pytest.approx(50.0, rel=0.05)
 
 
@@ -181,7 +183,7 @@ def test_missing_rows_and_invalid_rows_mean_the_same(rng):
         expected = getattr(marked, name)[valid]
         assert getattr(dropped, name) == pytest.approx(expected, rel=1e-3, abs=1e-3 * rms(expected))
     assert marked.sigma_x[301] > 1.05 * marked.sigma_x[150]
-    assert np.all(low_pass(displacement(t, x, valid=valid)).sigma_x[~valid] == MISSING)
+    assert np.all(low_pass(displacement(t, x, valid=valid)).sigma_x[~valid] == MISSING_SIGMA)
 
 
 def test_lost_target_at_the_ends_has_no_motion_there(rng):
@@ -262,7 +264,7 @@ def test_stiff_smoother_is_the_cubic_of_least_squares():
     n = 400
     q = np.linalg.qr(np.vander(np.linspace(-1, 1, n), 4))[0]
     start = np.arange(n - 1)
-    stiff = Structure.low_pass(0.3, 1 / FPS).factored(Data(np.zeros(n), np.ones(n)))
+    stiff = Structure.low_pass(0.3, 1 / FPS).factor_smoother(SmootherData(np.zeros(n), np.ones(n)))
     found = stiff.passed(start, np.tile([1.0, 0.0], (n - 1, 1)))
     assert found == pytest.approx(np.sum(q**2, axis=1)[:-1], rel=0.03)
 
@@ -351,7 +353,7 @@ def test_lines_are_followed_as_far_as_they_wander(rng):
 # -- what a mean is worth --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", METHOD_NAMES)
 def test_covariance_covers_the_error_of_a_mean(method):
     """Smoothing colours the noise: the mean of many accelerations is far better known than each of them alone says."""
     t = np.arange(240) / FPS
@@ -374,7 +376,9 @@ def test_covariance_covers_the_error_of_a_mean(method):
 @pytest.mark.parametrize("n", range(97, 130))
 def test_deviations_of_any_length(n):
     """No length leaves a remainder that cannot be solved."""
-    made = factored(Data(np.zeros(n), np.ones(n)), np.full(n - 4, 1e9), Lines(np.array([0.1]), np.array([1e8])))
+    made = factor_smoother(
+        SmootherData(np.zeros(n), np.ones(n)), np.full(n - 4, 1e9), LineParameters(np.array([0.1]), np.array([1e8]))
+    )
     start = np.arange(n - 1)
     found = made.variances(start, np.tile([1.0, 0.0], (n - 1, 1)))
     assert found == pytest.approx(np.diag(made.covariance(np.arange(n)))[:-1], rel=1e-4)
@@ -434,7 +438,7 @@ def test_other_methods_do_what_they_did_elsewhere(method, limit):
         assert filtered.reason.startswith(f"{method}, half passes at")
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", METHOD_NAMES)
 def test_every_method_bridges_what_is_missing(rng, method):
     t = np.arange(300) / FPS
     valid = np.ones(300, bool)

@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from frictrack.motion import differentiate, low_pass
-from frictrack.motion.average import Change, Group
 from frictrack.motion.filter import Smoother
 from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import ChangeGroup, StructureChange
 from frictrack.records import Displacement
 
 FPS, MASS = 4000.0, 0.35
@@ -113,6 +113,8 @@ def test_a_ramp_makes_the_trend_softer_towards_its_end():
 
 
 def test_groups_survive_json():
-    group = Group(3, 400, (Change(0.25, Event(5, 20, 4.0, -1)), Change(0.1, Event(90, 95, 7.0), 1)))
+    group = ChangeGroup(
+        3, 400, (StructureChange(0.25, Event(5, 20, 4.0, -1)), StructureChange(0.1, Event(90, 95, 7.0), 1))
+    )
     smoother = Smoother(Structure((9.0, 8.0), (), (Event(1, 2, 3.0), Event(91, 94, 5.0))), None, (group,))
     assert Smoother.read(str(smoother)).alternatives == (group,)

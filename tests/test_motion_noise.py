@@ -10,11 +10,11 @@ from scipy.signal import lfilter
 
 from frictrack.motion import CorrelatedNoise, differentiate, low_pass, trade
 from frictrack.motion.filter import Smoother
-from frictrack.motion.system import Colour, Data, Lines, factored, variances_of
+from frictrack.motion.system import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
 from frictrack.records import Displacement
 
 FPS, MASS, NOISE = 4000.0, 0.35, 2e-5
-COLOURS = [Colour(0.6, 0.999), Colour(0.9, 0.7)]
+COLOURS = [NoiseColour(0.6, 0.999), NoiseColour(0.9, 0.7)]
 
 
 def slid(n=690, texture=0.0):
@@ -54,7 +54,7 @@ def rms(values):
 def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
     n, rng = 60, np.random.default_rng(4)
     lam, omega, mu = 1e3 * np.exp(rng.normal(size=n - 4)), np.array([0.5])[:lines], np.array([1e3])[:lines]
-    made = factored(Data(rng.normal(size=n), np.ones(n), colour=colour), lam, Lines(omega, mu))
+    made = factor_smoother(SmootherData(rng.normal(size=n), np.ones(n), colour=colour), lam, LineParameters(omega, mu))
     every, known = np.hstack([np.eye(n)] * (1 + lines)), np.linalg.inv(covariance(colour, n))
     normal = every.T @ known @ every
     fourth = np.diff(np.eye(n), 4, axis=0)
@@ -70,7 +70,7 @@ def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
     assert made.variances(start, ones)[0] == pytest.approx(np.diag(inverse)[:-1], rel=1e-6)
     passed = np.diag(inverse @ known @ inverse)[:-1]
     assert made.passed(start, ones)[0] == pytest.approx(passed, rel=2e-3)
-    stiffer = factored(made.data, 9 * lam, Lines(omega, mu))
+    stiffer = factor_smoother(made.data, 9 * lam, LineParameters(omega, mu))
     both = variances_of([made, stiffer], start, ones)
     assert both == pytest.approx(np.array([f.variances(start, ones) for f in (made, stiffer)]), rel=1e-9)
 
@@ -89,7 +89,9 @@ def test_the_likelihood_of_noise_is_that_of_the_dense_covariance():
         return (n - 4) * np.log(y @ p @ y / (n - 4)) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
 
     def ours(colour):
-        return factored(Data(y, np.ones(n), colour=colour), np.full(n - 4, 1e3)).judged()[0]
+        return factor_smoother(SmootherData(y, np.ones(n), colour=colour), np.full(n - 4, 1e3)).restricted_likelihood()[
+            0
+        ]
 
     for colour in COLOURS:
         assert ours(colour) - ours(None) == pytest.approx(dense(colour) - dense(None), abs=1e-5)
@@ -124,7 +126,7 @@ def test_noise_that_other_runs_have_shown_is_taken_into_a_short_one():
     t, x, v, _ = slid(200)
     record = seen(t, x + NOISE * noise(1, len(t), 0.9, 1.0))
     given, alone = (low_pass(record, noise=n) for n in (CorrelatedNoise(0.9, 1.0, np.array([NOISE])), None))
-    assert Smoother.read(given.smoother).colour == Colour(0.9, 0.999)
+    assert Smoother.read(given.smoother).colour == NoiseColour(0.9, 0.999)
     assert "correlated (0.9 from frame to frame)" in given.reason
     assert Smoother.read(alone.smoother).colour.correlation == pytest.approx(0.9, abs=0.2)
     assert given.x != pytest.approx(alone.x, abs=1e-9)

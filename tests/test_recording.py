@@ -12,8 +12,8 @@ import tifffile
 from camera_films import write_cine, write_photron
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import FORMATS, open_recording, opened
-from frictrack.recording.timebase import Row
+from frictrack.recording import FORMATS, open_recording, random_access
+from frictrack.recording.timebase import AuditRow
 
 N, H, W = 12, 32, 48
 
@@ -90,14 +90,14 @@ def test_contract_of_every_format(tmp_path, form):
     np.testing.assert_array_equal(rec.frame(-1), truth[-1])
     with pytest.raises(FrictrackError, match="expected a frame from 0 to 11 but got 12"):
         rec.frame(12)
-    assert rec.timebase.rows[0] == Row("frame rate, given", "4000 fps", "used")
+    assert rec.timebase.rows[0] == AuditRow("frame rate, given", "4000 fps", "used")
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_boxes_of_every_format(tmp_path, form):
     path, truth = write_any(tmp_path, form)
     indices, corners = [7, 0, 11, 7], [[0, 0], [W - 9, H - 6], [3, 5], [8, 1]]
-    with opened(open_recording(path, fps=4000)) as rec:
+    with random_access(open_recording(path, fps=4000)) as rec:
         boxes = rec.cut(indices, corners, (6, 9))
         assert rec.direct
     assert boxes.dtype == truth.dtype

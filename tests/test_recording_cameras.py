@@ -104,10 +104,10 @@ def test_companding_is_the_inverse_of_bt709():
     """Codes and grey values from the maker's printed table, which rounds differently by one count here and there."""
     codes = np.array([[1, 12, 64, 140, 300, 500, 700, 900, 1000, 1014, 1015, 1023]])
     printed = [5, 16, 64, 136, 374, 952, 1872, 3159, 3947, 4064, 4095, 4095]
-    from frictrack.recording.phantom import _LINEAR  # noqa: PLC0415
+    from frictrack.recording.phantom import _LINEAR_12_BIT  # noqa: PLC0415
 
-    assert np.abs(_LINEAR[codes].astype(int) - printed).max() <= 1
-    assert np.all(np.diff(_LINEAR.astype(int)) >= 0)
+    assert np.abs(_LINEAR_12_BIT[codes].astype(int) - printed).max() <= 1
+    assert np.all(np.diff(_LINEAR_12_BIT.astype(int)) >= 0)
 
 
 # ---- hand-packed films
@@ -119,9 +119,9 @@ def test_boxes_of_hand_packed_films(tmp_path, write, bits):
     truth = grey(bits)
     rec = open_recording(write(tmp_path, truth, bits))
     if bits == 10 and write is write_cine:
-        from frictrack.recording.phantom import _LINEAR  # noqa: PLC0415
+        from frictrack.recording.phantom import _LINEAR_12_BIT  # noqa: PLC0415
 
-        truth = _LINEAR[truth]
+        truth = _LINEAR_12_BIT[truth]
     assert rec.direct
     np.testing.assert_array_equal(rec.pick(range(N)), truth)
     rng = np.random.default_rng(5)

@@ -17,7 +17,7 @@ from test_recording import write_folder, write_video
 from test_recording_cameras import CAMERAS, grey
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import open_recording, opened
+from frictrack.recording import open_recording, random_access
 
 FORMS = ["cih", "cihx", "mraw12", "cine", "p10", "tif", "pages", "deflate", "bigtiff", "avi", "mp4", "mkv", "folder"]
 
@@ -83,7 +83,7 @@ def use(path: Path) -> None:
     assert rec.n_frames >= 1
     assert rec.t.shape == (rec.n_frames,)
     assert np.all(np.diff(rec.t) > 0)
-    with opened(rec) as film:
+    with random_access(rec) as film:
         frames = film.pick(range(min(rec.n_frames, 5)))
         assert all(f.shape == rec.shape for f in frames)
         film.frame(-1)

@@ -14,7 +14,7 @@ import pytest
 from film import Film
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Header, Recording, opened, spool
+from frictrack.recording import Header, Recording, random_access, spool
 
 N, H, W = 40, 24, 32
 
@@ -45,14 +45,14 @@ class Slow(Recording):
 
 @pytest.fixture(params=["memory", "disk"])
 def place(request, monkeypatch):
-    monkeypatch.setattr(spool, "IN_MEMORY", 1 << 30 if request.param == "memory" else 0)
+    monkeypatch.setattr(spool, "MAX_MEMORY_BYTES", 1 << 30 if request.param == "memory" else 0)
 
 
 @pytest.mark.usefixtures("place")
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_decoded_once_and_read_at_random(kind):
     film = Slow(kind, pause=0.001)
-    with opened(film) as rec:
+    with random_access(film) as rec:
         assert (rec.direct, rec.fps, rec.n_frames, rec.notes) == (True, 4000, N, ("a note",))
         assert rec.exposure == 1e-5
         indices, corners = [30, 2, 17], [[0, 0], [5, 3], [W - 9, H - 7]]
@@ -69,14 +69,14 @@ def test_decoded_once_and_read_at_random(kind):
 def test_a_direct_recording_is_its_own_spool():
     film = Slow()
     film.direct = True
-    with opened(film) as rec:
+    with random_access(film) as rec:
         assert rec is film
     assert film.decoded == []
 
 
 @pytest.mark.usefixtures("place")
 def test_the_reader_hears_of_a_fault():
-    with opened(Slow(fails_at=10)) as rec:
+    with random_access(Slow(fails_at=10)) as rec:
         assert len(rec.pick(range(10))) == 10
         with pytest.raises(RuntimeError, match="the decoder fell over"):
             rec.frame(10)
@@ -86,7 +86,7 @@ def test_the_reader_hears_of_a_fault():
 
 @pytest.mark.usefixtures("place")
 def test_frames_that_are_missing_at_the_end():
-    with opened(Slow(ends_at=25)) as rec:
+    with random_access(Slow(ends_at=25)) as rec:
         assert len(list(rec.frames())) == 25
         with pytest.raises(FrictrackError, match=r"slow.test: frame 30 cannot be read, the file breaks off before it"):
             rec.frame(30)
@@ -95,10 +95,10 @@ def test_frames_that_are_missing_at_the_end():
 
 
 def test_closing_ends_the_thread_and_removes_the_file(monkeypatch, tmp_path):
-    monkeypatch.setattr(spool, "IN_MEMORY", 0)
+    monkeypatch.setattr(spool, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setattr(spool.tempfile, "tempdir", str(tmp_path))
     film = Slow(pause=0.01)
-    with opened(film) as rec:
+    with random_access(film) as rec:
         rec.frame(0)
         assert len(list(tmp_path.iterdir())) == 1
     assert not [t for t in threading.enumerate() if "decoder" in t.name]
@@ -107,10 +107,10 @@ def test_closing_ends_the_thread_and_removes_the_file(monkeypatch, tmp_path):
 
 
 def test_no_room_for_the_film(monkeypatch):
-    monkeypatch.setattr(spool, "IN_MEMORY", 0)
+    monkeypatch.setattr(spool, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setattr(spool.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1000}))
     with pytest.raises(FrictrackError, match=r"slow.test: expected 0.0 GB of room .* 0.0 GB are free; make room"):
-        opened(Slow()).__enter__()
+        random_access(Slow()).__enter__()
 
 
 @pytest.mark.parametrize(
@@ -129,11 +129,11 @@ def test_boxes_outside_the_film(indices, corners, text):
 
 def test_gone_through_once_in_little_memory(monkeypatch):
     """Only the last frames are kept; the decoder waits for its reader and never overwrites what is still wanted."""
-    monkeypatch.setattr(spool, "LAST", 40)
+    monkeypatch.setattr(spool, "KEPT_FRAMES", 40)
     frames = np.arange(300, dtype=np.uint8)[:, None, None] * np.ones((16, 24), np.uint8)
     source = Film(lambda i: frames[i], 300, (16, 24))
     corners = np.zeros((20, 2), np.int64)
-    with opened(source, once=True) as film:
+    with random_access(source, once=True) as film:
         for at in range(0, 300, 20):
             time.sleep(0.002)  # a slow reader
             boxes = film.cut(np.arange(at, at + 20), corners, (16, 24))
@@ -141,7 +141,7 @@ def test_gone_through_once_in_little_memory(monkeypatch):
             np.testing.assert_array_equal(film.frame(at + 19), frames[at + 19])
         with pytest.raises(ValueError, match="frame 3 was given up after frame 300"):
             film.frame(3)
-    with opened(source, once=True) as film:  # leaving early ends the decoder
+    with random_access(source, once=True) as film:  # leaving early ends the decoder
         film.frame(0)
 
 
@@ -151,7 +151,7 @@ def test_python_may_end_while_a_film_is_decoded(tmp_path):
 import contextlib, sys
 from frictrack.recording import open_recording, opened, spool
 
-spool.IN_MEMORY = 0
+spool.MAX_MEMORY_BYTES = 0
 held = contextlib.ExitStack()
 film = open_recording(sys.argv[1], fps=4000)
 film.frames = lambda frames=film.frames: (frame for _ in range(1000) for frame in frames())  # it goes on

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion.derivative import Derived
-from frictrack.motion.methods import Method
-from frictrack.motion.spread import of_lines
-from frictrack.motion.stencil import NODES, stencils
+from frictrack.motion.derivative import Derivatives
+from frictrack.motion.methods import FilterMethod
+from frictrack.motion.posterior_deviations import line_frequency_errors
+from frictrack.motion.stencil import STENCIL_FRAMES, stencils
 from frictrack.motion.structure import Structure
-from frictrack.motion.system import Factor
+from frictrack.motion.system import FactoredSmoother
 from frictrack.records import Array, Filtered, Motion
 
 CHUNK = 256  # columns at once
@@ -31,7 +31,7 @@ class Response:
 
     def __init__(self, filtered: Filtered, motion: Motion) -> None:
         self.filtered, self.motion = filtered, motion
-        self._derived = Derived.along(filtered)
+        self._derived = Derivatives.of_x(filtered)
         self._grid, self._noise = self._derived.grid, self._derived.noise
         self._structure, self._method = self._derived.smoother.structure, self._derived.smoother.method
 
@@ -55,7 +55,7 @@ class Response:
             return self._passed_by(self._method, weights)
         start, table = self._stencils
         rows = np.sqrt(self._derived.factor.passed(start, table)[0])[self._grid.frames]
-        answer = self._derived.factor.answer(self._combined(weights))
+        answer = self._derived.factor.posterior_covariance_times(self._combined(weights))
         heard = float(np.sum(self._derived.factor.data.whitened(answer) * answer))
         if self._derived.worth is not None:
             heard += float(np.sum(self._derived.worth * np.diff(answer, 2) ** 2))
@@ -82,24 +82,27 @@ class Response:
         """
         if self._structure is None:
             return 1.0 / times, 1.0 / times
-        softer = self._derived.factored(_softened(self._structure, 2.0 * np.log(times)))
+        softer = self._derived.factor_smoother(_softened(self._structure, 2.0 * np.log(times)))
         inside = weights != 0
         now, then = (self._variances(f)[inside] for f in (self._derived.factor, softer))
         use = weights * self._scale
         sums = self._unit(softer, use) / self._unit(self._derived.factor, use)
         return float(np.sqrt(np.mean(then) / np.mean(now))) / times, float(np.sqrt(sums)) / times
 
-    def _unit(self, factor: Factor, weights: Array) -> float:
+    def _unit(self, factor: FactoredSmoother, weights: Array) -> float:
         """Variance of a sum for unit noise."""
         combined = self._combined(weights)
-        found = float(combined @ factor.answer(combined))
+        found = float(combined @ factor.posterior_covariance_times(combined))
         return found + sum(float(weights @ turned) ** 2 for turned in self._turned)
 
     @cached_property
     def _turned(self) -> list[Array]:
         """Change of a (n,) by one standard deviation of the frequency of each line, for unit noise."""
-        x = self._grid.spread(self.filtered.x) / self._noise
-        return [change[2, self._grid.frames] for change in of_lines(self._derived.factor, x, self._grid.interval)]
+        x = self._grid.to_frames(self.filtered.x) / self._noise
+        return [
+            change[2, self._grid.frames]
+            for change in line_frequency_errors(self._derived.factor, x, self._grid.interval)
+        ]
 
     @cached_property
     def _scale(self) -> Array:
@@ -108,7 +111,7 @@ class Response:
             self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._derived.factor)))
         )
 
-    def _variances(self, factor: Factor) -> Array:
+    def _variances(self, factor: FactoredSmoother) -> Array:
         start, table = self._stencils
         found = factor.variances(start, table)[0][self._grid.frames]
         return np.asarray(found + sum(turned**2 for turned in self._turned))
@@ -123,10 +126,10 @@ class Response:
         """Weights on smoothed positions (N,) that give a sum of accelerations."""
         start, table = self._stencils
         out, frames = np.zeros(self._grid.n), self._grid.frames
-        np.add.at(out, start[frames][:, None] + np.arange(NODES), table[0, frames] * weights[:, None])
+        np.add.at(out, start[frames][:, None] + np.arange(STENCIL_FRAMES), table[0, frames] * weights[:, None])
         return out
 
-    def _passed_by(self, method: Method, weights: Array) -> Spread:
+    def _passed_by(self, method: FilterMethod, weights: Array) -> Spread:
         """The same of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
         for made, sigma in self._derived.columns(method):

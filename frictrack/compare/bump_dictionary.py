@@ -18,7 +18,7 @@ from frictrack.fit.least_squares import (
     position_and_velocity,
 )
 from frictrack.fit.measured_friction import MeasuredFrictionPiece
-from frictrack.motion.noise import SPREAD
+from frictrack.motion.noise import CORRELATION_COST
 from frictrack.records import Array
 
 SHORTEST = 2.0  # frames: no narrower bump can be told from it
@@ -179,7 +179,7 @@ def chances(law: ModelProjection, looks: Looks) -> tuple[Chance, list[Chance]]:
     """The chance of the whole search, and of that in every piece alone."""
     own_norms, common_norms = norms(law, looks)
     frames = float(np.mean([len(r.r) for r in law.responses]))
-    freedom = max(frames / SPREAD, 3.0)
+    freedom = max(frames / CORRELATION_COST, 3.0)
     own = []
     for i, rows in enumerate(law.rows):
         on = law.u[rows].T @ looks.own[i]

@@ -16,7 +16,13 @@ from scipy.fft import idct
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import Float32Array, LinearisedModel, ScannedSeries, linearise
 from frictrack.fit.segments import Piece, Rows
-from frictrack.motion.noise import FEWER, ORDER, slow_spectrum, usual_order, variance
+from frictrack.motion.noise import (
+    DIFFERENCE_ORDER,
+    FALLBACK_ORDER,
+    difference_order,
+    difference_variance,
+    slow_spectrum,
+)
 from frictrack.records import Array, Mask
 
 N_DRAWS = 999
@@ -145,14 +151,14 @@ def random_tones(turns: Array, draws: int, rng: np.random.Generator) -> Float32A
 
 def _level(frames: list[Rows], noise: list[Float32Array]) -> Array:
     """Level (D,) of white noise (n, D) in the pieces of a run, estimated as that of the data is."""
-    whole = {k: [_neighbours(f, k) for f in frames] for k in (ORDER, FEWER)}
-    many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (ORDER, FEWER))
-    order = usual_order(many, few)
+    whole = {k: [_neighbours(f, k) for f in frames] for k in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
+    many, few = (sum(int(np.sum(w)) for w in whole[k]) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
+    order = difference_order(many, few)
     total = np.zeros(noise[0].shape[1])
     for e, rows in zip(noise, whole[order], strict=True):
         d = np.diff(e, order, axis=0)[rows]
         total += np.einsum("nd,nd->d", d, d)
-    return np.asarray(np.sqrt(total / max(many if order == ORDER else few, 1) / variance(order)))
+    return np.asarray(np.sqrt(total / max(many if order == DIFFERENCE_ORDER else few, 1) / difference_variance(order)))
 
 
 def _neighbours(frames: Rows, order: int) -> Mask:

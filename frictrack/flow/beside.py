@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.tables import even_table, own_table
 from frictrack.friction import release_time
 from frictrack.motion import differentiate, low_pass
-from frictrack.motion.known import KnownAcceleration
+from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.records import Array, Displacement, Motion, Run
 from frictrack.results import Sensors
 from frictrack.sensors import (

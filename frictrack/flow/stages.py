@@ -99,12 +99,12 @@ class RunWork:
     @contextmanager
     def filmed(self) -> Iterator[Recording]:
         """The film with random access: a compressed one is decoded once for all that is done inside."""
-        from frictrack.recording import opened  # noqa: PLC0415
+        from frictrack.recording import random_access  # noqa: PLC0415
 
         if self._film is not None:
             yield self._film
             return
-        with opened(self.recording) as film:
+        with random_access(self.recording) as film:
             self._film = film
             try:
                 yield film

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.average import added, moved
-from frictrack.motion.filter import MISSING, Smoother, sensor_weights, weights
-from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.methods import Method, bridged
-from frictrack.motion.spread import deviations, of_lines, trend
-from frictrack.motion.stencil import NODES, REACH, derived, differences, stencils
+from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, sensor_weights
+from frictrack.motion.grid import FrameGrid, frame_grid
+from frictrack.motion.methods import FilterMethod, interpolate_missing
+from frictrack.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
+from frictrack.motion.record_windows import MAX_WHOLE_FRAMES
+from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
 from frictrack.motion.structure import Structure
-from frictrack.motion.system import Data, Factor
-from frictrack.motion.windows import LONGEST
+from frictrack.motion.structure_average import added_variance, mean_shift
+from frictrack.motion.system import FactoredSmoother, SmootherData
 from frictrack.records import Array, Filtered, Mask, Motion
 
-CHUNK = 256  # columns at once
+COLUMNS_AT_ONCE = 256  # columns at once
 QUANTITIES = ("x", "v", "a")
 
 
@@ -35,16 +35,16 @@ def differentiate(filtered: Filtered) -> Motion:
     period of the cut-off, in which an abrupt event is smeared down to a fifth, or the end frames in which sigma_a
     exceeds twice its median, if these are more; never more than an eighth of the record.
     """
-    along = Derived.along(filtered)
-    values, sigma = along.values(), along.deviations()
-    sigma[2] = np.hypot(sigma[2], _jumps(values[2], filtered.events))
-    shaken = along.shaken(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
+    of_x = Derivatives.of_x(filtered)
+    values, sigma = of_x.values(), of_x.deviations()
+    sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
+    shaken = of_x.shaken(*filtered.shake) if filtered.shake else np.zeros_like(sigma)
     sigma = np.hypot(sigma, shaken)
     a_y = sigma_a_y = np.full(len(filtered), np.nan)
     if np.isfinite(filtered.cutoff_y):
-        across = Derived.across(filtered)
-        a_y, sigma_a_y = across.values()[2], across.deviations()[2]
-    period = 1.0 / (filtered.cutoff * along.grid.interval)
+        of_y = Derivatives.of_y(filtered)
+        a_y, sigma_a_y = of_y.values()[2], of_y.deviations()[2]
+    period = 1.0 / (filtered.cutoff * of_x.grid.interval)
     return Motion(
         t=filtered.t,
         x=values[0],
@@ -55,7 +55,7 @@ def differentiate(filtered: Filtered) -> Motion:
         sigma_v=sigma[1],
         sigma_a=sigma[2],
         sigma_a_y=sigma_a_y,
-        guard=_guard(sigma[2][filtered.sigma_x < MISSING], period),
+        guard=_guard_frames(sigma[2][filtered.sigma_x < MISSING_SIGMA], period),
         cutoff=filtered.cutoff,
         events=filtered.events,
         lines=filtered.lines,
@@ -65,7 +65,7 @@ def differentiate(filtered: Filtered) -> Motion:
 
 def derivatives(filtered: Filtered) -> Array:
     """The same x, v and a (3, n) without their standard deviations, which take most of the time."""
-    return Derived.along(filtered).values()
+    return Derivatives.of_x(filtered).values()
 
 
 def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = None) -> Array:
@@ -77,14 +77,14 @@ def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = Non
     if of not in QUANTITIES:
         raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
     chosen = np.arange(len(filtered)) if rows is None else np.asarray(rows, dtype=np.int64)
-    return Derived.along(filtered).covariance(QUANTITIES.index(of), chosen)
+    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), chosen)
 
 
 @dataclass(frozen=True, eq=False)
-class Derived:
+class Derivatives:
     """Derivatives of one low-passed coordinate, and what they are worth."""
 
-    grid: Grid
+    grid: FrameGrid
     x: Array  # low-passed rows
     known: Mask
     w: Array  # weights on the grid
@@ -94,37 +94,37 @@ class Derived:
     measured: Array | None = None  # the unfiltered series on the grid, where a method derives from that
 
     @classmethod
-    def along(cls, filtered: Filtered) -> Derived:
+    def of_x(cls, filtered: Filtered) -> Derivatives:
         """X."""
         made = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
         if filtered.sigma_sensor is None or made.smoother.method:
             return made
-        sigma = made.grid.spread(filtered.sigma_sensor, MISSING)[1:-1]
+        sigma = made.grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
         worth = sensor_weights(sigma, made.grid.interval**2, made.noise)
         return replace(made, worth=worth)
 
     @classmethod
-    def across(cls, filtered: Filtered) -> Derived:
+    def of_y(cls, filtered: Filtered) -> Derivatives:
         """Y."""
         return cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
 
     @classmethod
-    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derived:
+    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derivatives:
         x, sigma, smoother, measured = columns
         grid = frame_grid(filtered.t)
-        known = sigma < MISSING
+        known = sigma < MISSING_SIGMA
         noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
-        raw = None if measured is None else grid.spread(np.nan_to_num(measured))
-        w = grid.spread(weights(sigma, known))
+        raw = None if measured is None else grid.to_frames(np.nan_to_num(measured))
+        w = grid.to_frames(frame_weights(sigma, known))
         return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
 
     def values(self) -> Array:
         """Derivatives of order 0, 1, 2 of the rows (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
-            return self._by(self.smoother.method, bridged(self.measured, self.w > 0))[:, self.grid.frames]
-        return derived(self._whole(), self.grid.interval)[:, self.grid.frames]
+            return self._by(self.smoother.method, interpolate_missing(self.measured, self.w > 0))[:, self.grid.frames]
+        return stencil_derivatives(self._whole(), self.grid.interval)[:, self.grid.frames]
 
-    def _by(self, method: Method, y: Array) -> Array:
+    def _by(self, method: FilterMethod, y: Array) -> Array:
         """Derivatives (3, N, ...) of columns (N, ...) by a method."""
         return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
 
@@ -142,10 +142,12 @@ class Derived:
         whole, groups = self._whole(), self.smoother.alternatives
         if not groups or self.measured is None or self.smoother.structure is None:
             return whole, np.zeros((3, len(whole)))
-        cubic = trend(self.measured, self.w)
-        data = Data(np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour)
-        more = added(data, self.smoother.structure, groups, self.grid.interval)
-        return whole - self.noise * moved(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
+        cubic = weighted_cubic(self.measured, self.w)
+        data = SmootherData(
+            np.where(self.w > 0, self.measured - cubic, 0.0) / self.noise, self.w, colour=self.smoother.colour
+        )
+        more = added_variance(data, self.smoother.structure, groups, self.grid.interval)
+        return whole - self.noise * mean_shift(data, self.smoother.structure, groups), self.noise * np.sqrt(more)
 
     def shaken(self, frequency: float, size: float) -> Array:
         """What a wave of a frequency (Hz) and an rms size (m), of any phase, would feign in x, v and a (3, n)."""
@@ -155,11 +157,11 @@ class Derived:
 
     def feigned(self, ghosts: Array) -> Array:
         """What displacements (n, k), m, that are none would feign in x, v and a (3, n, k)."""
-        whole = np.stack([self.grid.spread(column) for column in ghosts.T], axis=1)
+        whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
         if self.smoother.method is not None:
-            return self._by(self.smoother.method, bridged(whole, self.w > 0))[:, self.grid.frames]
+            return self._by(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
         smooth = self.factor.smooth(whole)
-        made = np.stack([differences(smooth, k) / self.grid.interval**k for k in range(3)])
+        made = np.stack([stencil_derivative(smooth, k) / self.grid.interval**k for k in range(3)])
         return np.asarray(made[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
@@ -170,79 +172,83 @@ class Derived:
             return every @ every.T
         start, table = stencils(self.grid.n, self.grid.interval)
         frames = self.grid.frames[rows]
-        nodes = start[frames][:, None] + np.arange(NODES)
+        nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
         use, place = np.unique(nodes, return_inverse=True)
         pick = np.zeros((len(rows), len(use)))
         np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
         found = pick @ self.factor.covariance(use)[use] @ pick.T
-        for turned in of_lines(self.factor, self._whole(), self.grid.interval):
+        for turned in line_frequency_errors(self.factor, self._whole(), self.grid.interval):
             found += np.outer(turned[order, frames], turned[order, frames])
         scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
         out: Array = found * np.outer(scale, scale)
         return out
 
     @cached_property
-    def factor(self) -> Factor:
+    def factor(self) -> FactoredSmoother:
         """The structural smoother."""
         assert self.smoother.structure is not None
-        return self.factored(self.smoother.structure)
+        return self.factor_smoother(self.smoother.structure)
 
-    def factored(self, structure: Structure) -> Factor:
+    def factor_smoother(self, structure: Structure) -> FactoredSmoother:
         """Another structure with the same weights."""
-        return structure.factored(Data(np.zeros(self.grid.n), self.w, None, self.worth, self.smoother.colour))
+        return structure.factor_smoother(
+            SmootherData(np.zeros(self.grid.n), self.w, None, self.worth, self.smoother.colour)
+        )
 
     def _whole(self) -> Array:
         """Low-passed rows on the grid; frames without a row are bridged as smoothly as may be."""
         if self.grid.n == len(self.x):
             return self.x
-        w = self.grid.spread(np.full(len(self.x), 1e6))  # so much that the rows, smooth as they are, stay in place
-        y = self.grid.spread(self.x)
-        cubic = trend(y, w)
-        return cubic + Structure((0.0,)).factored(Data(y - cubic, w)).smooth(np.where(w > 0, y - cubic, 0.0))
+        w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so much that the rows, smooth as they are, stay in place
+        y = self.grid.to_frames(self.x)
+        cubic = weighted_cubic(y, w)
+        return cubic + Structure((0.0,)).factor_smoother(SmootherData(y - cubic, w)).smooth(
+            np.where(w > 0, y - cubic, 0.0)
+        )
 
-    def columns(self, method: Method) -> Iterator[tuple[Array, Array]]:
+    def columns(self, method: FilterMethod) -> Iterator[tuple[Array, Array]]:
         """What derivatives (3, N, some) the known frames give, and the deviations of those frames (some,)."""
         frames = np.flatnonzero(self.w > 0)
-        for part in np.array_split(frames, -(-len(frames) // CHUNK)):
+        for part in np.array_split(frames, -(-len(frames) // COLUMNS_AT_ONCE)):
             unit = np.zeros((self.grid.n, len(part)))
             unit[part, np.arange(len(part))] = 1.0
-            yield self._by(method, bridged(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
+            yield self._by(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
 
-    def _passed_noise(self, method: Method) -> Array:
+    def _passed_noise(self, method: FilterMethod) -> Array:
         """Variance of the derivatives (3, N) by the noise that passes."""
         out: Array = np.sum([np.sum((b * s) ** 2, axis=2) for b, s in self.columns(method)], axis=0)
         return out
 
-    def _lost(self, method: Method) -> Array:
+    def _lost(self, method: FilterMethod) -> Array:
         """Signal that was taken from the derivatives (3, N), as filtering once more shows it, over a period round."""
         whole = self._whole()
         assert self.measured is not None
-        taken = self._by(method, bridged(self.measured, self.w > 0)) - self._by(method, whole)
+        taken = self._by(method, interpolate_missing(self.measured, self.w > 0)) - self._by(method, whole)
         reach = min(max(int(1 / method.cutoff), 1) | 1, (self.grid.n - 1) | 1)
         padded = np.pad(taken**2, ((0, 0), (reach // 2, reach // 2)), mode="reflect")
         return np.sqrt(np.stack([np.convolve(row, np.full(reach, 1 / reach), "valid") for row in padded]))
 
 
-def _jumps(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
+def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
     """Standard deviation (n,) of an acceleration that jumps somewhere between its neighbours, 0 outside events."""
-    change = np.abs(np.roll(a, -REACH) - np.roll(a, REACH)) / np.sqrt(12.0)
+    change = np.abs(np.roll(a, -STENCIL_REACH) - np.roll(a, STENCIL_REACH)) / np.sqrt(12.0)
     inside = np.zeros(len(a), dtype=bool)
     for first, last in events:
-        inside[max(first - REACH, REACH) : min(last + REACH + 1, len(a) - REACH)] = True
+        inside[max(first - STENCIL_REACH, STENCIL_REACH) : min(last + STENCIL_REACH + 1, len(a) - STENCIL_REACH)] = True
     return np.where(inside, change, 0.0)
 
 
-def _guard(sigma_a: Array, period: float) -> int:
+def _guard_frames(sigma_a: Array, period: float) -> int:
     """Frames not to be trusted at an end; `period` of the cut-off in frames.
 
     The deviations of a long record differ along it: each end is judged against its own eighth.
     """
     n = len(sigma_a)
-    own = n if n <= LONGEST else n // 8
-    ragged = max(_ragged(sigma_a, own), _ragged(sigma_a[::-1], own))
+    own = n if n <= MAX_WHOLE_FRAMES else n // 8
+    ragged = max(_uncertain_frames(sigma_a, own), _uncertain_frames(sigma_a[::-1], own))
     return int(min(max(np.ceil(period / 2.0), ragged), n // 8))
 
 
-def _ragged(sigma_a: Array, own: int) -> int:
+def _uncertain_frames(sigma_a: Array, own: int) -> int:
     """Frames at the beginning whose deviation exceeds twice the usual one of the first `own`."""
     return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:own]))[0])

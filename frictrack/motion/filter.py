@@ -11,29 +11,29 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.average import Group, alternatives, moved
 from frictrack.motion.correlated import CorrelatedNoise, suspected_noise
-from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.known import KnownAcceleration
-from frictrack.motion.methods import METHODS, Method, bridged
-from frictrack.motion.spread import trend
-from frictrack.motion.stencil import derived
-from frictrack.motion.structure import Event, Growth, Structure
-from frictrack.motion.system import ORDER, Colour, Data, cutoff_of
-from frictrack.motion.windows import LONGEST, grown, part_of
+from frictrack.motion.grid import FrameGrid, frame_grid
+from frictrack.motion.known_acceleration import KnownAcceleration
+from frictrack.motion.methods import METHODS, FilterMethod, interpolate_missing
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.record_windows import MAX_WHOLE_FRAMES, find_structure, window_data
+from frictrack.motion.stencil import stencil_derivatives
+from frictrack.motion.structure import Event, Structure, StructureSearch
+from frictrack.motion.structure_average import ChangeGroup, alternatives, mean_shift
+from frictrack.motion.system import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
 from frictrack.records import Array, Displacement, Filtered, Mask
 
-MISSING = float("inf")  # m, standard deviation of a frame that was not measured
-TOO_LOW = 0.7  # of the cut-off of the highest likelihood: one below it loses more than the deviations say
-VIOLENT = 10.0  # times the usual acceleration of the moving mass: a push or an impact, no collision of some per cent
-MOVING = 0.05  # of the highest speed
-SHORTEST = 16  # valid frames that can tell a cut-off
-MOST_CORRELATED = 0.999  # share of the noise, and its correlation
-TRIALS = 40  # of correlation and share
+MISSING_SIGMA = float("inf")  # m, standard deviation of a frame that was not measured
+MIN_CUTOFF_RATIO = 0.7  # of the likeliest cut-off: below it more signal is lost than the deviations say
+VIOLENT_RATIO = 10.0  # times the usual acceleration of the moving mass: a push or an impact
+MIN_SPEED_SHARE = 0.05  # of the highest speed
+MIN_FRAMES_FOR_CUTOFF = 16  # valid frames from which a cut-off can be estimated
+MAX_CORRELATED = 0.999  # share of the noise, and its correlation
+MAX_COLOUR_TRIALS = 40  # of correlation and share
 MIN_FRAMES = 8  # valid frames below which neither noise nor cut-off can be estimated
-STILL = 1e-15  # m: what moves by less does not move
+MIN_TRAVEL_M = 1e-15  # what moves by less does not move
 STRUCTURAL, KALMAN = "structural", "kalman"
-ALL = (STRUCTURAL, KALMAN, *METHODS)
+METHOD_NAMES = (STRUCTURAL, KALMAN, *METHODS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ class Smoother:
     """What low-passed a coordinate: a structure, or another method; written as JSON."""
 
     structure: Structure | None = None
-    method: Method | None = None
-    alternatives: tuple[Group, ...] = ()
-    colour: Colour | None = None  # of the noise
+    method: FilterMethod | None = None
+    alternatives: tuple[ChangeGroup, ...] = ()
+    colour: NoiseColour | None = None  # of the noise
 
     def __str__(self) -> str:
         if self.method:
@@ -66,8 +66,8 @@ class Smoother:
             return cls(method=METHODS[name](**settings))
         events = tuple(Event(**e) for e in settings["events"])
         lines = tuple((float(f), float(m)) for f, m in settings["lines"])
-        groups = tuple(Group.read(g) for g in settings.get("alternatives", ()))
-        colour = Colour(**settings["noise"]) if "noise" in settings else None
+        groups = tuple(ChangeGroup.read(g) for g in settings.get("alternatives", ()))
+        colour = NoiseColour(**settings["noise"]) if "noise" in settings else None
         return cls(Structure(tuple(settings["stiffness"]), lines, events), alternatives=groups, colour=colour)
 
 
@@ -103,9 +103,9 @@ def low_pass(
     _check_method(method, cutoff)
     rounded = bool(displacement.resolution)
     along = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
-    along.colour = _colour(noise) if cutoff is None and method not in METHODS else None
+    along.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
     x = along.low_passed(cutoff, method, acceleration)
-    y = _Passed.nothing(len(known))
+    y = _LowPassed.nothing(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
         y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(cutoff, method, None)
@@ -130,11 +130,11 @@ def low_pass(
     )
 
 
-def _quiet(motion: Array, known: Mask, cutoff: float) -> slice:
+def _quiet_stretch(motion: Array, known: Mask, cutoff: float) -> slice:
     """The longest stretch of a motion (3, n) in which nothing violent happens; half a period of the cut-off apart."""
     v, a = np.abs(motion[1:])
-    moving = known & (v > MOVING * np.max(v[known]))
-    violent = known & (a > VIOLENT * np.median(a[moving]))
+    moving = known & (v > MIN_SPEED_SHARE * np.max(v[known]))
+    violent = known & (a > VIOLENT_RATIO * np.median(a[moving]))
     if not violent.any():
         return slice(0, len(v))
     reach = int(np.ceil(0.5 / cutoff)) + 1
@@ -144,15 +144,15 @@ def _quiet(motion: Array, known: Mask, cutoff: float) -> slice:
     return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
 
 
-def _rows(e: Event, grid: Grid) -> tuple[int, int]:
+def _rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
     """First and last row of an event: those in the middle of its differences."""
-    first, last = np.searchsorted(grid.frames, [e.first + ORDER // 2, e.last + ORDER // 2])
+    first, last = np.searchsorted(grid.frames, [e.first + TREND_ORDER // 2, e.last + TREND_ORDER // 2])
     most = len(grid.frames) - 1
     return min(int(first), most), min(int(last), most)
 
 
 @dataclass(frozen=True, eq=False)
-class _Passed:
+class _LowPassed:
     """One coordinate, low-passed: rows, noise of each row, cut-off, and how."""
 
     x: Array
@@ -165,7 +165,7 @@ class _Passed:
     measured: Array | None = None
 
     @classmethod
-    def nothing(cls, n: int) -> _Passed:
+    def nothing(cls, n: int) -> _LowPassed:
         """Of a coordinate that was not measured."""
         return cls(np.full(n, np.nan), np.full(n, np.nan), float("nan"))
 
@@ -173,36 +173,36 @@ class _Passed:
 class _Coordinate:
     """One coordinate on its grid."""
 
-    def __init__(self, y: Array, sigma: Array, known: Mask, grid: Grid, *, rounded: bool = False) -> None:
+    def __init__(self, y: Array, sigma: Array, known: Mask, grid: FrameGrid, *, rounded: bool = False) -> None:
         self.grid, self.known = grid, known
-        self.w = grid.spread(weights(sigma, known))
-        self.y, self.trend = _flat(grid.spread(np.where(known, y, 0.0)), self.w)
-        self.colour: Colour | None = None
+        self.w = grid.to_frames(frame_weights(sigma, known))
+        self.y, self.trend = _without_cubic(grid.to_frames(np.where(known, y, 0.0)), self.w)
+        self.colour: NoiseColour | None = None
         self.rounded = rounded  # whose noise is that of the rounding
 
-    def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _Passed:
+    def low_passed(self, cutoff: float | None, method: str, acceleration: KnownAcceleration | None) -> _LowPassed:
         """By a method, at a cut-off where one is asked for."""
         interval = self.grid.interval
-        growth = Growth(Data(self.y, self.w, colour=self.colour))
+        growth = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
         plain = growth.stiff
-        level = float(np.sqrt(plain.factored(growth.data).judged()[1]))
+        level = float(np.sqrt(plain.factor_smoother(growth.data).restricted_likelihood()[1]))
         best = cutoff_of(float(np.exp(plain.stiffness[0])), interval)
         if method in METHODS:
-            return self._by(METHODS[method].settled(bridged(self.y, self.w > 0), level), level)
+            return self._by(METHODS[method].fit(interpolate_missing(self.y, self.w > 0), level), level)
         if acceleration is not None:
-            growth = Growth(self._sensed(acceleration, level))
+            growth = StructureSearch(self._sensed(acceleration, level))
         if cutoff is not None:
-            structure, reason = Structure.low_pass(cutoff, interval), given(cutoff, best)
+            structure, reason = Structure.low_pass(cutoff, interval), describe_given_cutoff(cutoff, best)
         else:
             structure, growth.data = self._parted(growth.data, method)
-            reason = described(structure, len(self.y), interval, growth.data.colour)
-        factor = structure.factored(growth.data)
-        _, variance, unknowns = factor.judged()
+            reason = describe_structure(structure, len(self.y), interval, growth.data.colour)
+        factor = structure.factor_smoother(growth.data)
+        _, variance, unknowns = factor.restricted_likelihood()
         signal = factor.signal(unknowns)
-        groups: tuple[Group, ...] = ()
+        groups: tuple[ChangeGroup, ...] = ()
         if cutoff is None and method == STRUCTURAL and acceleration is None:
             groups = alternatives(growth.data, structure)
-            signal = signal + moved(growth.data, structure, groups)
+            signal = signal + mean_shift(growth.data, structure, groups)
         if cutoff is None:
             level = float(np.sqrt(variance))
             best = self._slide_cutoff(signal, best)
@@ -215,46 +215,58 @@ class _Coordinate:
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
 
-    def _parted(self, data: Data, method: str) -> tuple[Structure, Data]:
+    def _parted(self, data: SmootherData, method: str) -> tuple[Structure, SmootherData]:
         """The structure of the highest likelihood, the noise white or correlated."""
         colour = self._suspicion(data)
         if colour is None:
-            return _structure(data, method), data
+            return _likeliest_structure(data, method), data
         part = self._sample(data)
         suspected = replace(part, colour=colour)
-        colour = _likeliest(suspected, Growth(suspected).stiff)
+        colour = _likeliest_colour(suspected, StructureSearch(suspected).stiff)
         kinds = [replace(part, colour=c) for c in (None, colour)]
-        made = min(((_structure(kind, method), kind) for kind in kinds), key=lambda m: Growth(m[1]).priced(m[0]))
-        made = made[0], replace(part, colour=_likeliest(made[1], made[0]))
+        made = min(
+            ((_likeliest_structure(kind, method), kind) for kind in kinds),
+            key=lambda m: StructureSearch(m[1]).penalised_loss(m[0]),
+        )
+        made = made[0], replace(part, colour=_likeliest_colour(made[1], made[0]))
         if len(part.w) == len(data.w):
             return made
         data = replace(data, colour=made[1].colour)
-        return _structure(data, method), data
+        return _likeliest_structure(data, method), data
 
-    def _suspicion(self, data: Data) -> Colour | None:
+    def _suspicion(self, data: SmootherData) -> NoiseColour | None:
         """Correlated noise that the spectrum of the longest stretch without a missing frame suggests."""
         if data.colour or data.worth is not None or self.rounded:
             return None
-        return _colour(suspected_noise(self.y[_longest(self.w)]))
+        return _noise_colour(suspected_noise(self.y[_longest(self.w)]))
 
-    def _sample(self, data: Data) -> Data:
+    def _sample(self, data: SmootherData) -> SmootherData:
         """The data, or as much of them as is taken as a whole, in their longest stretch without a missing frame."""
         stretch = _longest(self.w)
-        first = max(min((stretch.start + stretch.stop - LONGEST) // 2, len(self.w) - LONGEST), 0)
-        return part_of(data, first, min(first + LONGEST, len(self.w))) or data if len(self.w) > LONGEST else data
+        first = max(min((stretch.start + stretch.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
+        return (
+            window_data(data, first, min(first + MAX_WHOLE_FRAMES, len(self.w))) or data
+            if len(self.w) > MAX_WHOLE_FRAMES
+            else data
+        )
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off of a plain low-pass of the slide, Hz: a push would drag that of the whole record up with it."""
-        quiet = _quiet(derived(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval)
-        if np.sum(self.w[quiet] > 0) < max(SHORTEST, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
+        quiet = _quiet_stretch(
+            stencil_derivatives(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval
+        )
+        if np.sum(self.w[quiet] > 0) < max(MIN_FRAMES_FOR_CUTOFF, 0.1 * len(self.w)) or quiet == slice(0, len(self.w)):
             return best
         w = self.w[quiet]
-        y, _ = _flat((self.y + self.trend)[quiet], w)
-        return cutoff_of(float(np.exp(Growth(Data(y, w, colour=self.colour)).stiff.stiffness[0])), self.grid.interval)
+        y, _ = _without_cubic((self.y + self.trend)[quiet], w)
+        return cutoff_of(
+            float(np.exp(StructureSearch(SmootherData(y, w, colour=self.colour)).stiff.stiffness[0])),
+            self.grid.interval,
+        )
 
-    def _by(self, method: Method, level: float) -> _Passed:
+    def _by(self, method: FilterMethod, level: float) -> _LowPassed:
         cutoff = method.cutoff / self.grid.interval
-        passed = self._passed(method.derived(bridged(self.y, self.w > 0), 0), level, cutoff)
+        passed = self._passed(method.derived(interpolate_missing(self.y, self.w > 0), 0), level, cutoff)
         measured = self._measured()
         reason = f"{method.name}, half passes at {cutoff:.3g} Hz"
         return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=measured)
@@ -263,34 +275,36 @@ class _Coordinate:
         """The unfiltered rows."""
         return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
-    def _passed(self, smooth: Array, level: float, cutoff: float) -> _Passed:
+    def _passed(self, smooth: Array, level: float, cutoff: float) -> _LowPassed:
         frames = self.grid.frames
-        sigma = np.full(len(frames), MISSING)
+        sigma = np.full(len(frames), MISSING_SIGMA)
         sigma[self.known] = level / np.sqrt(self.w[frames][self.known])
-        return _Passed((smooth + self.trend)[frames], sigma, cutoff)
+        return _LowPassed((smooth + self.trend)[frames], sigma, cutoff)
 
-    def _sensed(self, acceleration: KnownAcceleration, level: float) -> Data:
+    def _sensed(self, acceleration: KnownAcceleration, level: float) -> SmootherData:
         """With what a sensor knew, as second differences of what is left beside the cubic."""
         square = self.grid.interval**2
-        bent = self.grid.spread(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
-        sigma = self.grid.spread(_sensor_sigma(acceleration, len(self.known)), MISSING)[1:-1]
-        return Data(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
+        bent = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
+        sigma = self.grid.to_frames(_sensor_sigma(acceleration, len(self.known)), MISSING_SIGMA)[1:-1]
+        return SmootherData(self.y, self.w, np.nan_to_num(bent), sensor_weights(sigma, square, level), self.colour)
 
 
-def _likeliest(data: Data, structure: Structure) -> Colour | None:
+def _likeliest_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
     """The noise of the highest likelihood beside a structure, begun at that of the data."""
     if data.colour is None:
         return None
 
-    def colour(odds: Array) -> Colour:
-        low, high = MOST_CORRELATED, 1.0 - MOST_CORRELATED
-        return Colour(*np.clip(expit(odds), high, low).tolist())
+    def colour(odds: Array) -> NoiseColour:
+        low, high = MAX_CORRELATED, 1.0 - MAX_CORRELATED
+        return NoiseColour(*np.clip(expit(odds), high, low).tolist())
 
     def loss(odds: Array) -> float:
-        return Growth(replace(data, colour=colour(odds))).loss(structure)
+        return StructureSearch(replace(data, colour=colour(odds))).loss(structure)
 
     start = logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
-    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": TRIALS})
+    found = minimize(
+        loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
+    )
     return colour(found.x)
 
 
@@ -301,19 +315,21 @@ def _longest(w: Array) -> slice:
     return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
 
 
-def _structure(data: Data, method: str) -> Structure:
+def _likeliest_structure(data: SmootherData, method: str) -> Structure:
     """The structure of the highest likelihood of data from which a cubic was taken out."""
-    return Growth(data).stiff if method == KALMAN or data.count < SHORTEST else grown(data)
+    return (
+        StructureSearch(data).stiff if method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF else find_structure(data)
+    )
 
 
-def _colour(noise: CorrelatedNoise | None) -> Colour | None:
+def _noise_colour(noise: CorrelatedNoise | None) -> NoiseColour | None:
     """Noise as the smoother has it; some of it is white, however little."""
-    return Colour(noise.correlation, min(noise.share, MOST_CORRELATED)) if noise else None
+    return NoiseColour(noise.correlation, min(noise.share, MAX_CORRELATED)) if noise else None
 
 
-def _flat(y: Array, w: Array) -> tuple[Array, Array]:
+def _without_cubic(y: Array, w: Array) -> tuple[Array, Array]:
     """What is left of a series (n,) beside its cubic, 0 where w is; and the cubic."""
-    cubic = trend(y, w)
+    cubic = weighted_cubic(y, w)
     return np.where(w > 0, y - cubic, 0.0), cubic
 
 
@@ -323,10 +339,10 @@ def sensor_weights(sigma: Array, square: float, level: float) -> Array:
 
 
 def _sensor_sigma(acceleration: KnownAcceleration, n: int) -> Array:
-    return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING)
+    return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING_SIGMA)
 
 
-def weights(sigma: Array, known: Mask) -> Array:
+def frame_weights(sigma: Array, known: Mask) -> Array:
     """Weights (n,) of mean 1 over the known frames, 0 elsewhere; frames of unknown sigma get the usual one."""
     stated = known & np.isfinite(sigma) & (sigma > 0)
     usual = float(np.median(sigma[stated])) if np.any(stated) else 1.0
@@ -334,14 +350,14 @@ def weights(sigma: Array, known: Mask) -> Array:
     return np.asarray(w / np.mean(w[known]))
 
 
-def described(structure: Structure, n: int, interval: float, colour: Colour | None = None) -> str:
+def describe_structure(structure: Structure, n: int, interval: float, colour: NoiseColour | None = None) -> str:
     """In words what a record was parted into."""
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
     low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
     span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
     parts = [f"a trend cut off at {span}"]
     parts += [f"a line at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
-    centres = [1e3 * interval * 0.5 * (e.first + e.last + ORDER) for e in structure.events]
+    centres = [1e3 * interval * 0.5 * (e.first + e.last + TREND_ORDER) for e in structure.events]
     if centres:
         parts.append("events at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
     if colour:
@@ -352,10 +368,10 @@ def described(structure: Structure, n: int, interval: float, colour: Colour | No
     return ", ".join(parts) + ", by maximum likelihood"
 
 
-def given(used: float, best: float) -> str:
+def describe_given_cutoff(used: float, best: float) -> str:
     """In words why a cut-off that was asked for may be too low."""
     reason = f"cut-off {used:.3g} Hz as given"
-    if used < TOO_LOW * best:
+    if used < MIN_CUTOFF_RATIO * best:
         reason += f", maximum likelihood would take {best:.3g} Hz: the deviations do not cover the signal lost"
     return reason
 
@@ -366,14 +382,14 @@ def _check_position(x: Array, n: int) -> None:
             f"displacement: expected at least {MIN_FRAMES} valid frames but got {len(x)} of {n}; "
             "check that the target was found"
         )
-    if np.ptp(x) < STILL:
+    if np.ptp(x) < MIN_TRAVEL_M:
         raise FrictrackError(
             f"displacement: expected a moving target but x is {x[0]:g} m in all {len(x)} valid frames; "
             "check which target was tracked"
         )
 
 
-def _check_cutoff(cutoff: float | None, grid: Grid) -> None:
+def _check_cutoff(cutoff: float | None, grid: FrameGrid) -> None:
     nyquist = 0.5 / grid.interval
     if cutoff is not None and not 0.0 < cutoff < nyquist:
         raise FrictrackError(
@@ -383,8 +399,8 @@ def _check_cutoff(cutoff: float | None, grid: Grid) -> None:
 
 
 def _check_method(method: str, cutoff: float | None) -> None:
-    if method not in ALL:
-        raise FrictrackError(f'method: expected one of {", ".join(ALL)} but got "{method}"')
+    if method not in METHOD_NAMES:
+        raise FrictrackError(f'method: expected one of {", ".join(METHOD_NAMES)} but got "{method}"')
     if cutoff is not None and method != STRUCTURAL:
         raise FrictrackError(
             f"cutoff: expected none with the method {method}, which chooses its own; leave one of them out"

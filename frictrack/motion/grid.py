@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
-UNEVEN = 0.01  # of the frame interval: time stamps may be off by this much
-MOST_MISSING = 100  # frames per row of the record, beyond which a time stamp must be wrong
+MAX_UNEVENNESS = 0.01  # of the frame interval; time stamps may be off by this much
+MAX_FRAMES_PER_ROW = 100  # a record with more missing frames has a wrong time stamp
 
 
 @dataclass(frozen=True)
-class Grid:
+class FrameGrid:
     """Frame number of every row (n,), from 0, and the frame interval in s."""
 
     frames: NDArray[np.int64]
@@ -26,14 +26,14 @@ class Grid:
         """Frames from the first row to the last, missing ones included."""
         return int(self.frames[-1]) + 1
 
-    def spread(self, column: Array, empty: float = 0.0) -> Array:
+    def to_frames(self, column: Array, empty: float = 0.0) -> Array:
         """Put a column of rows on the grid, `empty` where no row is."""
         out = np.full(self.n, empty)
         out[self.frames] = column
         return out
 
 
-def frame_grid(t: Array) -> Grid:
+def frame_grid(t: Array) -> FrameGrid:
     """Find the frame number of every time stamp (n,), in s.
 
     Raises FrictrackError when an interval is no whole multiple (within 1 %) of the usual one, or is so long
@@ -42,17 +42,17 @@ def frame_grid(t: Array) -> Grid:
     gaps = np.diff(t) / np.median(np.diff(t))
     steps = np.rint(gaps)
     off = np.where(steps < 1, np.inf, np.abs(gaps - steps))
-    if np.max(off) > UNEVEN:
-        i = int(np.argmax(off > UNEVEN))
+    if np.max(off) > MAX_UNEVENNESS:
+        i = int(np.argmax(off > MAX_UNEVENNESS))
         raise FrictrackError(
             f"time: expected evenly spaced frames but the interval after t = {t[i]:g} s is {gaps[i]:.4g} times "
             "the usual one; give the frame rate, or time stamps in which missing frames leave whole gaps"
         )
-    if np.sum(steps) > MOST_MISSING * len(t):
+    if np.sum(steps) > MAX_FRAMES_PER_ROW * len(t):
         i = int(np.argmax(gaps))
         raise FrictrackError(
             f"time: expected few missing frames but {gaps[i]:.3g} frame intervals pass between t = {t[i]:g} s "
             f"and t = {t[i + 1]:g} s; correct that time stamp or cut the record there"
         )
     frames = np.concatenate(([0.0], np.cumsum(steps))).astype(np.int64)
-    return Grid(frames, float(t[-1] - t[0]) / float(frames[-1]))
+    return FrameGrid(frames, float(t[-1] - t[0]) / float(frames[-1]))

@@ -17,20 +17,20 @@ from scipy.optimize import minimize
 from scipy.signal import butter, savgol_coeffs, savgol_filter, sosfiltfilt
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.stencil import differences
+from frictrack.motion.stencil import stencil_derivative
 from frictrack.records import Array, Mask
 
 CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried by Butterworth, over the frame rate
-ORDER = 4  # of Butterworth
-CERTAIN = 2.0  # standard deviations that the residual's mean square may lie above the noise
-WINDOWS = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried by Savitzky and Golay, frames
+BUTTERWORTH_ORDER = 4
+MAX_RESIDUAL_SIGMAS = 2.0  # standard deviations that the residual's mean square may lie above the noise
+WINDOW_FRAMES = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried by Savitzky and Golay, frames
 DEGREES = (3, 4, 5)
-MOST_FRAMES = 3000  # of a Gaussian process, whose cost grows with the cube of them
-LONGEST = 20.0  # log of a length or a size
-HALF_PASSED = 0.1874  # cut-off at which exp(-(2 pi f l)^2 / 2) is one half, times the length l
+MAX_FRAMES = 3000  # of a Gaussian process, whose cost grows with the cube of them
+MAX_LOG_PARAMETER = 20.0  # log of a length or a size
+HALF_AMPLITUDE_CUTOFF = 0.1874  # cut-off at which exp(-(2 pi f l)^2 / 2) is one half, times the length l
 
 
-class Method(Protocol):
+class FilterMethod(Protocol):
     """A linear filter of evenly spaced frames."""
 
     name: ClassVar[str]
@@ -57,21 +57,21 @@ class Butterworth:
 
     def derived(self, y: Array, order: int) -> Array:
         """Derivative of an order of the filtered columns (n, ...), by central differences."""
-        return differences(self._smooth(y), order)
+        return stencil_derivative(self._smooth(y), order)
 
     def _smooth(self, y: Array) -> Array:
         trend = _cubic(y)
-        sos = butter(ORDER, 2 * self.low, output="sos")
+        sos = butter(BUTTERWORTH_ORDER, 2 * self.low, output="sos")
         reach = min(len(y) - 1, int(np.ceil(1 / self.low)))
         return np.asarray(trend + sosfiltfilt(sos, y - trend, axis=0, padtype="odd", padlen=reach))
 
     @classmethod
-    def settled(cls, y: Array, noise: float) -> Butterworth:
+    def fit(cls, y: Array, noise: float) -> Butterworth:
         """Residual analysis (Winter 2009): the lowest cut-off that takes away no more than the noise `noise`."""
         for low in CUTOFFS:
             made = cls(float(low))
             rest = y - made._smooth(y)
-            if np.mean(rest**2) <= noise**2 * (1 - 2 * low) * (1 + CERTAIN * np.sqrt(2 / len(y))):
+            if np.mean(rest**2) <= noise**2 * (1 - 2 * low) * (1 + MAX_RESIDUAL_SIGMAS * np.sqrt(2 / len(y))):
                 return made
         return cls(float(CUTOFFS[-1]))
 
@@ -95,13 +95,13 @@ class SavitzkyGolay:
         return np.asarray(savgol_filter(y, self.window, self.degree, deriv=order, axis=0, mode="interp"))
 
     @classmethod
-    def settled(cls, y: Array, noise: float) -> SavitzkyGolay:
+    def fit(cls, y: Array, noise: float) -> SavitzkyGolay:
         """Window and degree of the least generalised cross-validation (Craven & Wahba 1979)."""
         del noise
-        tried = [cls(int(w), d) for d in DEGREES for w in WINDOWS if d + 1 < w <= len(y)]
-        return min(tried, key=lambda m: m._validated(y))
+        tried = [cls(int(w), d) for d in DEGREES for w in WINDOW_FRAMES if d + 1 < w <= len(y)]
+        return min(tried, key=lambda m: m._cross_validation_score(y))
 
-    def _validated(self, y: Array) -> float:
+    def _cross_validation_score(self, y: Array) -> float:
         middle = float(savgol_coeffs(self.window, self.degree)[self.window // 2])
         return float(np.mean((y - self.derived(y, 0)) ** 2)) / (1.0 - middle) ** 2
 
@@ -117,32 +117,32 @@ class GaussianProcess:
     @property
     def cutoff(self) -> float:
         """Cycles per frame of which half of the prior's amplitude is left."""
-        return HALF_PASSED / self.length
+        return HALF_AMPLITUDE_CUTOFF / self.length
 
     def derived(self, y: Array, order: int) -> Array:
         """Derivative of an order of the posterior mean of the columns (n, ...), by central differences."""
         trend = _cubic(y)
         covariance = self._covariance(len(y))
         known = cho_factor(covariance + np.eye(len(y)), overwrite_a=True)
-        return differences(trend + covariance @ cho_solve(known, y - trend), order)
+        return stencil_derivative(trend + covariance @ cho_solve(known, y - trend), order)
 
     def _covariance(self, n: int) -> Array:
         apart = (np.arange(n)[:, None] - np.arange(n)) / self.length
         return np.asarray(self.size**2 * np.exp(-0.5 * apart**2))
 
     @classmethod
-    def settled(cls, y: Array, noise: float) -> GaussianProcess:
+    def fit(cls, y: Array, noise: float) -> GaussianProcess:
         """Length and size of the highest marginal likelihood, sought on every k-th frame first."""
-        if len(y) > MOST_FRAMES:
+        if len(y) > MAX_FRAMES:
             raise FrictrackError(
-                f"low_pass: expected at most {MOST_FRAMES} frames for a Gaussian process but got {len(y)}; "
+                f"low_pass: expected at most {MAX_FRAMES} frames for a Gaussian process but got {len(y)}; "
                 'use the default or method = "kalman"'
             )
         rest = (y - _cubic(y)) / noise
         step = max(1, len(y) // 400)
 
         def loss(p: Array) -> float:
-            if not 0 < p[0] < LONGEST or abs(p[1]) > LONGEST:
+            if not 0 < p[0] < MAX_LOG_PARAMETER or abs(p[1]) > MAX_LOG_PARAMETER:
                 return np.inf
             made = cls(float(np.exp(p[0])) / step, float(np.exp(p[1])))
             try:
@@ -161,7 +161,7 @@ class GaussianProcess:
 METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, GaussianProcess)}
 
 
-def bridged(y: Array, known: Mask) -> Array:
+def interpolate_missing(y: Array, known: Mask) -> Array:
     """Columns (n, ...) with straight lines over the frames that are not known."""
     if known.all():
         return y

@@ -13,24 +13,24 @@ import numpy as np
 
 from frictrack.records import Array, Mask
 
-ORDER = 5  # of the differences
-FEWER = 3  # where missing frames leave less than half of what third differences would have
-OUTLIER = 6.0  # robust deviations beyond which a difference belongs to an impact, not to the noise
-FEWEST = 4  # frames in half a wave of what changes slowly
+DIFFERENCE_ORDER = 5
+FALLBACK_ORDER = 3  # where missing frames leave less than half of what third differences would have
+OUTLIER_SIGMAS = 6.0  # robust deviations beyond which a difference belongs to an impact, not to the noise
+MIN_HALF_WAVE_FRAMES = 4  # frames in half a wave of what changes slowly
 MEDIAN_TO_SIGMA = 1.4826022  # of the median absolute value of a Gaussian
 
 
-def variance(order: int) -> float:
+def difference_variance(order: int) -> float:
     """Variance of the differences of unit white noise."""
     return float(comb(2 * order, order))
 
 
-def spread(order: int) -> float:
+def correlation_cost(order: int) -> float:
     """What their correlations cost in degrees of freedom: the sum of the squared correlations at all lags."""
     return comb(4 * order, 2 * order) / comb(2 * order, order) ** 2
 
 
-SPREAD = spread(ORDER)  # 2.91
+CORRELATION_COST = correlation_cost(DIFFERENCE_ORDER)  # 2.91
 
 
 def slow_spectrum(n: int) -> Array:
@@ -38,7 +38,7 @@ def slow_spectrum(n: int) -> Array:
 
     It is as large in every octave from a few frames to the whole piece: it has no time of its own.
     """
-    k = np.arange(1, max(n // FEWEST, 2))
+    k = np.arange(1, max(n // MIN_HALF_WAVE_FRAMES, 2))
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
@@ -51,27 +51,29 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None) -> tuple[A
     Differences over a missing frame, and those that an impact makes stand out, are left out. NaN where fewer than four
     neighbouring frames are valid.
     """
-    order = usual_order(*(int(np.sum(_whole(valid, k))) for k in (ORDER, FEWER)))
+    order = difference_order(
+        *(int(np.sum(_complete_differences(valid, k))) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
+    )
     d, whole = _differences(x, valid, order)
     if not np.any(whole):
         return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
     d = d[whole] / _expected(relative, valid, order)[whole].reshape(-1, *[1] * (x.ndim - 1))
     usual = MEDIAN_TO_SIGMA * np.median(np.abs(d), axis=0)
-    kept = np.abs(d) <= OUTLIER * usual
+    kept = np.abs(d) <= OUTLIER_SIGMAS * usual
     m = np.sum(kept, axis=0)
     sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m)
-    return sigma, 0.5 * np.sqrt(2.0 * spread(order) / m)
+    return sigma, 0.5 * np.sqrt(2.0 * correlation_cost(order) / m)
 
 
-def usual_order(many: int, few: int) -> int:
-    """Order of the differences where so many of order `ORDER` and `FEWER` have all their frames."""
-    return ORDER if 2 * many >= few else FEWER
+def difference_order(many: int, few: int) -> int:
+    """Order of the differences where so many of order `DIFFERENCE_ORDER` and `FALLBACK_ORDER` have all their frames."""
+    return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
 
 
 def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
     """Differences (n - order, ...) and which of them have all their frames."""
     filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
-    return np.diff(filled, order, axis=0), _whole(valid, order)
+    return np.diff(filled, order, axis=0), _complete_differences(valid, order)
 
 
 def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
@@ -81,7 +83,7 @@ def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
     return np.sqrt(np.convolve(size**2, weights**2, mode="valid"))
 
 
-def _whole(valid: Mask, order: int) -> Mask:
+def _complete_differences(valid: Mask, order: int) -> Mask:
     """Which differences have all their frames."""
     count = max(len(valid) - order, 0)
     return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))

@@ -16,28 +16,35 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from frictrack.motion.system import ORDER, Data, Factor, Lines, factored, penalty
+from frictrack.motion.system import (
+    TREND_ORDER,
+    FactoredSmoother,
+    LineParameters,
+    SmootherData,
+    factor_smoother,
+    penalty,
+)
 from frictrack.records import Array
 
-LOWEST = 0.3  # periods of the cut-off over the record: a stiffer trend is a cubic
-SCAN = 24  # cut-offs that are tried first
-KNOTS = (1, 3, 5, 9, 17)  # of the stiffness
+MIN_PERIODS = 0.3  # of the cut-off over the record; a stiffer trend is a cubic
+N_SCANNED = 24  # cut-offs that are tried first
+KNOT_COUNTS = (1, 3, 5, 9, 17)  # of the stiffness
 FRAMES_PER_KNOT = 60
 KNOT_SPREAD = 4.0  # standard deviation of the change of log lambda from knot to knot, beforehand
-MOST_LINES, MOST_EVENTS = 4, 40
-LINE, EVENT, COLOUR = 5, 3, 2  # numbers that one more of them costs, and that correlated noise does
+MAX_LINES, MAX_EVENTS = 4, 40
+LINE_COST, EVENT_COST, COLOUR_COST = 5, 3, 2  # numbers that one more of them costs, and that correlated noise does
 STIFF_LINE = 40.0  # log mu of a sine that does not wander
-WANDER = (7.0, 12.0, 20.0)  # log mu of a line, to begin with
-HOPE = 10.0  # that a trial may still gain when its numbers are refined
-FEW_STEPS, STEPS = 6, 15  # of the refinement, on the way and at the end
-STIFFER = (0.0, 4.0, 8.0, 14.0)  # log of what the rest of the trend may win
-BOOSTS = (2.0, 6.0)  # log of how much softer the trend may be in an event, to begin with
-EVENTFUL = 8.0  # times their mean square: differences below are those of a smooth signal
-WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take, to begin with
-SHRINK, SHARP = 6, 20.0  # times that a step is shortened while it bends the loss by more
-LEAST_CYCLES = 2.0  # of a line over the record
-WORK = 3_000_000  # frames in all likelihoods (lines cost more), after which a long record is left as it is
-STEP = 0.02  # of the numbers, for slopes
+START_LINE_STIFFNESSES = (7.0, 12.0, 20.0)  # log mu of a line
+MAX_REFINEMENT_GAIN = 10.0  # that a trial may still gain when its numbers are refined
+TRIAL_STEPS, MAX_STEPS = 6, 15  # of the refinement, on the way and at the end
+STIFFENINGS = (0.0, 4.0, 8.0, 14.0)  # log, that the rest of the trend may gain
+START_BOOSTS = (2.0, 6.0)  # log of how much softer the trend may be in an event
+MIN_EVENT_RATIO = 8.0  # times their mean square; smaller differences are those of a smooth signal
+START_WIDTHS = (1, 3, 8, 20, 60)  # differences that an event may take
+MAX_SHRINKS, MAX_BEND = 6, 20.0  # times that a step is shortened while it bends the loss by more
+MIN_LINE_CYCLES = 2.0  # over the record
+MAX_WORK = 3_000_000  # frames in all likelihoods (lines cost more), after which a long record is left as it is
+NUMBER_STEP = 0.02  # of the numbers, for slopes
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ class Structure:
 
     def log_lambda(self, n: int) -> Array:
         """Stiffness of every difference of n frames."""
-        place = np.linspace(0.0, 1.0, n - ORDER)
+        place = np.linspace(0.0, 1.0, n - TREND_ORDER)
         out = np.interp(place, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
         for e in self.events:
             out[e.first : e.last + 1] -= e.boosts
@@ -86,15 +93,17 @@ class Structure:
     def _knots(self) -> tuple[float, ...]:
         return self.stiffness * 2 if len(self.stiffness) == 1 else self.stiffness
 
-    def factored(self, data: Data) -> Factor:
+    def factor_smoother(self, data: SmootherData) -> FactoredSmoother:
         """The smoother of some data."""
         return self.part(data, (0, len(data.w), len(data.w)))
 
-    def part(self, data: Data, window: tuple[int, int, int]) -> Factor:
+    def part(self, data: SmootherData, window: tuple[int, int, int]) -> FactoredSmoother:
         """The smoother of data from a first frame to a stop, of so many frames."""
         first, stop, n = window
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
-        return factored(data, np.exp(self.log_lambda(n)[first : stop - ORDER]), Lines(omega, np.exp(log_mu)))
+        return factor_smoother(
+            data, np.exp(self.log_lambda(n)[first : stop - TREND_ORDER]), LineParameters(omega, np.exp(log_mu))
+        )
 
     def numbers(self) -> Array:
         """All that likelihood settles, in one vector."""
@@ -114,30 +123,30 @@ class Structure:
         return replace(self, stiffness=tuple(np.interp(np.linspace(0, 1, count), place, self._knots()).tolist()))
 
 
-def unseen(n: int) -> float:
+def undetectable_amplitude(n: int) -> float:
     """Amplitude, over the noise of a frame, of the largest line that n frames would not be granted.
 
     It gains n A^2 / 2 in twice the log-likelihood, and costs its numbers and what its amplitudes are known to.
     """
-    return float(np.sqrt(2.0 * (LINE * np.log(n) + 2.0 * np.log(n / 2.0)) / n))
+    return float(np.sqrt(2.0 * (LINE_COST * np.log(n) + 2.0 * np.log(n / 2.0)) / n))
 
 
 @dataclass
-class Grown:
+class ScoredStructure:
     """A structure and how badly it explains the data: twice the negative log-likelihood, and what it costs."""
 
     structure: Structure
     loss: float
 
 
-class Growth:
+class StructureSearch:
     """Builds the structure of some data up, one part at a time; a cubic was taken out of them."""
 
-    def __init__(self, data: Data) -> None:
+    def __init__(self, data: SmootherData) -> None:
         self.data, self.n = data, len(data.w)
-        self.left = WORK  # that may still be spent
+        self.remaining_work = MAX_WORK  # that may still be spent
         self.lowest = float(np.log(penalty(0.49, 1.0)))
-        self.highest = float(np.log(penalty(max(LOWEST / self.n, 1e-5), 1.0)))
+        self.highest = float(np.log(penalty(max(MIN_PERIODS / self.n, 1e-5), 1.0)))
         self.cost = float(np.log(data.count))  # of one number
 
     def loss(self, structure: Structure) -> float:
@@ -145,41 +154,48 @@ class Growth:
         steps = np.diff(structure.stiffness) / KNOT_SPREAD
         # A cubic is no likely slide: the rest of its variance is kept off zero (Chung et al. 2013, Psychometrika 78).
         bent = 0.5 * float(np.mean(structure.stiffness))
-        self.left -= self.n * (1 + len(structure.lines)) ** 2
-        return structure.factored(self.data).judged()[0] + float(steps @ steps) + bent
+        self.remaining_work -= self.n * (1 + len(structure.lines)) ** 2
+        return structure.factor_smoother(self.data).restricted_likelihood()[0] + float(steps @ steps) + bent
 
     @cached_property
     def stiff(self) -> Structure:
         """A trend of one stiffness."""
-        scan = np.linspace(self.lowest, self.highest, SCAN)
+        scan = np.linspace(self.lowest, self.highest, N_SCANNED)
         best = min((Structure((float(s),)) for s in scan), key=self.loss)
-        return self.refined(Grown(best, self.loss(best))).structure
+        return self.refine(ScoredStructure(best, self.loss(best))).structure
 
-    def grown(self) -> Structure:
+    def search(self) -> Structure:
         """Add what gains most, again and again, until nothing gains more than it costs."""
-        knotted = self._best(self._knotted(self.stiff))
-        state = self.refined(
-            knotted if np.isfinite(knotted.loss) else Grown(self.stiff, self.loss(self.stiff)), FEW_STEPS
+        knotted = self._best(self._with_more_knots(self.stiff))
+        state = self.refine(
+            knotted if np.isfinite(knotted.loss) else ScoredStructure(self.stiff, self.loss(self.stiff)), TRIAL_STEPS
         )
-        while self.left > 0:
-            kinds = (self._knotted, self._lined, self._softened, self._both, self._narrowed, self._fewer)
+        while self.remaining_work > 0:
+            kinds = (
+                self._with_more_knots,
+                self._with_line,
+                self._with_event,
+                self._with_line_and_event,
+                self._with_narrower_event,
+                self._with_fewer_events,
+            )
             trials = [self._best(kind(state.structure)) for kind in kinds]
-            for trial in sorted(trials, key=self._priced):
-                if self._priced(trial) > self._priced(state) + HOPE:
-                    return self.refined(state).structure
-                better = self.refined(trial, FEW_STEPS)
-                if self._priced(better) < self._priced(state):
+            for trial in sorted(trials, key=self._penalised):
+                if self._penalised(trial) > self._penalised(state) + MAX_REFINEMENT_GAIN:
+                    return self.refine(state).structure
+                better = self.refine(trial, TRIAL_STEPS)
+                if self._penalised(better) < self._penalised(state):
                     state = better
                     break
             else:
-                return self.refined(state).structure
+                return self.refine(state).structure
         return state.structure
 
-    def priced(self, structure: Structure) -> float:
+    def penalised_loss(self, structure: Structure) -> float:
         """The loss, and what the numbers of structure and noise would gain by chance."""
-        return self._priced(Grown(structure, self.loss(structure)))
+        return self._penalised(ScoredStructure(structure, self.loss(structure)))
 
-    def _priced(self, g: Grown) -> float:
+    def _penalised(self, g: ScoredStructure) -> float:
         return g.loss + self._price(g.structure)
 
     def _price(self, s: Structure) -> float:
@@ -188,16 +204,16 @@ class Growth:
         What is known of a frequency grows with the cube of the record (Djuric 1996, IEEE Trans. Signal Process. 44),
         and it is sought; an event is also sought in place and width.
         """
-        noise = COLOUR if self.data.colour else 0
-        return self.cost * (len(s.stiffness) + LINE * len(s.lines) + EVENT * len(s.events) + noise)
+        noise = COLOUR_COST if self.data.colour else 0
+        return self.cost * (len(s.stiffness) + LINE_COST * len(s.lines) + EVENT_COST * len(s.events) + noise)
 
-    def _best(self, trials: Iterator[Structure]) -> Grown:
-        found = [Grown(t, self.loss(t)) for t in trials]
-        return min(found, key=lambda g: g.loss, default=Grown(Structure((self.lowest,)), np.inf))
+    def _best(self, trials: Iterator[Structure]) -> ScoredStructure:
+        found = [ScoredStructure(t, self.loss(t)) for t in trials]
+        return min(found, key=lambda g: g.loss, default=ScoredStructure(Structure((self.lowest,)), np.inf))
 
-    def _knotted(self, s: Structure) -> Iterator[Structure]:
+    def _with_more_knots(self, s: Structure) -> Iterator[Structure]:
         """More knots, the ends of the record softer or stiffer."""
-        more = [k for k in KNOTS if k > len(s.stiffness)]
+        more = [k for k in KNOT_COUNTS if k > len(s.stiffness)]
         if not more or more[0] * FRAMES_PER_KNOT > self.n:
             return
         knots = s.with_knots(more[0])
@@ -207,49 +223,49 @@ class Growth:
                 values[end] += change
                 yield replace(knots, stiffness=tuple(values.tolist()))
 
-    def _lined(self, s: Structure) -> Iterator[Structure]:
+    def _with_line(self, s: Structure) -> Iterator[Structure]:
         """One line more, the trend as stiff as it was or stiffer."""
-        if len(s.lines) < MOST_LINES:
-            for stiffer in STIFFER:
+        if len(s.lines) < MAX_LINES:
+            for stiffer in STIFFENINGS:
                 trend = self._stiffer(s, stiffer)
                 peak = self._peak(trend)
-                for log_mu in WANDER:
+                for log_mu in START_LINE_STIFFNESSES:
                     yield replace(trend, lines=(*s.lines, (peak, log_mu)))
 
-    def _softened(self, s: Structure) -> Iterator[Structure]:
+    def _with_event(self, s: Structure) -> Iterator[Structure]:
         """One event more, the rest of the trend as stiff as it was or stiffer."""
-        if len(s.events) < MOST_EVENTS:
-            shocks = s.factored(self.data).shocks() ** 2
-            if np.max(shocks) > EVENTFUL * np.mean(shocks):
-                for stiffer in STIFFER:
+        if len(s.events) < MAX_EVENTS:
+            shocks = s.factor_smoother(self.data).shocks() ** 2
+            if np.max(shocks) > MIN_EVENT_RATIO * np.mean(shocks):
+                for stiffer in STIFFENINGS:
                     yield from self._events(self._stiffer(s, stiffer), stiffer)
             most, least = max(s.stiffness), min(s.stiffness)
-            if most - least > BOOSTS[-1]:  # what softens the whole of one end may be an event there
+            if most - least > START_BOOSTS[-1]:  # what softens the whole of one end may be an event there
                 yield from self._events(replace(s, stiffness=(most,) * len(s.stiffness)), most - least)
 
-    def _both(self, s: Structure) -> Iterator[Structure]:
+    def _with_line_and_event(self, s: Structure) -> Iterator[Structure]:
         """A line and an event, each of which hides the other."""
         if not s.lines and not s.events:
-            for trial in list(self._lined(s))[len(WANDER) + 2 :: len(WANDER)]:
+            for trial in list(self._with_line(s))[len(START_LINE_STIFFNESSES) + 2 :: len(START_LINE_STIFFNESSES)]:
                 stiffer = trial.stiffness[0] - s.stiffness[0]
                 yield from self._events(trial, stiffer)
 
-    def _narrowed(self, s: Structure) -> Iterator[Structure]:
+    def _with_narrower_event(self, s: Structure) -> Iterator[Structure]:
         """The last event in less room."""
         if not s.events:
             return
         *others, e = s.events
-        for width in (w for w in WIDTHS if w <= e.last - e.first):
+        for width in (w for w in START_WIDTHS if w <= e.last - e.first):
             step = max(1, width // 2, (e.last - e.first) // 16)
             for first in range(e.first, e.last - width + 2, step):
                 yield replace(s, events=(*others, Event(first, first + width - 1, e.boost + 3.0)))
 
-    def _fewer(self, s: Structure) -> Iterator[Structure]:
+    def _with_fewer_events(self, s: Structure) -> Iterator[Structure]:
         """One event less, its place taken by the stiffness of the trend or by another one."""
         for e in s.events:
             rest = replace(s, events=tuple(o for o in s.events if o is not e))
             yield rest
-            half = 0.5 * (e.first + e.last) / (self.n - ORDER)
+            half = 0.5 * (e.first + e.last) / (self.n - TREND_ORDER)
             nearest = round(half * (len(s.stiffness) - 1))
             knots = np.array(s.stiffness)
             knots[nearest] = max(knots[nearest] - e.boost, self.lowest)
@@ -260,30 +276,30 @@ class Growth:
 
     def _peak(self, s: Structure) -> float:
         """Frequency at which the residual has most, beside what the trend takes away, radians per frame."""
-        factor = s.factored(self.data)
+        factor = s.factor_smoother(self.data)
         m = 16 * self.n
         omega = 2 * np.pi * np.arange(m // 2 + 1) / m
-        power = np.abs(np.fft.rfft(factor.left(factor.unknowns()), m)) ** 2
+        power = np.abs(np.fft.rfft(factor.residual(factor.unknowns()), m)) ** 2
         if self.data.colour:
             power *= self.data.colour.spectrum(omega)  # of noise, what is left has the inverse spectrum
         lam = np.exp(np.median(s.log_lambda(self.n)))
-        kept = 1.0 / (1.0 + 1.0 / (lam * (2.0 * np.sin(omega / 2)) ** (2 * ORDER) + 1e-300))
-        kept[: int(16 * LEAST_CYCLES)] = np.inf
+        kept = 1.0 / (1.0 + 1.0 / (lam * (2.0 * np.sin(omega / 2)) ** (2 * TREND_ORDER) + 1e-300))
+        kept[: int(16 * MIN_LINE_CYCLES)] = np.inf
         kept[-32:] = np.inf
         return float(omega[np.argmax(power / np.maximum(kept, 1e-3))])
 
     def _events(self, s: Structure, stiffer: float) -> Iterator[Structure]:
         """One event more, where the differences are largest."""
-        shocks = s.factored(self.data).shocks() ** 2
-        for width in WIDTHS:
+        shocks = s.factor_smoother(self.data).shocks() ** 2
+        for width in START_WIDTHS:
             if 4 * width > self.n:
                 break
             total = np.convolve(shocks, np.ones(width), mode="valid")
             first = int(np.argmax(total))
-            for boost in BOOSTS:
+            for boost in START_BOOSTS:
                 yield replace(s, events=(*s.events, Event(first, first + width - 1, boost + stiffer)))
 
-    def refined(self, g: Grown, steps: int = STEPS) -> Grown:
+    def refine(self, g: ScoredStructure, steps: int = MAX_STEPS) -> ScoredStructure:
         """All numbers at the highest likelihood near where they are."""
         if not np.isfinite(g.loss):
             return g
@@ -294,13 +310,17 @@ class Growth:
 
         start, scale = self._scaled(loss, s, g.loss)
         bounds = list(zip((box[0] - start) / scale, (box[1] - start) / scale, strict=True))
-        how: Any = {"method": "L-BFGS-B", "bounds": bounds, "options": {"eps": STEP, "ftol": 3e-6, "maxiter": steps}}
+        how: Any = {
+            "method": "L-BFGS-B",
+            "bounds": bounds,
+            "options": {"eps": NUMBER_STEP, "ftol": 3e-6, "maxiter": steps},
+        }
 
         def stepped(step: Array) -> float:
             return loss(start + step * scale)
 
         found = minimize(stepped, np.zeros(len(start)), **how)
-        return Grown(s.with_numbers(np.clip(start + found.x * scale, *box)), float(found.fun))
+        return ScoredStructure(s.with_numbers(np.clip(start + found.x * scale, *box)), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:
         """Each number by itself at its best, and the step of it that costs about one."""
@@ -308,11 +328,11 @@ class Growth:
         scale = np.array([1.0] * len(s.stiffness) + line * len(s.lines) + [1.0] * len(s.events))
         numbers = s.numbers()
         for i in range(len(numbers)):
-            for _ in range(SHRINK):
+            for _ in range(MAX_SHRINKS):
                 unit = np.eye(len(numbers))[i] * scale[i]
                 up, down = loss(numbers + unit), loss(numbers - unit)
                 bend = up + down - 2 * now
-                if bend < SHARP:
+                if bend < MAX_BEND:
                     break
                 scale[i] /= 4.0
             if bend > 0:
@@ -326,6 +346,6 @@ class Growth:
 
     def _box(self, s: Structure) -> tuple[Array, Array]:
         k, e = len(s.lines), len(s.events)
-        low = [self.lowest] * len(s.stiffness) + [LEAST_CYCLES * 2 * np.pi / self.n, 0.0] * k + [0.0] * e
+        low = [self.lowest] * len(s.stiffness) + [MIN_LINE_CYCLES * 2 * np.pi / self.n, 0.0] * k + [0.0] * e
         high = [self.highest] * len(s.stiffness) + [3.1, STIFF_LINE] * k + [40.0] * e
         return np.array(low), np.array(high)

@@ -25,41 +25,41 @@ from scipy.linalg import solve_banded
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 from scipy.signal import lfilter
 
-from frictrack.motion import selected
+from frictrack.motion import selected_inverse
 from frictrack.records import Array
 
-FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])  # differences
-ORDER = 4  # of the trend's difference, and free numbers of the trend
-BLOCK = 8  # frames per block of the covariance
-STEP = 0.01  # of the log of all penalties, for the derivative that parts noise from lost signal
-NO_WEIGHT = 1e-10  # of a missing frame in the covariance, which keeps that of an extrapolation finite
+FOURTH_DIFFERENCE, SECOND_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])  # differences
+TREND_ORDER = 4  # of the trend's difference, and free numbers of the trend
+BLOCK_FRAMES = 8  # frames per block of the covariance
+LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that parts noise from lost signal
+MISSING_WEIGHT = 1e-10  # of a missing frame in the covariance: keeps that of an extrapolation finite
 Index = NDArray[np.int64]
 
 
 def penalty(cutoff: float, interval: float) -> float:
     """Lambda for which |H(cutoff)| = 1/2; `cutoff` in Hz, frame `interval` in s."""
-    return float((2.0 * np.sin(np.pi * cutoff * interval)) ** (-2 * ORDER))
+    return float((2.0 * np.sin(np.pi * cutoff * interval)) ** (-2 * TREND_ORDER))
 
 
 def cutoff_of(lam: float, interval: float) -> float:
     """Cut-off in Hz of a lambda; half the frame rate at most."""
-    half = 0.5 * float(lam) ** (-0.5 / ORDER)
+    half = 0.5 * float(lam) ** (-0.5 / TREND_ORDER)
     return float(np.arcsin(min(half, 1.0)) / np.pi / interval)
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class LineParameters:
     """Frequencies (K,) in radians per frame and penalties mu (K,)."""
 
     omega: Array
     mu: Array
 
 
-NO_LINES = Lines(np.empty(0), np.empty(0))
+NO_LINES = LineParameters(np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True)
-class Colour:
+class NoiseColour:
     """Noise of which a `share` of the variance has a `correlation` from frame to frame; the rest is white."""
 
     correlation: float
@@ -86,7 +86,7 @@ class Colour:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class SmootherData:
     """Positions y (n,) with weights w (n,), 0 where none was measured, and accelerations where a sensor knew them.
 
     `bent` (n - 2,) are second differences of the position, `worth` (n - 2,) their weights, 0 where there is none.
@@ -97,7 +97,7 @@ class Data:
     w: Array
     bent: Array | None = None
     worth: Array | None = None
-    colour: Colour | None = None
+    colour: NoiseColour | None = None
 
     @property
     def precision(self) -> Array:
@@ -128,7 +128,7 @@ class Data:
         return int(np.sum(self.w > 0)) + (0 if self.worth is None else int(np.sum(self.worth > 0)))
 
 
-class System:
+class EquationLayout:
     """The places of all unknowns in the banded equations of n frames and K lines.
 
     They are the augmented equations [A, P'; P, -1] [u; s] = [W y; p] with the weighted differences P and what they
@@ -139,7 +139,7 @@ class System:
     def __init__(self, n: int, lines: int, sensed: bool, coloured: bool) -> None:
         self.n, self.k = n, lines
         # Components and order of every difference.
-        self.terms: list[tuple[tuple[int, ...], int]] = [((0,), ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
+        self.terms: list[tuple[tuple[int, ...], int]] = [((0,), TREND_ORDER), *[((k,), 2) for k in range(1, lines + 1)]]
         if coloured:
             self.terms.append(((lines + 1,), 1))
         if sensed:
@@ -165,10 +165,10 @@ class System:
     @property
     def block(self) -> int:
         """Unknowns per block: some frames, and no last block of a few, which could not tell trend from line."""
-        sizes = range(BLOCK * self.group, 2 * BLOCK * self.group)
+        sizes = range(BLOCK_FRAMES * self.group, 2 * BLOCK_FRAMES * self.group)
         return next(b for b in sizes if self.size % b == 0 or self.size % b >= b // 2)
 
-    def equations(self, data: Data, w: Array, lam: Array, lines: Lines) -> Array:
+    def equations(self, data: SmootherData, w: Array, lam: Array, lines: LineParameters) -> Array:
         """In LAPACK band storage (3 band + 1, size), the top `band` rows left for fill-in; w of the white noise."""
         b, colour = self.band, data.colour
         out = np.zeros((3 * b + 1, self.size))
@@ -187,43 +187,43 @@ class System:
         return out
 
 
-def _differences(data: Data, lam: Array, lines: Lines) -> Iterator[tuple[Array | float, Array]]:
+def _differences(data: SmootherData, lam: Array, lines: LineParameters) -> Iterator[tuple[Array | float, Array]]:
     """Strength of every difference, and its coefficients."""
-    yield np.sqrt(lam), FOURTH
+    yield np.sqrt(lam), FOURTH_DIFFERENCE
     for omega, mu in zip(lines.omega, lines.mu, strict=True):
         yield np.sqrt(mu), np.array([1.0, -2.0 * np.cos(omega), 1.0])
     if data.colour:
         yield data.colour.shocks**-0.5, np.array([-data.colour.correlation, 1.0])
     if data.worth is not None:
-        yield np.sqrt(data.worth), SECOND
+        yield np.sqrt(data.worth), SECOND_DIFFERENCE
 
 
 @lru_cache(maxsize=64)
-def system(n: int, lines: int, sensed: bool, coloured: bool) -> System:
+def equation_layout(n: int, lines: int, sensed: bool, coloured: bool) -> EquationLayout:
     """The places for n frames, made once."""
-    return System(n, lines, sensed, coloured)
+    return EquationLayout(n, lines, sensed, coloured)
 
 
 @dataclass(frozen=True, eq=False)
-class Factor:
+class FactoredSmoother:
     """The equations of data, penalties lambda (n - 4,) and lines, factored when they are first solved."""
 
-    system: System
-    data: Data
+    layout: EquationLayout
+    data: SmootherData
     lam: Array
-    lines: Lines
+    lines: LineParameters
 
     @cached_property
     def _lu(self) -> tuple[Array, Array]:
         """In LAPACK band storage, and its pivots."""
-        s = self.system
+        s = self.layout
         equations = s.equations(self.data, self.data.precision, self.lam, self.lines)
         lu, pivots, _ = dgbtrf(equations, s.band, s.band, overwrite_ab=1)
         return lu, pivots
 
     def _solve(self, frames: Array, components: list[Index], sensed: Array | None = None) -> Array:
         """All unknowns (size, ...) for a right-hand side (n, ...) of components, and of the sensor (n - 2, ...)."""
-        s = self.system
+        s = self.layout
         full = np.zeros((s.size, *frames.shape[1:]))
         for row in components:
             full[row] = frames
@@ -234,23 +234,23 @@ class Factor:
 
     def signal(self, unknowns: Array) -> Array:
         """Trend and lines together (n, ...)."""
-        out: Array = np.sum([unknowns[row] for row in self.system.frame], axis=0)
+        out: Array = np.sum([unknowns[row] for row in self.layout.frame], axis=0)
         return out
 
     def unknowns(self) -> Array:
         """The solution for the data (size,)."""
         d = self.data
         sensed = None if d.worth is None or d.bent is None else np.sqrt(d.worth) * d.bent
-        return self._solve(d.precision * d.y, self.system.components, sensed)
+        return self._solve(d.precision * d.y, self.layout.components, sensed)
 
-    def left(self, unknowns: Array) -> Array:
+    def residual(self, unknowns: Array) -> Array:
         """What of the data (n,) is neither signal nor correlated noise; 0 where there are none."""
-        explained = np.sum([unknowns[row] for row in self.system.components], axis=0)
+        explained = np.sum([unknowns[row] for row in self.layout.components], axis=0)
         return np.where(self.data.w > 0, self.data.y - explained, 0.0)
 
     def shocks(self) -> Array:
         """Weighted differences of the trend (n - 4,): what shakes it."""
-        return np.asarray(self.unknowns()[self.system.multiplier[0]])
+        return np.asarray(self.unknowns()[self.layout.multiplier[0]])
 
     def smooth(self, y: Array) -> Array:
         """Smoothed columns (n, ...) of y (n, ...), which counts nowhere that w is 0; no sensor is looked at."""
@@ -258,74 +258,76 @@ class Factor:
 
     def unknowns_of(self, y: Array) -> Array:
         """The solution for other positions y (n, ...), no sensor being looked at (size, ...)."""
-        return self._solve(_weighted(self.data.precision, y), self.system.components)
+        return self._solve(_weighted(self.data.precision, y), self.layout.components)
 
-    def answer(self, frames: Array) -> Array:
+    def posterior_covariance_times(self, frames: Array) -> Array:
         """Signal (n, ...) for a right-hand side (n, ...): the covariance for unit noise times it."""
-        return self.signal(self._solve(frames, self.system.frame))
+        return self.signal(self._solve(frames, self.layout.frame))
 
     def covariance(self, rows: Index) -> Array:
         """Covariance (n, m) of the signal in all frames with that in the frames `rows` (m,), for unit noise."""
-        unit = np.zeros((self.system.n, len(rows)))
+        unit = np.zeros((self.layout.n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
-        return self.answer(unit)
+        return self.posterior_covariance_times(unit)
 
-    def judged(self) -> tuple[float, float, Array]:
+    def restricted_likelihood(self) -> tuple[float, float, Array]:
         """Twice the negative restricted log-likelihood, the noise variance that goes with it, all unknowns (size,).
 
         A line counts with its two amplitudes alike, each as if expected to be about the noise, whatever the unit.
         """
-        s, d, lines = self.system, self.data, self.lines
+        s, d, lines = self.layout, self.data, self.lines
         unknowns = self.unknowns()
-        left = d.precision @ self.left(unknowns) ** 2 + sum(float(np.sum(unknowns[m] ** 2)) for m in s.multiplier)
+        residual = d.precision @ self.residual(unknowns) ** 2 + sum(
+            float(np.sum(unknowns[m] ** 2)) for m in s.multiplier
+        )
         if d.colour:
-            left += unknowns[s.components[-1][0]] ** 2 / d.colour.share
-        degrees = d.count - ORDER - 2 * s.k
-        variance = max(float(left), np.finfo(float).tiny) / degrees
+            residual += unknowns[s.components[-1][0]] ** 2 / d.colour.share
+        degrees = d.count - TREND_ORDER - 2 * s.k
+        variance = max(float(residual), np.finfo(float).tiny) / degrees
         logdet = float(np.sum(np.log(np.abs(self._lu[0][2 * s.band]))))
         penalties = float(np.sum(np.log(self.lam))) + (s.n - 2) * float(np.sum(np.log(lines.mu)))
         amplitudes = 2.0 * float(np.sum(np.log(np.sin(lines.omega))))
         noise = d.colour.surprise(int(np.sum(d.w > 0)), s.n) if d.colour else 0.0
-        return (d.count - ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
+        return (d.count - TREND_ORDER) * np.log(variance) + logdet - penalties + amplitudes + noise, variance, unknowns
 
     def variances(self, start: Index, stencils: Array) -> Array:
         """Variance of linear combinations of neighbouring frames of the signal, for unit noise.
 
-        Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most BLOCK of
-        them; the result has the shape of stencils without its last axis.
+        Combination i takes the frames from start[i] (n,) on with the weights stencils[..., i, :], at most
+        BLOCK_FRAMES of them; the result has the shape of stencils without its last axis.
         """
         return variances_of([self], start, stencils)[0]
 
     def passed(self, start: Index, stencils: Array) -> Array:
         """The part of those variances that is noise let through, not signal taken away."""
-        return self.parted(start, stencils)[1]
+        return self.posterior_and_noise_variance(start, stencils)[1]
 
-    def parted(self, start: Index, stencils: Array) -> tuple[Array, Array]:
+    def posterior_and_noise_variance(self, start: Index, stencils: Array) -> tuple[Array, Array]:
         """Those variances, and the part of them that is noise let through.
 
         With V = (A + P'P)^-1 for all penalties times s, the noise that passes is V W V = V + s dV/ds.
         """
-        beside = (self._stiffer(np.exp(d)) for d in (STEP, -STEP))
+        beside = (self._stiffer(np.exp(d)) for d in (LOG_PENALTY_STEP, -LOG_PENALTY_STEP))
         both, up, down = variances_of([self, *beside], start, stencils)
         rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)
-        return both, np.asarray(np.maximum(both + (up - down) / (2.0 * STEP), rounding))
+        return both, np.asarray(np.maximum(both + (up - down) / (2.0 * LOG_PENALTY_STEP), rounding))
 
-    def _stiffer(self, times: float) -> Factor:
-        return factored(self.data, self.lam * times, Lines(self.lines.omega, self.lines.mu * times))
+    def _stiffer(self, times: float) -> FactoredSmoother:
+        return factor_smoother(self.data, self.lam * times, LineParameters(self.lines.omega, self.lines.mu * times))
 
     def equations(self) -> Array:
         """In bands (2 band + 1, size), with some weight for every frame."""
-        w = np.maximum(self.data.precision, NO_WEIGHT)
-        return self.system.equations(self.data, w, self.lam, self.lines)[self.system.band :]
+        w = np.maximum(self.data.precision, MISSING_WEIGHT)
+        return self.layout.equations(self.data, w, self.lam, self.lines)[self.layout.band :]
 
 
-def variances_of(factors: Sequence[Factor], start: Index, stencils: Array) -> Array:
+def variances_of(factors: Sequence[FactoredSmoother], start: Index, stencils: Array) -> Array:
     """Variances (F, ...) as by `Factor.variances`, of several smoothers of the same frames at once."""
-    s = factors[0].system
+    s = factors[0].layout
     m = stencils.shape[-1]
     place = np.concatenate([row[start[:, None] + np.arange(m)] for row in s.frame], axis=1)
     weights = np.concatenate([stencils.reshape(-1, *stencils.shape[-2:])] * len(s.frame), axis=-1)
-    found = selected.variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
+    found = selected_inverse.selected_variances(np.stack([f.equations() for f in factors]), s.block, place, weights)
     rounding = np.finfo(float).eps * np.sum(stencils**2, axis=-1)  # a stiff cubic is known that well
     return np.asarray(np.maximum(found.reshape(len(factors), *stencils.shape[:-1]), rounding))
 
@@ -335,7 +337,7 @@ def _weighted(w: Array, y: Array) -> Array:
     return np.asarray(w.reshape(-1, *[1] * (y.ndim - 1)) * y)
 
 
-def factored(data: Data, lam: Array, lines: Lines = NO_LINES) -> Factor:
+def factor_smoother(data: SmootherData, lam: Array, lines: LineParameters = NO_LINES) -> FactoredSmoother:
     """The smoother of the data with penalties lambda (n - 4,) of the trend and those of the lines."""
-    made = system(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
-    return Factor(made, data, lam, lines)
+    made = equation_layout(len(data.w), len(lines.omega), data.worth is not None, data.colour is not None)
+    return FactoredSmoother(made, data, lam, lines)

@@ -9,11 +9,11 @@ from frictrack.recording.base import Frame, Header, Recording
 from frictrack.recording.folder import Folder
 from frictrack.recording.phantom import Phantom
 from frictrack.recording.photron import Photron
-from frictrack.recording.spool import opened
+from frictrack.recording.spool import random_access
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.video import Video
 
-__all__ = ["FORMATS", "Frame", "Header", "Recording", "open_recording", "opened"]
+__all__ = ["FORMATS", "Frame", "Header", "Recording", "open_recording", "random_access"]
 
 FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 

@@ -17,7 +17,7 @@ from frictrack.recording.timebase import audit
 
 Frame = NDArray[np.unsignedinteger[Any]]  # (h, w) grey values, uint8 or uint16
 
-_CHUNK = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a file
+_HASHED_BYTES = 1 << 20  # bytes hashed at the head, in the middle and at the tail of a file
 
 
 class Recording(ABC):
@@ -134,9 +134,9 @@ class Recording(ABC):
                 size = file.stat().st_size
                 digest.update(f"{file.name}:{size}\n".encode())
                 with file.open("rb") as stream:
-                    for at in sorted({0, max(0, size // 2 - _CHUNK // 2), max(0, size - _CHUNK)}):
+                    for at in sorted({0, max(0, size // 2 - _HASHED_BYTES // 2), max(0, size - _HASHED_BYTES)}):
                         stream.seek(at)
-                        digest.update(stream.read(_CHUNK))
+                        digest.update(stream.read(_HASHED_BYTES))
         except OSError as e:
             raise FrictrackError(
                 f"{self.path.name}: expected the recording that was opened but it cannot be read any more "

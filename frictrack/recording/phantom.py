@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Header
-from frictrack.recording.raw import Direct, Layout
+from frictrack.recording.raw import DirectRecording, PixelLayout
 
 _FILE = struct.Struct("<2sHHHiIiIIIIQ")  # CINEFILEHEADER
 _BITMAP = struct.Struct("<IiiHHIIiiII")  # BITMAPINFOHEADER
@@ -23,10 +23,10 @@ _PACKED = {256: 10, 1024: 12}  # biCompression: P10 (companded) and P12L (linear
 _SETUP = {"rate_16": (0, "<H"), "rate": (768, "<I"), "shutter": (772, "<I"), "bits": (896, "<I")}
 _SHUTTER_NS = (1568, "<I")
 _STAMPS, _EXPOSURES = 1002, 1003  # tagged blocks: time and exposure of each picture, in 2^-32 s
-_MOST_BLOCKS = 100
+_MAX_BLOCKS = 100
 
 
-class Phantom(Direct):
+class Phantom(DirectRecording):
     """A Phantom recording (8 bit, 10 bit packed and companded, 12 bit packed, 16 bit)."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".cine",)
@@ -42,12 +42,12 @@ class Phantom(Direct):
                 ) from error
 
     def _header(self, file: BinaryIO, size: int) -> Header:
-        head = _Head.read(file)
+        head = _CineHeader.read(file)
         if head.mark != b"CI":
             raise FrictrackError(f"{self.path.name}: expected a Phantom film but the file cannot be read as one")
         height, width, bits = self._pixels(head)
         padded = 4 if head.picture_bytes != abs(height) * width * bits // 8 and not head.packed else 1
-        layout = Layout(self.path, range(0), bits, padded=padded)
+        layout = PixelLayout(self.path, range(0), bits, padded=padded)
         offsets = _offsets(file, head, layout.pitch(width) * abs(height), size)
         if not len(offsets):
             raise FrictrackError(
@@ -57,13 +57,13 @@ class Phantom(Direct):
         notes: tuple[str, ...] = ()
         if len(offsets) < head.count:
             notes = (f"truncated film: {len(offsets)} of {head.count} promised frames are in the file",)
-        self._layout = Layout(
+        self._layout = PixelLayout(
             self.path,
             offsets,
             bits,
             upward=height > 0 and not head.packed,  # packed pictures are always stored from the top
             padded=padded,
-            table=_LINEAR if bits == 10 else None,
+            table=_LINEAR_12_BIT if bits == 10 else None,
         )
         blocks = _blocks(file, head, size)
         return Header(
@@ -78,7 +78,7 @@ class Phantom(Direct):
             camera=True,
         )
 
-    def _pixels(self, head: _Head) -> tuple[int, int, int]:
+    def _pixels(self, head: _CineHeader) -> tuple[int, int, int]:
         """Height (negative: stored from the top), width and bits of a pixel, all possible."""
         bits = _PACKED.get(head.packed, head.bit_count)
         if bits not in (8, 10, 12, 16) or head.compression not in (0, 2) or head.packed not in (0, *_PACKED):
@@ -98,14 +98,14 @@ class Phantom(Direct):
             )
         return head.height, head.width, bits
 
-    def _depth(self, head: _Head, bits: int) -> int:
+    def _depth(self, head: _CineHeader, bits: int) -> int:
         if bits != 16:
             return 12 if bits == 10 else bits
         return head.setup["bits"] if 8 < head.setup["bits"] <= 16 else 16
 
 
 @dataclass(frozen=True)
-class _Head:
+class _CineHeader:
     """The fields of the file, bitmap and setup headers that are used."""
 
     mark: bytes
@@ -124,7 +124,7 @@ class _Head:
     setup: dict[str, int]
 
     @classmethod
-    def read(cls, file: BinaryIO) -> _Head:
+    def read(cls, file: BinaryIO) -> _CineHeader:
         """Raises `struct.error` where the file is too short."""
         file.seek(0)
         fields = _FILE.unpack(file.read(_FILE.size))
@@ -151,7 +151,7 @@ def _number(file: BinaryIO, at: int, kind: str) -> int:
     return int(struct.unpack(kind, file.read(struct.calcsize(kind)))[0])
 
 
-def _offsets(file: BinaryIO, head: _Head, picture: int, size: int) -> NDArray[np.int64]:
+def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDArray[np.int64]:
     """Bytes at which the pictures start that are complete, up to the first that is not."""
     most = min(head.count, max(0, size - head.off_offsets) // 8)
     file.seek(head.off_offsets)
@@ -167,11 +167,11 @@ def _offsets(file: BinaryIO, head: _Head, picture: int, size: int) -> NDArray[np
     return places[:count] + annotation
 
 
-def _blocks(file: BinaryIO, head: _Head, size: int) -> dict[int, NDArray[Any]]:
+def _blocks(file: BinaryIO, head: _CineHeader, size: int) -> dict[int, NDArray[Any]]:
     """The tagged blocks of stamps and exposures, as stored."""
     found: dict[int, NDArray[Any]] = {}
     at = head.off_setup + head.setup_bytes
-    for _ in range(_MOST_BLOCKS):
+    for _ in range(_MAX_BLOCKS):
         if at + 8 > min(size, head.off_offsets):
             break
         file.seek(at)
@@ -187,7 +187,7 @@ def _blocks(file: BinaryIO, head: _Head, size: int) -> dict[int, NDArray[Any]]:
     return found
 
 
-def _stamps(block: NDArray[Any] | None, head: _Head, count: int) -> NDArray[np.float64] | None:
+def _stamps(block: NDArray[Any] | None, head: _CineHeader, count: int) -> NDArray[np.float64] | None:
     """Times of the pictures in s from the trigger; NaN where none was written."""
     if block is None or len(block) < 2:
         return None
@@ -199,14 +199,14 @@ def _stamps(block: NDArray[Any] | None, head: _Head, count: int) -> NDArray[np.f
     return stamps
 
 
-def _exposure(block: NDArray[Any] | None, head: _Head) -> float | None:
+def _exposure(block: NDArray[Any] | None, head: _CineHeader) -> float | None:
     """Exposure in s: that of most pictures, else the one the camera was set to."""
     if block is not None and len(block) and np.median(block) > 0:
         return float(np.median(block)) * 2.0**-32
     return (head.setup["shutter_ns"] * 1e-9 or head.setup["shutter"] * 1e-6) or None
 
 
-def _linear() -> NDArray[np.uint16]:
+def _linearisation_table() -> NDArray[np.uint16]:
     """12 bit grey values of the 1024 codes of P10.
 
     The camera compands 12 bit to 10 by the transfer curve of ITU-R BT.709 above its black level of 64, so that a code
@@ -220,4 +220,4 @@ def _linear() -> NDArray[np.uint16]:
     return np.where(code > 1014, 4095, np.clip(np.rint(64.5 + 4024 * light), 0, 4095)).astype(np.uint16)
 
 
-_LINEAR = _linear()
+_LINEAR_12_BIT = _linearisation_table()

@@ -10,10 +10,10 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Header
-from frictrack.recording.raw import Direct, Layout, picture_bytes
+from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
 
 _HEADERS = (".cihx", ".cih")
-_MOST = 4 << 20  # bytes of a header that are read; the longest seen has 20 kB
+_MAX_HEADER_BYTES = 4 << 20  # bytes of a header that are read; the longest seen has 20 kB
 # The same facts in both kinds of header.
 _KEYS = {
     "width": ("Image Width", "imageDataInfo/resolution/width"),
@@ -35,17 +35,17 @@ _KEYS = {
 Facts = dict[str, str]
 
 
-class Photron(Direct):
+class Photron(DirectRecording):
     """A Photron recording (8, 10 packed, 12 packed or 16 bit), named by its header or by its .mraw file."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".mraw", *_HEADERS)
 
     def _open(self) -> Header:
-        self._head, self._data = _pair(self.path)
-        facts = _facts(self._head)
+        self._head, self._data = _header_and_data(self.path)
+        facts = _read_header(self._head)
         shape, bits = self._pixels(facts)
         frame = picture_bytes(shape, bits)
-        promised, size = self._whole(facts, "frames", 1, 1 << 40), self._data.stat().st_size
+        promised, size = self._whole_number(facts, "frames", 1, 1 << 40), self._data.stat().st_size
         count = min(promised, size // frame)
         notes: tuple[str, ...] = ()
         if not count:
@@ -55,9 +55,9 @@ class Photron(Direct):
             )
         if count < promised:
             notes = (f"truncated film: {count} of {promised} promised frames are in the file",)
-        depth = self._whole(facts, "depth", 8, 16) if bits == 16 and "depth" in facts else bits
+        depth = self._whole_number(facts, "depth", 8, 16) if bits == 16 and "depth" in facts else bits
         high = bits == 16 and facts.get("side", "").lower() == "higher"
-        layout = Layout(self._data, range(0, count * frame, frame), bits, shift=bits - depth if high else 0)
+        layout = PixelLayout(self._data, range(0, count * frame, frame), bits, shift=bits - depth if high else 0)
         self._layout = layout if high else _in_order(layout, shape, depth)
         fps, said = _rate(facts)
         exposure, trigger = _exposure(facts), self._trigger(facts)
@@ -70,8 +70,8 @@ class Photron(Direct):
                 f'{self._head.name}: expected the header of an mraw film but its pictures are "{facts["format"]}"; '
                 "open those pictures themselves"
             )
-        shape = self._whole(facts, "height", 1, 1 << 16), self._whole(facts, "width", 1, 1 << 16)
-        bits, colour = self._whole(facts, "bits", 1, 64), facts.get("colour", "Mono")
+        shape = self._whole_number(facts, "height", 1, 1 << 16), self._whole_number(facts, "width", 1, 1 << 16)
+        bits, colour = self._whole_number(facts, "bits", 1, 64), facts.get("colour", "Mono")
         if bits not in (8, 10, 12, 16) or colour.lower() not in ("mono", "raw"):
             raise FrictrackError(
                 f"{self._head.name}: expected grey values of 8, 10, 12 or 16 bit but got {colour} of {bits} bit; "
@@ -84,7 +84,7 @@ class Photron(Direct):
             )
         return shape, bits
 
-    def _whole(self, facts: Facts, key: str, low: int, high: int) -> int:
+    def _whole_number(self, facts: Facts, key: str, low: int, high: int) -> int:
         number = _number(facts.get(key, ""))
         if number is None or number != int(number) or not low <= number <= high:
             raise FrictrackError(
@@ -104,7 +104,7 @@ class Photron(Direct):
         return [self._head, self._data]
 
 
-def _pair(path: Path) -> tuple[Path, Path]:
+def _header_and_data(path: Path) -> tuple[Path, Path]:
     """The header and the pixels of a recording that is named by either."""
     beside = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
     beside[path.suffix.lower()] = path
@@ -119,9 +119,9 @@ def _pair(path: Path) -> tuple[Path, Path]:
     return head, beside[".mraw"]
 
 
-def _facts(head: Path) -> Facts:
+def _read_header(head: Path) -> Facts:
     with head.open("rb") as file:
-        text = file.read(_MOST).decode("utf-8", "replace")
+        text = file.read(_MAX_HEADER_BYTES).decode("utf-8", "replace")
     return _from_xml(head, text) if head.suffix.lower() == ".cihx" else _from_text(text)
 
 
@@ -188,7 +188,7 @@ def _exposure(facts: Facts) -> float | None:
     return 1 / value if value > 1 else value
 
 
-def _in_order(layout: Layout, shape: tuple[int, int], depth: int) -> Layout:
+def _in_order(layout: PixelLayout, shape: tuple[int, int], depth: int) -> PixelLayout:
     """The layout with the byte order in which the first picture does not exceed its bit depth."""
     if layout.bits != 16 or depth == 16:
         return layout
@@ -196,5 +196,5 @@ def _in_order(layout: Layout, shape: tuple[int, int], depth: int) -> Layout:
     orders: tuple[Literal["<", ">"], ...] = ("<", ">")
     for order in orders:
         if int(first.view(np.dtype(np.uint16).newbyteorder(order)).max(initial=0)) < 1 << depth:
-            return Layout(layout.path, layout.offsets, layout.bits, order)
+            return PixelLayout(layout.path, layout.offsets, layout.bits, order)
     return layout

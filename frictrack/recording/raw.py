@@ -1,6 +1,6 @@
 """Uncompressed pictures in a file: only the bytes of the wanted box are touched, in bounded memory.
 
-A format whose pixels lie bare in its file derives from `Direct` and sets `_layout` when it is opened.
+A format whose pixels lie bare in its file derives from `DirectRecording` and sets `_layout` when it is opened.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 
-_SPARSE = 1 << 18  # bytes of a frame above which reading ahead beyond the box costs more than it saves
-_TOGETHER = 1 << 18  # bytes of packed pixels unpacked at a time: they stay in the cache
+_MIN_SPARSE_BYTES = 1 << 18  # bytes of a frame above which reading ahead beyond the box costs more than it saves
+_UNPACK_BYTES = 1 << 18  # bytes of packed pixels unpacked at a time: they stay in the cache
 _GROUPS = {8: (1, 1), 10: (4, 5), 12: (2, 3), 16: (1, 2)}  # bits: pixels and bytes of one group
 
 
 @dataclass(frozen=True)
-class Layout:
+class PixelLayout:
     """Where the pictures lie and how a pixel is stored.
 
     `path`: the file of pixels. `offsets`: byte at which each picture starts. `bits`: 8, 16, or 10 and 12 for pixels
@@ -65,11 +65,11 @@ def picture_bytes(shape: tuple[int, int], bits: int) -> int:
     return shape[0] * shape[1] * bits // 8
 
 
-class Direct(Recording):
+class DirectRecording(Recording):
     """A recording of which any part of any frame can be read at once."""
 
     direct = True
-    _layout: Layout
+    _layout: PixelLayout
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """See `Recording.cut`; only the bytes of the boxes are read."""
@@ -84,16 +84,16 @@ class Direct(Recording):
             yield self._cutter.cut(np.array([index]), corner, self.shape)[0]
 
     @cached_property
-    def _cutter(self) -> Cutter:
-        return Cutter(self.shape, self._layout)
+    def _cutter(self) -> BoxReader:
+        return BoxReader(self.shape, self._layout)
 
 
-class Cutter:
+class BoxReader:
     """Boxes out of the pictures of one layout."""
 
-    def __init__(self, shape: tuple[int, int], layout: Layout) -> None:
+    def __init__(self, shape: tuple[int, int], layout: PixelLayout) -> None:
         self._layout, self._shape = layout, shape
-        self._sparse = picture_bytes(shape, layout.bits) > _SPARSE
+        self._sparse = picture_bytes(shape, layout.bits) > _MIN_SPARSE_BYTES
         self._group, self._bytes = _GROUPS[layout.bits]
         self._pitch = layout.pitch(shape[1])
 
@@ -103,7 +103,7 @@ class Cutter:
         if self._layout.bits in (8, 16):
             self._gather(out, indices, corners[:, 0], corners[:, 1])
             return self._graded(out)
-        many = max(1, _TOGETHER // max(1, size[0] * size[1] * 2))
+        many = max(1, _UNPACK_BYTES // max(1, size[0] * size[1] * 2))
         for at in range(0, len(indices), many):
             part = slice(at, at + many)
             out[part] = self._unpacked(indices[part], corners[part], size)

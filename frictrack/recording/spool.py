@@ -16,14 +16,17 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
-from frictrack.recording.raw import Cutter, Layout, picture_bytes
+from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes
 
-LAST, BEHIND = 400, 16  # frames kept where each is wanted once, and how many of them may still be looked back at
-IN_MEMORY = 512 << 20  # bytes of decoded film kept in memory; a longer film goes to a temporary file
+KEPT_FRAMES, LOOK_BACK_FRAMES = (
+    400,
+    16,
+)  # frames kept where each is wanted once, and how many of them may still be looked back at
+MAX_MEMORY_BYTES = 512 << 20  # of decoded film; a longer film goes to a temporary file
 
 
 @contextmanager
-def opened(recording: Recording, *, once: bool = False) -> Iterator[Recording]:
+def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recording]:
     """Give `recording` itself if it is direct, else a spool that a thread decodes it into, once.
 
     With `once` the frames are gone through in their order and only the last few hundred of them are kept, where
@@ -44,11 +47,11 @@ def opened(recording: Recording, *, once: bool = False) -> Iterator[Recording]:
 
 
 class Spool(Recording):
-    """The decoded frames of another recording, with random access; made by `opened`."""
+    """The decoded frames of another recording, with random access; made by `random_access`."""
 
     suffixes: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, source: Recording, store: _Memory | _Disk) -> None:
+    def __init__(self, source: Recording, store: _MemoryStore | _DiskStore) -> None:
         self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
         self.direct = True
         self._source = source
@@ -102,7 +105,7 @@ class Spool(Recording):
             if first < self._ready - self._store.kept:
                 raise ValueError(f"frame {first} was given up after frame {self._ready}")
             with self._news:
-                self._passed = max(self._passed, first - BEHIND)
+                self._passed = max(self._passed, first - LOOK_BACK_FRAMES)
                 self._news.notify_all()
         if index < self._ready:
             return True
@@ -147,7 +150,7 @@ class Spool(Recording):
                 self._news.notify_all()
 
 
-class _Memory:
+class _MemoryStore:
     """Decoded frames in memory: all, or the last ones (`kept`)."""
 
     def __init__(self, n: int, shape: tuple[int, int], kind: Any, kept: int | None = None) -> None:
@@ -168,7 +171,7 @@ class _Memory:
         self._frames = self._frames[:0].copy()
 
 
-class _Disk:
+class _DiskStore:
     """Decoded frames in a temporary file."""
 
     kept: ClassVar[int | None] = None
@@ -179,8 +182,8 @@ class _Disk:
         self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", buffering=0, delete=False)  # noqa: SIM115
         self._file.truncate(n * self._frame)
         path = Path(self._file.name)
-        layout = Layout(path, range(0, n * self._frame, self._frame), bits, "=")
-        self._cutter = Cutter(shape, layout)
+        layout = PixelLayout(path, range(0, n * self._frame, self._frame), bits, "=")
+        self._cutter = BoxReader(shape, layout)
 
     def write(self, i: int, frame: Frame) -> None:
         self._file.seek(i * self._frame)
@@ -195,19 +198,19 @@ class _Disk:
         Path(self._file.name).unlink(missing_ok=True)
 
 
-def _store(source: Recording, once: bool = False) -> _Memory | _Disk:
+def _store(source: Recording, once: bool = False) -> _MemoryStore | _DiskStore:
     bits = 8 if source.bit_depth <= 8 else 16
     kind = np.uint8 if bits == 8 else np.uint16
     frame = picture_bytes(source.shape, bits)
     total = source.n_frames * frame
-    if once and source.n_frames > LAST and LAST * frame <= IN_MEMORY:
-        return _Memory(source.n_frames, source.shape, kind, LAST)
-    if total <= IN_MEMORY:
-        return _Memory(source.n_frames, source.shape, kind)
+    if once and source.n_frames > KEPT_FRAMES and KEPT_FRAMES * frame <= MAX_MEMORY_BYTES:
+        return _MemoryStore(source.n_frames, source.shape, kind, KEPT_FRAMES)
+    if total <= MAX_MEMORY_BYTES:
+        return _MemoryStore(source.n_frames, source.shape, kind)
     free = shutil.disk_usage(tempfile.gettempdir()).free
     if total > free:
         raise FrictrackError(
             f"{source.path.name}: expected {total / 1e9:.1f} GB of room for the decoded film in "
             f"{tempfile.gettempdir()} but {free / 1e9:.1f} GB are free; make room or set TMPDIR to another disk"
         )
-    return _Disk(source.n_frames, source.shape, bits)
+    return _DiskStore(source.n_frames, source.shape, bits)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, grey
-from frictrack.recording.raw import Direct, Layout, picture_bytes
+from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
 
 # What tifffile would log about broken files, `Recording` says in words.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
-_MOST_PACKED = 1100  # times that deflate, the densest of the codecs, can make a picture smaller
+_MAX_COMPRESSION = 1100  # times that deflate, the densest of the codecs, can make a picture smaller
 _MAX_SAMPLE_VALUE = 281  # TIFF tag: 4095 says 12 bit in 16
 
 
-class Tiff(Direct):
+class Tiff(DirectRecording):
     """A recording in one TIFF or BigTIFF file (8, 12 or 16 bit); ImageJ's contiguous stacks included.
 
     Direct where every page is grey, uncompressed and in one piece.
@@ -63,22 +63,24 @@ class Tiff(Direct):
                 "copy it from the camera again"
             )
         plain = page.compression == tifffile.COMPRESSION.NONE
-        if frame_bytes > self.path.stat().st_size * (1 if plain else _MOST_PACKED):
+        if frame_bytes > self.path.stat().st_size * (1 if plain else _MAX_COMPRESSION):
             raise ValueError("a picture larger than the file can hold")
         offsets = self._offsets(tif, in_file, frame_bytes)
         self.direct = offsets is not None
         if offsets is not None:
-            self._layout = Layout(self.path, offsets, page.bitspersample, tif.byteorder)
+            self._layout = PixelLayout(self.path, offsets, page.bitspersample, tif.byteorder)
         return Header(in_file, shape, _bit_depth(page), _rate(tif), notes=notes)
 
     def _offsets(self, tif: tifffile.TiffFile, count: int, frame_bytes: int) -> NDArray[np.int64] | range | None:
         """Where each bare picture starts; None where pages are compressed, coloured or in strips."""
-        if not _bare(tif.pages[0]):
+        if not _is_plain_page(tif.pages[0]):
             return None
         if self._contiguous:
             return range(self._at, self._at + count * frame_bytes, frame_bytes)
         pages, size = [tif.pages[i] for i in range(count)], self.path.stat().st_size
-        if not all(_bare(page) and page.shape == pages[0].shape and page.dtype == pages[0].dtype for page in pages):
+        if not all(
+            _is_plain_page(page) and page.shape == pages[0].shape and page.dtype == pages[0].dtype for page in pages
+        ):
             return None
         if any(_end(page) > size for page in pages):  # a damaged one among sound ones
             return None
@@ -126,7 +128,7 @@ def _in_one_block(tif: tifffile.TiffFile, at: int, frame_bytes: int) -> bool:
     return len(tif.pages) == 1 or at + int(about.get("images", 1)) * frame_bytes <= tif.pages[1].offset
 
 
-def _bare(page: Any) -> bool:
+def _is_plain_page(page: Any) -> bool:
     """One uncompressed grey picture in one piece, its rows without padding."""
     starts, counts = np.array(page.dataoffsets), np.array(page.databytecounts)
     gapless = bool(np.all(starts[:-1] + counts[:-1] == starts[1:]))

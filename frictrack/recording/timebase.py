@@ -17,19 +17,19 @@ from frictrack.errors import FrictrackError
 from frictrack.recording.header import Header
 
 PLAYBACK_FPS = 60.0  # a container that says no more than this gives the speed of showing, not of filming
-DISAGREE = 1e-3  # relative difference of two frame rates that is said: 0.2 % of friction
-COARSE = 0.3  # stamps rounded to more than this share of a frame interval tell no frames apart
-UNEVEN = 0.1  # rms deviation of stamps from whole frames, in frames, above which they are the times themselves
-_FAR = 10_000  # frames; nothing is believed to be missing for longer
-_AGAIN = 3  # stamps in a row that agree with each other, not with those before: the clock was set
-_LISTED = 5
+MAX_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is said: 0.2 % of friction
+MAX_ROUNDING = 0.3  # stamps rounded to more than this share of a frame interval tell no frames apart
+MAX_UNEVENNESS = 0.1  # rms deviation of stamps from whole frames, in frames, above which they are the times themselves
+_MAX_GAP_FRAMES = 10_000  # frames; nothing is believed to be missing for longer
+_MIN_AGREEING_STAMPS = 3  # stamps in a row that agree with each other, not with those before: the clock was set
+_MAX_LISTED_FRAMES = 5
 
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Row:
+class AuditRow:
     """One line of the audit: what was looked at, its value, what is made of it."""
 
     name: str
@@ -47,7 +47,7 @@ class Timebase:
 
     fps: float
     t: Array
-    rows: tuple[Row, ...] = ()
+    rows: tuple[AuditRow, ...] = ()
     notes: tuple[str, ...] = ()
     kept: Ticks | None = None
 
@@ -92,18 +92,18 @@ def read_stamps(stamps: Array) -> Stamps | None:
     if len(good) < 3 or len(forward) < max(2, 0.8 * len(steps)):
         return None
     step = float(np.median(forward))
-    if _rounding(forward / step) > COARSE:
+    if _rounding(forward / step) > MAX_ROUNDING:
         return None
-    ticks = _plain(stamps, step)
+    ticks = _consecutive(stamps, step)
     if ticks is None:
-        ticks = _counted(stamps, step)
+        ticks = _count_ticks(stamps, step)
     written_twice = _written_twice(ticks)
     ticks[written_twice] += 1
     known = np.flatnonzero(ticks >= 0)
     if len(known) < max(3, len(stamps) // 2):
         return None
     sure = np.setdiff1d(known, written_twice)
-    step = _fitted(ticks[sure], stamps[sure], step)
+    step = _fit_interval(ticks[sure], stamps[sure], step)
     jumps = np.diff(ticks[known])
     return Stamps(
         ticks,
@@ -136,13 +136,13 @@ def _written_twice(ticks: Ticks) -> Ticks:
 def _uneven(ticks: Ticks, stamps: Array, step: float) -> bool:
     """Whether the frames are off the even grid by more than rounding; a clock that was set says nothing of that."""
     steps = np.diff(stamps)
-    if np.any((steps < -0.5 * step) | (steps > _FAR * step)):
+    if np.any((steps < -0.5 * step) | (steps > _MAX_GAP_FRAMES * step)):
         return False
     off = stamps - stamps[0] - (ticks - ticks[0]) * step
-    return float(np.std(off)) > UNEVEN * step
+    return float(np.std(off)) > MAX_UNEVENNESS * step
 
 
-def _plain(stamps: Array, step: float) -> Ticks | None:
+def _consecutive(stamps: Array, step: float) -> Ticks | None:
     """0, 1, 2, ... where every interval is one frame: nearly always."""
     steps = np.diff(stamps)
     if np.all((steps > 0.5 * step) & (steps < 1.5 * step)):
@@ -150,40 +150,40 @@ def _plain(stamps: Array, step: float) -> Ticks | None:
     return None
 
 
-def _counted(stamps: Array, step: float) -> Ticks:
+def _count_ticks(stamps: Array, step: float) -> Ticks:
     """Frame intervals since the first good stamp, -1 where a stamp is corrupt; a clock that was set counts on."""
     ticks = np.full(len(stamps), -1, np.int64)
-    last = _first(stamps, step)
+    last = _first_confirmed(stamps, step)
     ticks[last] = last
     strangers: list[int] = []
     for i in range(last + 1, len(stamps)):
         passed = (stamps[i] - stamps[last]) / step
-        if _believed(passed, i, last, stamps, step):
+        if _is_credible(passed, i, last, stamps, step):
             ticks[i] = ticks[last] + max(round(passed), 0)
             last, strangers = i, []
             continue
-        strangers = [*strangers, i] if _follows(stamps, strangers, i, step) else [i]
-        if len(strangers) == _AGAIN:
+        strangers = [*strangers, i] if _continues(stamps, strangers, i, step) else [i]
+        if len(strangers) == _MIN_AGREEING_STAMPS:
             for place in strangers:
                 ticks[place] = ticks[last] + place - last
             last, strangers = i, []
     return ticks - ticks[ticks >= 0].min(initial=0) * (ticks >= 0)
 
 
-def _first(stamps: Array, step: float) -> int:
+def _first_confirmed(stamps: Array, step: float) -> int:
     """The first stamp that the next one bears out."""
     steps = np.diff(stamps) / step
     near = np.flatnonzero((steps > 0.5) & (steps < 1.5))
     return int(near[0]) if len(near) else 0
 
 
-def _follows(stamps: Array, strangers: Sequence[int], i: int, step: float) -> bool:
+def _continues(stamps: Array, strangers: Sequence[int], i: int, step: float) -> bool:
     return bool(strangers) and 0.5 < (stamps[i] - stamps[strangers[-1]]) / step < 1.5
 
 
-def _believed(passed: float, i: int, last: int, stamps: Array, step: float) -> bool:
+def _is_credible(passed: float, i: int, last: int, stamps: Array, step: float) -> bool:
     """Whether stamp `i` can be right, `passed` frame intervals after the last right one."""
-    if not -0.5 < passed < _FAR:  # NaN too
+    if not -0.5 < passed < _MAX_GAP_FRAMES:  # NaN too
         return False
     if passed < i - last + 0.5:
         return True
@@ -192,7 +192,7 @@ def _believed(passed: float, i: int, last: int, stamps: Array, step: float) -> b
     return bool(np.all((after - stamps[i]) / step > -0.5)) and (len(after) > 0 or passed < i - last + 10)
 
 
-def _fitted(ticks: Ticks, stamps: Array, step: float) -> float:
+def _fit_interval(ticks: Ticks, stamps: Array, step: float) -> float:
     """Seconds per frame by a straight line through the stamps, without those that lie off it."""
     use = np.ones(len(ticks), dtype=bool)
     for _ in range(3):
@@ -222,7 +222,7 @@ def _true_rate(name: str, given: float | None, header: Header, stamped: float | 
             raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
         return float(given)
     least = 0.0 if header.camera else PLAYBACK_FPS
-    agree = header.fps and stamped and abs(header.fps / stamped - 1) <= DISAGREE
+    agree = header.fps and stamped and abs(header.fps / stamped - 1) <= MAX_RATE_DIFFERENCE
     for rate in (header.fps, stamped) if agree else (stamped, header.fps):
         if rate is not None and np.isfinite(rate) and rate > least:
             return float(rate)
@@ -233,33 +233,33 @@ def _true_rate(name: str, given: float | None, header: Header, stamped: float | 
     )
 
 
-def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> tuple[list[Row], list[str]]:
+def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> tuple[list[AuditRow], list[str]]:
     rows, notes = [], []
     used = "given" if given is not None else "stamps" if stamped == fps else "header"
     for source, rate in (("given", given), ("header", header.fps), ("stamps", stamped)):
         if rate is None or not np.isfinite(rate):
             continue
-        apart = abs(rate / fps - 1) > DISAGREE
+        apart = abs(rate / fps - 1) > MAX_RATE_DIFFERENCE
         shown = not header.camera and apart and rate <= PLAYBACK_FPS
         verdict = "used" if source == used else "speed of showing" if shown else "disagrees" if apart else "agrees"
-        rows.append(Row(f"frame rate, {source}", f"{rate:.6g} fps", verdict))
+        rows.append(AuditRow(f"frame rate, {source}", f"{rate:.6g} fps", verdict))
         if verdict == "disagrees":
             notes.append(
-                f"the frame rate of the {_WHERE[source]} is {rate:.6g} fps but that {_FROM[used]} is {fps:.6g} fps; "
-                f"{fps:.6g} fps is used"
+                f"the frame rate of the {_SOURCE_NAMES[source]} is {rate:.6g} fps but that "
+                f"{_SOURCE_PHRASES[used]} is {fps:.6g} fps; {fps:.6g} fps is used"
             )
     return rows, notes
 
 
-_WHERE = {"header": "file's header", "stamps": "time stamps", "given": "user"}
-_FROM = {"header": "of the file's header", "stamps": "of the time stamps", "given": "given by the user"}
+_SOURCE_NAMES = {"header": "file's header", "stamps": "time stamps", "given": "user"}
+_SOURCE_PHRASES = {"header": "of the file's header", "stamps": "of the time stamps", "given": "given by the user"}
 
 
-def _stamp_findings(read: Stamps | None, stamps: Array | None) -> tuple[list[Row], list[str]]:
+def _stamp_findings(read: Stamps | None, stamps: Array | None) -> tuple[list[AuditRow], list[str]]:
     if stamps is None:
         return [], []
     if read is None:
-        return [Row("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
+        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
     missing = int(read.ticks.max()) + 1 - len(stamps) + len(read.doubled)
     found = [
         (len(read.gaps) and max(missing, 1), "missing", "left as gaps in time", read.gaps, "frames are missing before"),
@@ -269,36 +269,36 @@ def _stamp_findings(read: Stamps | None, stamps: Array | None) -> tuple[list[Row
     rows, notes = [], []
     for count, what, handled, frames, words in found:
         verdict = handled if count else "none"
-        rows.append(Row(f"time stamps, {what}", str(int(count)), verdict))
+        rows.append(AuditRow(f"time stamps, {what}", str(int(count)), verdict))
         if count:
-            notes.append(f"{_some(int(count), words)} {_list(frames)}; {handled}")
+            notes.append(f"{_count_words(int(count), words)} {_list_frames(frames)}; {handled}")
     if read.uneven:
-        rows.append(Row("time stamps, spacing", "uneven", "each frame has its own time"))
+        rows.append(AuditRow("time stamps, spacing", "uneven", "each frame has its own time"))
         notes.append("the time stamps are not evenly spaced; each frame has the time of its own stamp")
     return rows, notes
 
 
-def _some(count: int, words: str) -> str:
+def _count_words(count: int, words: str) -> str:
     if count == 1:
         for many, one in (("frames are", "frame is"), ("frames have", "frame has"), ("stamps are", "stamp is")):
             words = words.replace(many, one)
     return f"{count} {words}"
 
 
-def _list(frames: Ticks) -> str:
-    named = ", ".join(str(i) for i in frames[:_LISTED].tolist())
-    more = len(frames) - _LISTED
+def _list_frames(frames: Ticks) -> str:
+    named = ", ".join(str(i) for i in frames[:_MAX_LISTED_FRAMES].tolist())
+    more = len(frames) - _MAX_LISTED_FRAMES
     return f"frame{'s' if len(frames) > 1 else ''} {named}" + (f" and {more} more" if more > 0 else "")
 
 
-def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[Row], list[str]]:
+def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[AuditRow], list[str]]:
     if exposure is None:
         return [], []
     share = exposure * fps
-    if share <= 1 + DISAGREE:
-        return [Row("exposure", f"{1e6 * exposure:.4g} us", f"{share:.1%} of the frame interval")], []
+    if share <= 1 + MAX_RATE_DIFFERENCE:
+        return [AuditRow("exposure", f"{1e6 * exposure:.4g} us", f"{share:.1%} of the frame interval")], []
     note = (
         f"the exposure of {1e6 * exposure:.4g} us is longer than the frame interval of {1e6 / fps:.4g} us; "
         "one of the two is wrong"
     )
-    return [Row("exposure", f"{1e6 * exposure:.4g} us", "longer than the frame interval")], [note]
+    return [AuditRow("exposure", f"{1e6 * exposure:.4g} us", "longer than the frame interval")], [note]

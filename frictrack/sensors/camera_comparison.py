@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.motion.known import KnownAcceleration
+from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.records import GRAVITY, Array
 from frictrack.sensors.align import (
     ALPHA_WHITENESS,

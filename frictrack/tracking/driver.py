@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.recording import Recording, opened
+from frictrack.recording import Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, obstructed
 from frictrack.tracking.checks import at_rest, key_frames
@@ -58,7 +58,7 @@ def track(
     texture.
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
-    with opened(recording, once=_once(drawn.target, template, known)) as film:
+    with random_access(recording, once=_once(drawn.target, template, known)) as film:
         if known is None:
             rectangle, template, followed, lesson = _studied(film, drawn, template, progress)
             rows = np.flatnonzero(followed.found & ~lesson.turns)
@@ -103,7 +103,7 @@ def learn_target(
 
     Arguments and errors are those of `track`, which takes the result as `known` for further films of the target.
     """
-    with opened(recording) as film:
+    with random_access(recording) as film:
         return _studied(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
 
 

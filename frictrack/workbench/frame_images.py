@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frictrack.recording import Frame, open_recording, opened
+from frictrack.recording import Frame, open_recording, random_access
 
 MAX_WIDTH_PX = 1280  # px; wider pictures are made smaller
 MAX_CACHED_FRAMES = 64  # pictures that are at hand
@@ -24,7 +24,7 @@ class FrameImages:
 
     def __init__(self, path: Path, fps: float | None) -> None:
         self._stack = ExitStack()
-        self._recording = self._stack.enter_context(opened(open_recording(path, fps)))
+        self._recording = self._stack.enter_context(random_access(open_recording(path, fps)))
         self._lock = Lock()
         self._cache: OrderedDict[int, bytes] = OrderedDict()
         first = self._recording.frame(0)

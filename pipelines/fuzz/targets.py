@@ -24,7 +24,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.opening import checked
 from frictrack.flow.stages import FILM
-from frictrack.recording import open_recording, opened
+from frictrack.recording import open_recording, random_access
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import with_header
@@ -75,7 +75,7 @@ def watched(path: Path) -> None:
     assert rec.t.shape == (rec.n_frames,)
     assert np.all(np.diff(rec.t) > 0)
     assert np.all(np.isfinite(rec.t))
-    with opened(rec) as film:
+    with random_access(rec) as film:
         assert all(f.shape == rec.shape for f in film.pick(range(min(rec.n_frames, 5))))
         film.frame(-1)
         film.cut([0, rec.n_frames - 1], [[0, 0], [2, 1]], (6, 5))

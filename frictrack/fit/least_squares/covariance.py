@@ -9,7 +9,7 @@ from scipy.stats import t as student
 from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
-from frictrack.motion.noise import SPREAD, slow_spectrum
+from frictrack.motion.noise import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array
 
 NORMAL_QUANTILE_975 = 1.96  # standard deviations of a normal law that hold 95 %
@@ -42,7 +42,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     if any(p.cut for p in solution.problem.pieces):
         return _batch_covariance(solution, full), unseen
     full = full + _systematic_covariance(solution, full)
-    full = full * (student.ppf(0.975, solution.problem.n_frames / SPREAD) / NORMAL_QUANTILE_975) ** 2
+    full = full * (student.ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     more, _ = inverse_normal_matrix(np.vstack([solution.jac, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)]))

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from frictrack.fit.segments.pieces import MIN_FRAMES, Piece
-from frictrack.motion.filter import weights
+from frictrack.motion.filter import frame_weights
 from frictrack.motion.grid import frame_grid
-from frictrack.motion.stencil import NODES, stencils
+from frictrack.motion.stencil import STENCIL_FRAMES, stencils
 from frictrack.motion.structure import Structure
-from frictrack.motion.system import Data, Factor
+from frictrack.motion.system import FactoredSmoother, SmootherData
 from frictrack.records import Array, Mask, Run
 
 
@@ -27,7 +27,7 @@ class AccelerationChain:
 
     rows: NDArray[np.int64]  # place of every frame on the regular grid of N frames
     weight: Array  # of the smoother, (N,), 0 where a frame is missing
-    factor: Factor  # the smoother
+    factor: FactoredSmoother  # the smoother
     second: csr_array  # second derivative at the compared frames, (m, N)
     sigma_a: Array  # noise of the accelerations, (m,)
     kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
@@ -42,7 +42,7 @@ class AccelerationChain:
 
     def transposed(self, columns: Array) -> Array:
         """K' times columns (m, k), shape (n, k)."""
-        out: Array = (self.weight[:, None] * self.factor.answer(self.second.T @ columns))[self.rows]
+        out: Array = (self.weight[:, None] * self.factor.posterior_covariance_times(self.second.T @ columns))[self.rows]
         return out
 
     def only(self, rows: Mask) -> AccelerationChain:
@@ -58,14 +58,16 @@ def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
     guard = min(m, n // 8, max((n - MIN_FRAMES) // 2, 0))
     inside = np.arange(guard, n - guard)
     kept = grid.frames[inside]
-    weight = grid.spread(weights(piece.sigma, np.ones(n, dtype=bool)))
-    smoother = Structure.low_pass(run.motion.cutoff, grid.interval).factored(Data(np.zeros(grid.n), weight))
+    weight = grid.to_frames(frame_weights(piece.sigma, np.ones(n, dtype=bool)))
+    smoother = Structure.low_pass(run.motion.cutoff, grid.interval).factor_smoother(
+        SmootherData(np.zeros(grid.n), weight)
+    )
     start, table = stencils(grid.n, grid.interval)
     noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
     spread = noise * np.sqrt(smoother.passed(start, table[2:]))[0]
-    columns = (start[kept, None] + np.arange(NODES)).ravel()
+    columns = (start[kept, None] + np.arange(STENCIL_FRAMES)).ravel()
     second = csr_array(
-        (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), NODES), columns)), shape=(len(kept), grid.n)
+        (table[2, kept].ravel(), (np.repeat(np.arange(len(kept)), STENCIL_FRAMES), columns)), shape=(len(kept), grid.n)
     )
     return AccelerationChain(grid.frames, weight, smoother, second, spread[kept], inside, run.motion.cutoff)
 

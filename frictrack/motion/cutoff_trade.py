@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.motion.filter import MISSING, Smoother, low_pass, weights
-from frictrack.motion.grid import Grid, frame_grid
-from frictrack.motion.spread import trend
-from frictrack.motion.stencil import derived
-from frictrack.motion.structure import Structure, unseen
-from frictrack.motion.system import ORDER, Colour, Data
+from frictrack.motion.filter import MISSING_SIGMA, Smoother, frame_weights, low_pass
+from frictrack.motion.grid import FrameGrid, frame_grid
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.stencil import stencil_derivatives
+from frictrack.motion.structure import Structure, undetectable_amplitude
+from frictrack.motion.system import TREND_ORDER, NoiseColour, SmootherData
 from frictrack.records import Array, Displacement, Filtered, Mask, Motion, Trade
 
-CUTOFFS = 32
-LOWEST, HIGHEST = 2.0, 0.4  # cycles over the record, and per frame
-AWAY = 8  # frames from an event
-PASSES = 0.9  # of its amplitude: a line of which less is left lies above the cut-off
-RESPONSES = 2048  # frequencies at which noise is summed
+N_CUTOFFS = 32
+MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # cycles over the record, and per frame
+EVENT_MARGIN_FRAMES = 8
+MIN_PASSED_AMPLITUDE = 0.9  # of its amplitude; a line of which less is left lies above the cut-off
+N_FREQUENCIES = 2048  # at which noise is summed
 
 
 def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Trade:
@@ -32,16 +32,16 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
     """
     displacement = displacement.rows(displacement.span)
     grid, known = frame_grid(displacement.t), displacement.known
-    w = grid.spread(weights(displacement.sigma_x, known))
+    w = grid.to_frames(frame_weights(displacement.sigma_x, known))
     best = low_pass(displacement) if filtered.asked else filtered
-    y, signal = grid.spread(np.where(known, displacement.x, 0.0)), grid.spread(best.x)
-    heard = best.sigma_x < MISSING
+    y, signal = grid.to_frames(np.where(known, displacement.x, 0.0)), grid.to_frames(best.x)
+    heard = best.sigma_x < MISSING_SIGMA
     noise = float(np.mean(best.sigma_x[heard] ** -2.0) ** -0.5)
-    frequency = np.geomspace(LOWEST / (grid.n * grid.interval), HIGHEST / grid.interval, CUTOFFS)
+    frequency = np.geomspace(MIN_CYCLES / (grid.n * grid.interval), MAX_CUTOFF / grid.interval, N_CUTOFFS)
     calm = _calm(best, grid)
-    rows = np.array([_row(f, grid, w, (y, signal, calm)) for f in frequency])
+    rows = np.array([_residual_and_lost(f, grid, w, (y, signal, calm)) for f in frequency])
     colour = Smoother.read(best.smoother).colour
-    floor, passed = np.array([_of_noise(f, grid.interval, colour) for f in frequency]).T * noise
+    floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
     total = np.hypot(passed, rows[:, 1])
     return Trade(
         frequency=frequency,
@@ -49,46 +49,46 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
         floor=floor,
         noise=passed,
         lost=rows[:, 1],
-        hidden=unseen(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
+        hidden=undetectable_amplitude(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
         chosen=filtered.cutoff,
         least=float(frequency[np.argmin(total)]),
         structural=float(np.sqrt(np.mean(motion.sigma_a[calm[grid.frames]] ** 2))),
-        warnings=tuple(_above(best, filtered.cutoff, grid.interval)),
+        warnings=tuple(_warnings(best, filtered.cutoff, grid.interval)),
     )
 
 
-def _calm(best: Filtered, grid: Grid) -> Mask:
+def _calm(best: Filtered, grid: FrameGrid) -> Mask:
     """Frames (n,) away from events: what a push loses would hide all else."""
-    out = grid.spread((best.sigma_x < MISSING).astype(float)) > 0
+    out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
     for first, last in best.events:
-        out[max(grid.frames[first] - AWAY, 0) : grid.frames[last] + AWAY + 1] = False
+        out[max(grid.frames[first] - EVENT_MARGIN_FRAMES, 0) : grid.frames[last] + EVENT_MARGIN_FRAMES + 1] = False
     return out
 
 
-def _row(f: float, grid: Grid, w: Array, series: tuple[Array, Array, Mask]) -> tuple[float, float]:
+def _residual_and_lost(f: float, grid: FrameGrid, w: Array, series: tuple[Array, Array, Mask]) -> tuple[float, float]:
     """Residual of the measured series, m, and acceleration lost of the smoothed one, m/s^2, at one cut-off."""
-    factor = Structure.low_pass(f, grid.interval).factored(Data(np.zeros(grid.n), w))
-    measured, signal = (s - trend(s, w) for s in series[:2])
+    factor = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(np.zeros(grid.n), w))
+    measured, signal = (s - weighted_cubic(s, w) for s in series[:2])
     residual = np.sqrt(np.average((measured - factor.smooth(measured)) ** 2, weights=w))
-    taken = derived(signal - factor.smooth(signal), grid.interval)[2]
+    taken = stencil_derivatives(signal - factor.smooth(signal), grid.interval)[2]
     return float(residual), float(np.sqrt(np.mean(taken[series[2]] ** 2)))
 
 
-def _of_noise(f: float, interval: float, colour: Colour | None) -> tuple[float, float]:
+def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:
     """Residual and acceleration that noise of unit size leaves, away from the ends."""
-    nu = (np.arange(RESPONSES) + 0.5) / (2 * RESPONSES)
-    density = colour.spectrum(2 * np.pi * nu) if colour else np.ones(RESPONSES)
-    h = 1.0 / (1.0 + (np.sin(np.pi * nu) / np.sin(np.pi * f * interval)) ** (2 * ORDER))
+    nu = (np.arange(N_FREQUENCIES) + 0.5) / (2 * N_FREQUENCIES)
+    density = colour.spectrum(2 * np.pi * nu) if colour else np.ones(N_FREQUENCIES)
+    h = 1.0 / (1.0 + (np.sin(np.pi * nu) / np.sin(np.pi * f * interval)) ** (2 * TREND_ORDER))
     second = (15.0 - 16.0 * np.cos(2 * np.pi * nu) + np.cos(4 * np.pi * nu)) / 6.0 / interval**2  # five points
     return float(np.sqrt(np.mean((1 - h) ** 2 * density))), float(np.sqrt(np.mean((h * second) ** 2 * density)))
 
 
-def _above(best: Filtered, cutoff: float, interval: float) -> list[str]:
+def _warnings(best: Filtered, cutoff: float, interval: float) -> list[str]:
     """In words what lies above a cut-off."""
     said = []
     for f in best.lines:
-        left = 1.0 / (1.0 + (np.sin(np.pi * f * interval) / np.sin(np.pi * cutoff * interval)) ** (2 * ORDER))
-        if left < PASSES:
+        left = 1.0 / (1.0 + (np.sin(np.pi * f * interval) / np.sin(np.pi * cutoff * interval)) ** (2 * TREND_ORDER))
+        if left < MIN_PASSED_AMPLITUDE:
             said.append(
                 f"a vibration at {f:.4g} Hz lies above the cut-off of {cutoff:.3g} Hz: a plain low-pass leaves "
                 f"{100 * left:.0f} % of its amplitude"

@@ -14,10 +14,10 @@ from scipy.linalg.lapack import dgbsv
 from frictrack.records import Array
 
 Index = NDArray[np.int64]
-WINDOWS = 256  # pairs of blocks that are solved at once
+PAIRS_AT_ONCE = 256  # pairs of blocks that are solved at once
 
 
-class Blocks:
+class BlockEquations:
     """Symmetric banded equations (F, 2 band + 1, size) in blocks of so many unknowns, the last one padded."""
 
     def __init__(self, equations: Array, block: int) -> None:
@@ -53,7 +53,7 @@ class Blocks:
             last[:, -b:, -b:] += after[:, pairs - k]
             up, down = self._link(k - 1), self._link(pairs - k)
             known[:f, -b:], known[f:, :b] = up.swapaxes(1, 2), down
-            found = _solved(np.concatenate([first, last]), known)
+            found = _solve_symmetric(np.concatenate([first, last]), known)
             before[:, k] = -up @ found[:f, -b:]
             after[:, pairs - k - 1] = -down.swapaxes(1, 2) @ found[f:, :b]
         return before, after
@@ -68,24 +68,24 @@ class Blocks:
         bands[:, b + i - j, :, j] += np.moveaxis(self.before[:, first:stop], 1, -1).transpose(1, 2, 0, 3)
         bands[:, b + i - j, :, wide - b + j] += np.moveaxis(self.after[:, first:stop], 1, -1).transpose(1, 2, 0, 3)
         flat = bands.reshape(len(bands), 2 * b + 1, -1)
-        return np.stack([_banded(b, each, right.reshape(-1, right.shape[-1])) for each in flat]).reshape(
+        return np.stack([_solve_banded(b, each, right.reshape(-1, right.shape[-1])) for each in flat]).reshape(
             -1, *right.shape
         )
 
 
-def variances(equations: Array, block: int, place: Index, weights: Array) -> Array:
+def selected_variances(equations: Array, block: int, place: Index, weights: Array) -> Array:
     """Variances (F, Q, n) of combinations of unknowns at places (n, p) with weights (Q, n, p), one block apart at most.
 
     For equations (F, 2 band + 1, size) in bands, and blocks of at least `band` unknowns.
     """
-    blocks = Blocks(equations, block)
+    blocks = BlockEquations(equations, block)
     window = np.minimum(place.min(axis=1) // block, blocks.many - 2)
     slot = np.arange(len(place)) - np.searchsorted(window, window)
     inside = place - window[:, None] * block
     out = np.empty((len(equations), *weights.shape[:2]))
     kinds = np.arange(len(weights))[:, None, None]
-    for first in range(0, blocks.many - 1, WINDOWS):
-        stop = min(first + WINDOWS, blocks.many - 1)
+    for first in range(0, blocks.many - 1, PAIRS_AT_ONCE):
+        stop = min(first + PAIRS_AT_ONCE, blocks.many - 1)
         own = slice(*np.searchsorted(window, [first, stop]))
         at = (window[own, None] - first, inside[own], slot[own, None] * len(weights) + kinds)
         right = np.zeros((stop - first, 2 * block, (int(np.max(slot[own], initial=0)) + 1) * len(weights)))
@@ -94,7 +94,7 @@ def variances(equations: Array, block: int, place: Index, weights: Array) -> Arr
     return out
 
 
-def _banded(band: int, equations: Array, right: Array) -> Array:
+def _solve_banded(band: int, equations: Array, right: Array) -> Array:
     """Solutions (N, columns) of equations (2 band + 1, N)."""
     room = np.zeros((3 * band + 1, equations.shape[1]))
     room[band:] = equations
@@ -102,7 +102,7 @@ def _banded(band: int, equations: Array, right: Array) -> Array:
     return np.asarray(solved[2])
 
 
-def _solved(a: Array, right: Array) -> Array:
+def _solve_symmetric(a: Array, right: Array) -> Array:
     """Solutions of symmetric equations (..., n, n), which frames without weight may leave singular."""
     try:
         return np.asarray(np.linalg.solve(a, right))
