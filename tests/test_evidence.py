@@ -56,8 +56,8 @@ def slides(cause, *, seed=0, speeds=SPEEDS, bounce=True):
     return runs, felt
 
 
-def seen(runs, beside=None):
-    return assess_auxiliary_signals(fit(LAW, runs).solution, runs, np.random.default_rng(0), beside)
+def seen(runs, auxiliary=None):
+    return assess_auxiliary_signals(fit(LAW, runs).solution, runs, np.random.default_rng(0), auxiliary)
 
 
 def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
@@ -106,11 +106,11 @@ def test_what_tells_less_than_the_best_candidate_is_evidence_only_beside_it():
     fitted = fit(LAW, runs).solution
     (first,) = seen(runs)
     assert assess_auxiliary_signals(fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2)) == []
-    (beside,) = assess_auxiliary_signals(
+    (more,) = assess_auxiliary_signals(
         fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2, fitted, ["patch"])
     )
-    assert beside.share == first.share
-    assert "of what is left beside patch" in beside.words
+    assert more.share == first.share
+    assert "of what is left beside patch" in more.words
 
 
 def test_another_target_in_step_is_told_by_its_name():
@@ -142,7 +142,7 @@ def test_an_accelerometer_too_noisy_says_nothing():
 def test_the_accelerometer_parts_vibration_from_camera_shake_in_the_diagnosis():
     runs, felt = slides("shake", bounce=False, speeds=SPEEDS[:1])
     fitted = fit(LAW, runs)
-    found = diagnose(fitted, beside=felt)
+    found = diagnose(fitted, auxiliary=felt)
     assert found.missing[0] == "camera_shake"
     assert "vibration" not in found.candidates[0].indistinguishable_from
     assert found.summary()["evidence"][0]["kind"] == "accelerometer"

@@ -77,7 +77,7 @@ def _member(last: Round, effect: Effect, trial: CandidateTrial, p: float) -> Ref
     except FrictrackError:
         return None
     gain = information_criterion(last.solution) - information_criterion(law)
-    return RefinedCandidate(effect, law, gain, p, along=(last.draws.law, trial))
+    return RefinedCandidate(effect, law, gain, p, linear_trial=(last.draws.law, trial))
 
 
 def explained_shares(last: Round, tried: Sequence[RefinedCandidate]) -> dict[str, float]:
@@ -86,8 +86,8 @@ def explained_shares(last: Round, tried: Sequence[RefinedCandidate]) -> dict[str
     excess = max(misfit - last.solution.problem.n_frames, 1e-300)
     out = {}
     for t in tried:
-        if t.along is not None and t.along[0] is last.draws.law:
-            out[t.effect.name] = min(max((misfit - t.along[1].misfit) / excess, 0.0), 1.0)
+        if t.linear_trial is not None and t.linear_trial[0] is last.draws.law:
+            out[t.effect.name] = min(max((misfit - t.linear_trial[1].misfit) / excess, 0.0), 1.0)
     return out
 
 

@@ -60,7 +60,9 @@ class RefinedCandidate:
     p: float
     indistinguishable_from: tuple[str, ...] = ()
     objection: str = ""  # why it cannot be the cause, whatever it explains
-    along: tuple[LinearisedModel, CandidateTrial] | None = None  # where it stands along the motion, beside what law
+    linear_trial: tuple[LinearisedModel, CandidateTrial] | None = (
+        None  # where it stands along the motion, beside what law
+    )
 
     @property
     def law(self) -> Solution:
@@ -128,16 +130,16 @@ def _simulated(
     out: list[RefinedCandidate] = []
     for t in sorted(trials, key=lambda t: (p[t.effect.name] >= ALPHA / 2, -promised[t.effect.name])):
         name = t.effect.name
-        told = RefinedCandidate(t.effect, None, promised[name], p[name], along=(law, t))
-        told = replace(told, objection=physical_objection(t.layout, t.p, t.effect))
-        if not told.objection and _is_worth(out, told, least):
+        candidate = RefinedCandidate(t.effect, None, promised[name], p[name], linear_trial=(law, t))
+        candidate = replace(candidate, objection=physical_objection(t.layout, t.p, t.effect))
+        if not candidate.objection and _is_worth(out, candidate, least):
             try:
-                grown = simulate_trial(law, t)
-                told = replace(told, solution=grown, delta_bic=own - information_criterion(grown))
-                told = replace(told, objection=objection(grown, t.effect))
+                simulated = simulate_trial(law, t)
+                candidate = replace(candidate, solution=simulated, delta_bic=own - information_criterion(simulated))
+                candidate = replace(candidate, objection=objection(simulated, t.effect))
             except FrictrackError:  # along the motion it is a law, but not one that can be followed
                 pass
-        out.append(told)
+        out.append(candidate)
     return sorted(out, key=lambda t: (t.p >= ALPHA / 2, bool(t.objection), -t.delta_bic))
 
 
@@ -161,7 +163,7 @@ def find_rivals(best: RefinedCandidate, others: Sequence[RefinedCandidate]) -> t
     One that needs decisively more parameters for it (an amplitude in every run) is no equal explanation. Whether one
     stands out by itself is not asked: the true cause may stand out less than its double.
     """
-    true = next((t.along for t in others if t.effect.name == best.effect.name), None)
+    true = next((t.linear_trial for t in others if t.effect.name == best.effect.name), None)
     unit = dispersion(best.law)
     near = [t for t in others if t.effect.name != best.effect.name and not t.objection]
     near = [t for t in near if best.delta_bic - t.delta_bic < 2 * MIN_CHI2_SEPARATED * unit]
@@ -178,9 +180,9 @@ def _stands_for(
     if other.solution is not None:
         near = other.law.objective - best.law.objective < MAX_CHI2_NEAR * unit
         return near and (unit > 1 or expected_separation(best.law, other.law) < MIN_CHI2_SEPARATED)
-    if true is None or other.along is None or not best.law.problem.simulates:
+    if true is None or other.linear_trial is None or not best.law.problem.simulates:
         return False
-    (law, trial), rival = true, other.along[1]
+    (law, trial), rival = true, other.linear_trial[1]
     return rival.misfit - trial.misfit < MAX_CHI2_NEAR * unit and (
         unit > 1 or misfit_left_by_other(law, trial, rival) < MIN_CHI2_SEPARATED
     )
@@ -296,8 +298,8 @@ def _is_simple(effect: Effect, runs: int) -> bool:
 
 def _simulated_law(tried: RefinedCandidate) -> Solution:
     """The law with a candidate, which may have been left along the motion."""
-    if tried.solution is None and tried.along is not None:
-        return simulate_trial(*tried.along)
+    if tried.solution is None and tried.linear_trial is not None:
+        return simulate_trial(*tried.linear_trial)
     return tried.law
 
 

@@ -1,4 +1,8 @@
-"""The search for what is missing: test, add the best, test again, until nothing is left or nothing helps."""
+"""Search for the effects that a fitted model lacks.
+
+Each round tests the model, adds the best effect and tests again. The search ends when no misfit is left, or when no
+effect reduces it.
+"""
 
 from __future__ import annotations
 
@@ -62,140 +66,170 @@ def diagnose(
     fit: Fit,
     *,
     own: Sequence[Effect] = (),
-    beside: AuxiliarySignals | None = None,
+    auxiliary: AuxiliarySignals | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Search the library, and effects of your `own`, for what the fitted model lacks.
+    """Search the effect library for what a fitted model lacks.
 
-    `own` may also hold effects of the library with bounds, priors or fixed values. p-values hold for the whole search
-    (999 draws, `seed`). Effects are added one after the other while the best passes; what an added effect makes
-    needless is not added. Validation runs are not looked at. `beside` holds what else was seen of the runs: by run and
-    name, further targets (m) and the "accelerometer" (m/s^2) at the frames; what goes with the residual is evidence.
+    The search is a forward selection. It adds the best effect while one passes the test, and drops effects that a
+    later one makes unnecessary. Validation runs are not used.
+
+    Parameters
+    ----------
+    fit
+        One fit of all runs.
+    own
+        Further effects to try: the user's own, or library effects with bounds, priors or fixed values.
+    auxiliary
+        Other measurements, by run and name, one value per frame (n,): displacements of further targets in m, and
+        "accelerometer" in m/s^2. Those that move with the residual are reported as evidence.
+    seed
+        Seed of the random draws.
+    progress
+        Called with the number of rounds done, their total, and the current step.
+
+    Returns
+    -------
+    Diagnosis
+        The verdict, the candidates with their evidence, the detection limits and the next experiment. p-values account
+        for the whole search (999 draws).
+
+    Raises
+    ------
+    FrictrackError
+        If `fit` holds one fit per group.
+
     """
-    tell = progress or (lambda done, total, what: None)
+    notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    whole = join_segments(fit)
-    if whole is not None:
-        whole, coarse = subsample_frames(whole)
-        found = _search(fit, whole, (own, beside), (np.random.default_rng(seed), tell))
-        said = None if found.last.leaves_misfit else _finish(fit, found, beside, tell)
-        if said is not None and said.verdict != "unexplained":
-            tell(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
-            return replace(said, remarks=[*said.remarks, *filter(None, [coarse])])
+    joined = join_segments(fit)
+    if joined is not None:
+        joined, remark = subsample_frames(joined)
+        found = _search(fit, joined, (own, auxiliary), (np.random.default_rng(seed), notify))
+        diagnosis = None if found.last.leaves_misfit else _conclude_search(fit, found, auxiliary, notify)
+        if diagnosis is not None and diagnosis.verdict != "unexplained":
+            notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
+            return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, [remark])])
     # the tests work on the displacement, whatever domain or search the fit used
     start = fit.solution if fit.route.plain else refine_to_end(fit.solution)
-    start, left_out = (measured_friction.weight_by_noise(start)[0], "") if fit.measured else subsample_pieces(start)
-    start, coarse = (start, "") if fit.measured else subsample_frames(start)
-    found = _search(fit, start, (own, beside), (np.random.default_rng(seed), tell))
-    said = _finish(fit, found, beside, tell)
-    tell(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
-    return replace(said, remarks=[*said.remarks, *filter(None, [left_out, coarse])])
+    start, omitted = (measured_friction.weight_by_noise(start)[0], "") if fit.measured else subsample_pieces(start)
+    start, remark = (start, "") if fit.measured else subsample_frames(start)
+    found = _search(fit, start, (own, auxiliary), (np.random.default_rng(seed), notify))
+    diagnosis = _conclude_search(fit, found, auxiliary, notify)
+    notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
+    return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, [omitted, remark])])
 
 
 @dataclass(frozen=True)
 class _Search:
-    """A search from one law to its end: the first and the last test, what was found, and further random numbers."""
+    """Result of a search: start, first and last round, effects found, and random generators for the later steps."""
 
     start: Solution
     first: Round
     last: Round
     found: list[RefinedCandidate]
-    again: list[np.random.Generator]
+    generators: list[np.random.Generator]
 
 
 def _search(
     fit: Fit,
     start: Solution,
-    known: tuple[Sequence[Effect], AuxiliarySignals | None],
-    how: tuple[np.random.Generator, Progress],
+    signals: tuple[Sequence[Effect], AuxiliarySignals | None],
+    means: tuple[np.random.Generator, Progress],
 ) -> _Search:
-    """Search from one law; `known` holds own effects and what else was seen, `how` what draws and who is informed."""
-    (own, beside), (rng, tell) = known, how
-    again = rng.spawn(2)
-    felt = None if fit.measured else assess_accelerometer(start, fit.runs, beside or {})
-    first = last = run_round(start, own, rng, lambda what: tell(0, MAX_ROUNDS, what))
+    """Run the rounds of a search from one model; `signals` is (own, auxiliary), `means` is (rng, progress)."""
+    (own, auxiliary), (rng, notify) = signals, means
+    generators = rng.spawn(2)
+    sensor = None if fit.measured else assess_accelerometer(start, fit.runs, auxiliary or {})
+    first = last = run_round(start, own, rng, lambda what: notify(0, MAX_ROUNDS, what))
     found: list[RefinedCandidate] = []
     for done in range(1, MAX_ROUNDS + 1):
 
-        def told(what: str, done: int = done) -> None:
-            tell(done, MAX_ROUNDS, what)
+        def notify_round(what: str, done: int = done) -> None:
+            notify(done, MAX_ROUNDS, what)
 
         if last.passing and len(found) < MAX_EFFECTS:
-            best = refine_fully(_preferred(last, felt))
-            found.append(replace(best, indistinguishable_from=find_rivals(best, _possible(last.tried, felt))))
+            best = refine_fully(_choose_candidate(last, sensor))
+            found.append(
+                replace(best, indistinguishable_from=find_rivals(best, _consistent_with_sensor(last.tried, sensor)))
+            )
         elif fit.measured:
             break
         else:
             before = [t.effect.name for t in found]
-            found = review_found(start, found, own, told)
+            found = review_found(start, found, own, notify_round)
             if [t.effect.name for t in found] == before:
                 break
-        told(f"{', '.join(t.effect.name for t in found)} added, testing again")
+        notify_round(f"{', '.join(t.effect.name for t in found)} added, testing again")
         law = found[-1].law if found else start
-        last = run_round(measured_friction.weight_by_noise(law)[0] if fit.measured else law, own, rng, told)
+        last = run_round(measured_friction.weight_by_noise(law)[0] if fit.measured else law, own, rng, notify_round)
     found = [replace(t, objection=objection(found[-1].law, t.effect)) for t in found]
-    return _Search(start, first, last, found, again)
+    return _Search(start, first, last, found, generators)
 
 
-def _finish(fit: Fit, search: _Search, beside: AuxiliarySignals | None, tell: Progress) -> Diagnosis:
-    """The verdict of a search, and where it fails."""
+def _conclude_search(fit: Fit, search: _Search, auxiliary: AuxiliarySignals | None, notify: Progress) -> Diagnosis:
+    """Return the diagnosis of a finished search: verdict, evidence, failure pattern and next experiment."""
 
     def progress(what: str) -> None:
-        tell(MAX_ROUNDS, MAX_ROUNDS, what)
+        notify(MAX_ROUNDS, MAX_ROUNDS, what)
 
     progress("weighing what was found")
-    start, first, last, found, again = search.start, search.first, search.last, search.found, search.again
+    start, first, last, found, generators = search.start, search.first, search.last, search.found, search.generators
     concluded = _conclude(fit, first, last, found)
     if concluded.verdict in ("complete", "undetermined"):
         return concluded
     progress("looking at where the law fails")
-    known = (
+    findings = (
         KnownFindings(concluded.candidates[0].delta_bic, last.solution, concluded.missing) if found else KnownFindings()
     )
-    seen = [] if fit.measured else assess_auxiliary_signals(start, fit.runs, again[0], beside, known)
-    where = find_failure_pattern(start, again[1])
-    figures = concluded.figures | where.figures | evidence_curves(seen)
-    concluded = replace(concluded, evidence=seen, repeats=where.repeats, figures=figures)
+    evidence = [] if fit.measured else assess_auxiliary_signals(start, fit.runs, generators[0], auxiliary, findings)
+    pattern = find_failure_pattern(start, generators[1])
+    figures = concluded.figures | pattern.figures | evidence_curves(evidence)
+    concluded = replace(concluded, evidence=evidence, repeats=pattern.repeats, figures=figures)
     if found and not fit.measured and not last.leaves_misfit:
         concluded = _compare_with_formulas(concluded, start, last.solution)
     progress("planning the next experiment")
-    return replace(concluded, next_experiment=_next(concluded, first, last, found, progress))
+    return replace(concluded, next_experiment=_plan_next(concluded, first, last, found, progress))
 
 
 def _compare_with_formulas(concluded: Diagnosis, start: Solution, law: Solution) -> Diagnosis:
-    """The verdict after a look at forces of one variable, where effects were found that may only imitate one."""
-    plain = find_simpler_model(start, law, concluded.repeats)
-    if plain is None or (concluded.verdict == "unexplained" and not plain["decisive"]):
+    """Return the diagnosis after comparing the effects found with a force of one variable that they may imitate."""
+    simpler = find_simpler_model(start, law, concluded.repeats)
+    if simpler is None or (concluded.verdict == "unexplained" and not simpler["decisive"]):
         return concluded
-    if not plain["decisive"]:
-        return replace(concluded, unexplained=plain)
-    along = concluded.repeats if concluded.repeats.best else replace(concluded.repeats, words="")  # the formula says it
-    return replace(concluded, verdict="unexplained", missing=[], unexplained=plain, repeats=along)
+    if not simpler["decisive"]:
+        return replace(concluded, unexplained=simpler)
+    repeats = (
+        concluded.repeats if concluded.repeats.best else replace(concluded.repeats, words="")
+    )  # the formula says it
+    return replace(concluded, verdict="unexplained", missing=[], unexplained=simpler, repeats=repeats)
 
 
-def _possible(tried: Sequence[RefinedCandidate], felt: Evidence | None) -> list[RefinedCandidate]:
-    """What an accelerometer leaves possible: it tells a mass that moves from a picture that does."""
-    return [t for t in tried if felt is None or t.effect.acts_on == felt.acts_on]
+def _consistent_with_sensor(tried: Sequence[RefinedCandidate], sensor: Evidence | None) -> list[RefinedCandidate]:
+    """Keep the candidates that agree with the accelerometer: it tells a moving mass from a moving picture."""
+    return [t for t in tried if sensor is None or t.effect.acts_on == sensor.acts_on]
 
 
-def _preferred(last: Round, felt: Evidence | None) -> RefinedCandidate:
-    """The simplest of the best of what passes; what an accelerometer feels goes first where it explains nearly as well.
+def _choose_candidate(tested: Round, sensor: Evidence | None) -> RefinedCandidate:
+    """Return the simplest of the best passing candidates.
 
-    While much is missing, one of two plain effects goes before a flexible one that imitates their sum.
+    Candidates that agree with the accelerometer come first if they explain nearly as much. While much misfit remains,
+    one of two simple effects comes before a flexible effect that imitates their sum.
     """
-    passing = last.passing
-    near = [t for t in _possible(passing, felt) if passing[0].delta_bic - t.delta_bic < MAX_CHI2_NEAR]
+    passing = tested.passing
+    near = [t for t in _consistent_with_sensor(passing, sensor) if passing[0].delta_bic - t.delta_bic < MAX_CHI2_NEAR]
     best = simplest_candidate(near or passing)
-    return stronger_of_smooth_pair(last, best) or best
+    return stronger_of_smooth_pair(tested, best) or best
 
 
 def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]) -> Diagnosis:
-    hold = _HeldOutErrors(first.solution)
-    listed = _listed(first, found, hold)
-    clean = not first.leaves_misfit and not first.passing
-    if clean:
+    """Return the verdict with the evidence of every candidate, detection limits and importance."""
+    heldout = _HeldOutErrors(first.solution)
+    listed = _tabulate_candidates(first, found, heldout)
+    complete = not first.leaves_misfit and not first.passing
+    if complete:
         verdict = "complete"
     elif last.leaves_misfit or not found or not listed[0].helps or any(t.objection for t in found):
         verdict = "unexplained"
@@ -203,9 +237,9 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]
         verdict = "ambiguous" if any(t.indistinguishable_from for t in found) else "missing"
     limits, curves = _limits(first)
     noise, misfit = _noise(fit)
-    gaps = find_undetermined(fit, first, curves)
-    vague = misfit < 1 or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], gaps))
-    if gaps and (clean or vague):
+    undetermined = find_undetermined(fit, first, curves)
+    unclear = misfit < 1 or (verdict in ("missing", "ambiguous") and not _is_decisive(listed[0], undetermined))
+    if undetermined and (complete or unclear):
         verdict, found = "undetermined", []
     return Diagnosis(
         model=fit.model.names,
@@ -215,42 +249,53 @@ def _conclude(fit: Fit, first: Round, last: Round, found: list[RefinedCandidate]
         noise_N=noise if fit.measured else None,
         reduced_chi2=misfit,
         p_lack_of_fit=first.tests.p_lack_of_fit,
-        fails_at=[] if clean else _fails_at(fit, found),
+        fails_at=[] if complete else _fails_at(fit, found),
         candidates=listed,
         unexplained=unexplained_force(first.solution, last.solution) if verdict == "unexplained" else None,
         detection_limits=limits,
-        undetermined=gaps if verdict in ("complete", "undetermined") else [],
-        importance=_importance(first, found, listed, hold),
+        undetermined=undetermined if verdict in ("complete", "undetermined") else [],
+        importance=_importance(first, found, listed, heldout),
         remarks=_remarks(fit, first.barred),
         figures=curves,
     )
 
 
-def _is_decisive(best: Candidate, gaps: Sequence[Undetermined]) -> bool:
-    """Whether an effect is worth naming although the law itself is not determined: the held-out error falls clearly."""
-    if all(gap.uncertainty is None for gap in gaps) or best.heldout_after is None or best.heldout_before is None:
+def _is_decisive(best: Candidate, undetermined: Sequence[Undetermined]) -> bool:
+    """Whether the best effect lowers the held-out error enough to be named beside an undetermined model."""
+    if (
+        all(gap.uncertainty is None for gap in undetermined)
+        or best.heldout_after is None
+        or best.heldout_before is None
+    ):
         return True
     return best.heldout_after < MAX_ERROR_RATIO_DECISIVE * best.heldout_before
 
 
 def _importance(
-    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], hold: _HeldOutErrors
+    first: Round, found: Sequence[RefinedCandidate], listed: Sequence[Candidate], heldout: _HeldOutErrors
 ) -> list[Importance]:
-    """What every effect that was added, and the plausible others that passed, explain of the misfit."""
+    """Return the share of the misfit that each added effect, and each plausible other one that passed, explains."""
     alone = explained_shares(first, first.tried)
     unit = "um" if first.solution.problem.simulates else "N"
     excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
     out: list[Importance] = []
     chi2, error = first.solution.chi2, None
     for t, law in zip(found, nested_models(found), strict=True):
-        share = held = None
+        share = heldout_error = None
         if law is not None:
-            before, held, _ = hold(law)
+            before, heldout_error, _ = heldout(law)
             share, chi2 = float(np.clip((chi2 - law.chi2) / excess, -1.0, 1.0)), law.chi2
-            worth = held < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
-            out, error = (_stopped(out) if worth else out), held
+            improves = heldout_error < MAX_ERROR_RATIO_ADDED * (before if error is None else error)
+            out, error = (_without_stop(out) if improves else out), heldout_error
         out.append(
-            Importance(t.effect.name, alone.get(t.effect.name), share, held, unit, stop=held is not None and worth)
+            Importance(
+                t.effect.name,
+                alone.get(t.effect.name),
+                share,
+                heldout_error,
+                unit,
+                stop=heldout_error is not None and improves,
+            )
         )
     names = {t.effect.name for t in found}
     others = [c.effect for c in listed if c.p < ALPHA / 2 and c.effect not in names and not c.implausible]
@@ -258,86 +303,87 @@ def _importance(
     return out + [Importance(name, alone[name], None, None, unit) for name in shown]
 
 
-def _stopped(rows: Sequence[Importance]) -> list[Importance]:
-    """The same rows, none of which is the last that is worth adding."""
+def _without_stop(rows: Sequence[Importance]) -> list[Importance]:
+    """Return the same rows with `stop` cleared: the last effect worth adding is marked once."""
     return [replace(row, stop=False) for row in rows]
 
 
 def _noise(fit: Fit) -> tuple[float, float]:
-    """Noise of a frame, m, or N where friction was measured; and the reduced chi-squared beside it."""
+    """Return the noise of a frame (m, or N for measured friction) and the reduced chi-squared."""
     if not fit.measured:
         noise = float(np.sqrt(np.mean(np.concatenate([r.piece.noise for r in fit.solution.responses]) ** 2)))
         return noise, fit.reduced_chi2
     noise = measured_friction.weight_by_noise(fit.solution)[1].rms
-    left = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
-    return noise, float(np.sum(left**2) / noise**2 / max(len(left) - len(fit.solution.p), 1))
+    residual = np.concatenate([r.piece.coloured(r.r) for r in fit.solution.responses])
+    return noise, float(np.sum(residual**2) / noise**2 / max(len(residual) - len(fit.solution.p), 1))
 
 
-def _listed(first: Round, found: list[RefinedCandidate], hold: _HeldOutErrors) -> list[Candidate]:
-    """Every candidate with its evidence: those found first, then the others of the first round, best first."""
+def _tabulate_candidates(first: Round, found: list[RefinedCandidate], heldout: _HeldOutErrors) -> list[Candidate]:
+    """Return all candidates with their evidence: those found first, then the others of the first round, best first."""
     chosen = {t.effect.name: t for t in found}
-    alike = {
+    rivals = {
         t.effect.name: find_rivals(t, first.tried)
         for t in first.passing[:N_CANDIDATES_HELD_OUT]
         if t.effect.name not in chosen
     }
-    there = {t.effect.name: t for t in first.tried if t.solution is not None}
+    simulated = {t.effect.name: t for t in first.tried if t.solution is not None}
     out = []
     for k, t in enumerate([*found, *(t for t in first.tried if t.effect.name not in chosen)]):
         name = t.effect.name
-        shown = there.get(name, t)
-        own = chosen.get(name, t)
-        others = own.indistinguishable_from or alike.get(name, ())
-        shown = replace(shown, indistinguishable_from=others, objection=own.objection)
-        out.append(_candidate(shown, hold if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None))
+        shown = simulated.get(name, t)
+        refined = chosen.get(name, t)
+        indistinguishable = refined.indistinguishable_from or rivals.get(name, ())
+        shown = replace(shown, indistinguishable_from=indistinguishable, objection=refined.objection)
+        out.append(_candidate(shown, heldout if t.p < ALPHA / 2 and k < N_CANDIDATES_HELD_OUT else None))
     return out
 
 
-def _next(
-    concluded: Diagnosis, first: Round, last: Round, found: list[RefinedCandidate], told: Callable[[str], None]
+def _plan_next(
+    concluded: Diagnosis, first: Round, last: Round, found: list[RefinedCandidate], notify: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """What to film or measure next, where something is unexplained, or candidates are not told apart well enough."""
+    """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
     if concluded.verdict == "unexplained":
-        return plan_for_unexplained(last.solution if concluded.missing or not found else first.solution, told)
+        return plan_for_unexplained(last.solution if concluded.missing or not found else first.solution, notify)
     best = [t.effect.name for t in found[:1]]
     order = sorted(first.passing, key=lambda t: t.effect.name not in best)
     passing = [(t.effect.name, t.law, t.delta_bic) for t in order]
-    return plan_for_candidates(first.solution, passing, found[0].indistinguishable_from if best else (), told)
+    return plan_for_candidates(first.solution, passing, found[0].indistinguishable_from if best else (), notify)
 
 
 def _fails_at(fit: Fit, found: list[RefinedCandidate]) -> list[dict[str, Any]]:
-    """Where the model fails: where the missing force acts, or, if none is known, where the residual stands out."""
+    """Return the spans where the missing force acts or, if none is known, where the residual is significant."""
     if found and found[0].effect.acts_on == "force":
         return failing_spans(found[0].law, fit.runs, found[0].effect.name)
     return failing_spans(fit.solution, fit.runs)
 
 
 class _HeldOutErrors:
-    """Held-out errors beside those of the bare law, which are computed once for each way to hold out."""
+    """Held-out errors of models beside that of the bare model, which is computed once per hold-out method."""
 
     def __init__(self, bare: Solution) -> None:
         self._bare = bare
-        self._known: dict[str, float] = {}
-        self._how = heldout_rms if bare.problem.simulates else measured_friction.heldout_rms
+        self._bare_errors: dict[str, float] = {}
+        self._heldout_rms = heldout_rms if bare.problem.simulates else measured_friction.heldout_rms
 
     def __call__(self, solution: Solution) -> tuple[float, float, str]:
-        """Error of the bare law, of this one, and how they were held out."""
-        after, how = self._how(solution)
-        if how not in self._known:
-            self._known[how] = self._how(self._bare, how)[0]
-        return self._known[how], after, how
+        """Return the held-out errors of the bare model and of this one, and the hold-out method."""
+        after, how = self._heldout_rms(solution)
+        if how not in self._bare_errors:
+            self._bare_errors[how] = self._heldout_rms(self._bare, how)[0]
+        return self._bare_errors[how], after, how
 
 
-def _candidate(tried: RefinedCandidate, hold: _HeldOutErrors | None) -> Candidate:
+def _candidate(tried: RefinedCandidate, heldout: _HeldOutErrors | None) -> Candidate:
+    """Convert a refined candidate to its entry in the diagnosis."""
     effect, solution = tried.effect, tried.solution
     before = after = how = None
     parameters: dict[str, Any] = {}
     if solution is not None:
-        if hold is not None:
-            before, after, how = hold(solution)
+        if heldout is not None:
+            before, after, how = heldout(solution)
         parameters = {
             name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
-            for name, e in _known(solution).parameters.items()
+            for name, e in _parameter_estimates(solution).parameters.items()
             if name.rsplit(".", 1)[0] == effect.name
         }
     measured = solution is not None and not solution.problem.simulates
@@ -357,14 +403,15 @@ def _candidate(tried: RefinedCandidate, hold: _HeldOutErrors | None) -> Candidat
     )
 
 
-def _known(solution: Solution) -> Estimates:
-    """Parameters with deviations, of a measured friction from blocks of its residual."""
+def _parameter_estimates(solution: Solution) -> Estimates:
+    """Return parameters with standard deviations; those of measured friction come from blocks of the residual."""
     if measured_friction.is_measured_friction(solution.problem):
         return linear_estimates(solution, measured_friction.block_covariance(solution))
     return estimates(solution, profile=False)
 
 
 def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+    """Return the detection limit of every scanned effect, and its curve over all settings."""
     limits, curves = {}, {}
     for s in first.tests.scanned:
         limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
@@ -374,23 +421,24 @@ def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str
     return limits, curves
 
 
-def _untried(barred: dict[str, str]) -> list[str]:
-    """Why effects could not be tried, those for the same reason together: one sentence, or none."""
-    alike: dict[str, list[str]] = {}
+def _describe_barred(barred: dict[str, str]) -> list[str]:
+    """Say in one sentence which effects could not be tried, grouped by reason."""
+    by_reason: dict[str, list[str]] = {}
     for name, why in barred.items():
-        alike.setdefault(why.removeprefix(f"{name} "), []).append(name)
-    said = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in alike.items()]
-    return [f"not tried: {'; '.join(said)}"] if said else []
+        by_reason.setdefault(why.removeprefix(f"{name} "), []).append(name)
+    reasons = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in by_reason.items()]
+    return [f"not tried: {'; '.join(reasons)}"] if reasons else []
 
 
 def _plural(why: str, count: int) -> str:
-    """The reason of one effect as that of several: needs, need; follows, follow."""
+    """Put the reason of one effect into the plural: "needs" becomes "need"."""
     verb, _, rest = why.partition(" ")
     return why if count == 1 else f"{verb.removesuffix('s')} {rest}"
 
 
 def _remarks(fit: Fit, barred: dict[str, str]) -> list[str]:
-    out = _untried(barred)
+    """Return the remarks of a diagnosis: effects not tried, and what these runs cannot separate."""
+    out = _describe_barred(barred)
     if fit.measured:
         return out + measured_friction.remarks(
             fit.solution, fit.runs, measured_friction.weight_by_noise(fit.solution)[1]

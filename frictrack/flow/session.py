@@ -227,8 +227,8 @@ class Session:
         group, spec = self.tried.current()
 
         def make() -> dict[str, Any]:
-            own, beside = told_effects(self.study.effects), seen_beside(self.runs)
-            diagnosis = diagnose(self.tried.fit(group), own=own, beside=beside, seed=seed, progress=self.progress)
+            own, auxiliary = told_effects(self.study.effects), seen_beside(self.runs)
+            diagnosis = diagnose(self.tried.fit(group), own=own, auxiliary=auxiliary, seed=seed, progress=self.progress)
             summary = doubted(diagnosis.summary(), self.findings.contradictions)
             return {"summary": json.dumps(plain(summary)), "figures": diagnosis.figures}
 

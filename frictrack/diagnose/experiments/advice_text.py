@@ -1,4 +1,4 @@
-"""What each cause keeps when a run is made differently: the reason why a planned run tells two of them apart."""
+"""Explain why a planned run separates two causes: what each cause keeps when a run is made differently."""
 
 from __future__ import annotations
 
@@ -52,13 +52,20 @@ OTHER_MEASUREMENTS = {
 
 
 def explain_separation(names: Sequence[str]) -> str:
-    """The reason in words: what each of the parted causes keeps."""
+    """Return the invariants of the separated causes, joined by commas.
+
+    Examples
+    --------
+    >>> explain_separation(["drag", "spring"])
+    'drag goes with the square of the speed, a spring pulls by place, whichever way the mass goes'
+
+    """
     kept = [INVARIANTS[kind] for kind in dict.fromkeys(n.split(":")[0] for n in names) if kind in INVARIANTS]
     return ", ".join(kept)
 
 
 def describe_unseparated(names: Sequence[str], confirm: Sequence[str]) -> str:
-    """What to say where no run can part some causes."""
+    """Say that no planned run separates some causes, and what other measurement would."""
     named = " and ".join(names)
     kinds = frozenset(n.split(":")[0] for n in names)
     means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(c.rstrip(".").replace("`", "") for c in confirm if c)
@@ -67,7 +74,16 @@ def describe_unseparated(names: Sequence[str], confirm: Sequence[str]) -> str:
 
 
 def describe_separation(groups: Sequence[Sequence[str]]) -> str:
-    """Which causes are told from which: "a, b and c apart", or "a from b or c" where some stay together."""
+    """Say which causes are separated: "a, b and c apart", or "a from b or c" where some stay together.
+
+    Examples
+    --------
+    >>> describe_separation([["drag"], ["spring"]])
+    'drag and spring apart'
+    >>> describe_separation([["lens"], ["drag", "timebase"]])
+    'lens from drag or timebase'
+
+    """
     if all(len(group) == 1 for group in groups):
         *most, last = (group[0] for group in groups)
         return f"{', '.join(most)} and {last} apart"

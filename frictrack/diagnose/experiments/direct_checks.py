@@ -1,8 +1,8 @@
-"""What a measurement beside the film would say of one cause: a mark at rest, a rule, a level, a clock, a sensor.
+"""Predict the evidence of direct checks: measurements that show one cause without filming another run.
 
-Such a check shows the cause itself. Where it is there, an explanation without it is refuted by the whole signal S.
-Where it is not, an explanation with it may shrink it, at the price of the evidence G that it has: the
-least of (1 - a)^2 G + a^2 S is G S/(G + S).
+Examples are a mark at rest, a rule, a level, a clock and a sensor. If the cause is present, an explanation without it
+is refuted by the whole signal, S in chi-squared. If it is absent, an explanation with it may shrink the effect by a
+share a, which costs part of the evidence G that the runs give it. The least of (1 - a)^2 G + a^2 S is G S/(G + S).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ACCELEROMETER_STD = 0.2  # m/s^2, noise of a frame
 
 @dataclass(frozen=True)
 class Check:
-    """One measurement beside the film: what to do, and the signal that a cause would leave there, chi-squared."""
+    """One direct check: its key, the instruction, and the signal (chi-squared) that a cause would leave in it."""
 
     key: str
     words: str
@@ -34,18 +34,30 @@ class Check:
 
 
 def direct_checks(one: Explanation, other: Explanation) -> list[tuple[Check, float, float]]:
-    """Checks that tell two explanations apart, each with the evidence expected if `one` and if `other` is true."""
+    """Return the checks that separate two explanations.
+
+    Parameters
+    ----------
+    one, other
+        Two explanations of the same runs.
+
+    Returns
+    -------
+    list of (Check, float, float)
+        Each check with the chi-squared expected if `one` is true and if `other` is true.
+
+    """
     out = []
-    for mine, theirs in ((one, other), (other, one)):
-        for check in _of(mine, theirs):
-            signal = check.signal(mine)
-            absent = mine.gain * signal / max(mine.gain + signal, 1e-12)
-            out.append((check, signal, absent) if mine is one else (check, absent, signal))
+    for explained, rival in ((one, other), (other, one)):
+        for check in _checks_of(explained, rival):
+            signal = check.signal(explained)
+            absent = explained.gain * signal / max(explained.gain + signal, 1e-12)
+            out.append((check, signal, absent) if explained is one else (check, absent, signal))
     return out
 
 
-def _of(mine: Explanation, theirs: Explanation) -> list[Check]:
-    effect, other = _effect(mine), _effect(theirs)
+def _checks_of(explained: Explanation, rival: Explanation) -> list[Check]:
+    effect, other = _effect(explained), _effect(rival)
     if effect.kind == other.kind:
         return []
     found = [CHECK_BY_EFFECT[effect.kind]] if effect.kind in CHECK_BY_EFFECT else []
@@ -54,88 +66,96 @@ def _of(mine: Explanation, theirs: Explanation) -> list[Check]:
     return found
 
 
-def _effect(told: Explanation) -> Effect:
-    return next(e for e in told.solution.problem.model.effects if e.name == told.effect)
+def _effect(explanation: Explanation) -> Effect:
+    return next(e for e in explanation.solution.problem.model.effects if e.name == explanation.effect)
 
 
-def _longest(told: Explanation) -> PieceResponse:
-    return max(told.solution.responses, key=lambda r: len(r.piece.t))
+def _longest(explanation: Explanation) -> PieceResponse:
+    return max(explanation.solution.responses, key=lambda r: len(r.piece.t))
 
 
-def _block(told: Explanation, response: PieceResponse) -> Array:
-    """What the cause itself adds along one run at the frames: N, or m in the picture, (n,)."""
-    problem, piece = told.solution.problem, response.piece
-    values, level = problem.layout.values(told.solution.p, piece.run)
+def _effect_contribution(explanation: Explanation, response: PieceResponse) -> Array:
+    """Contribution of the effect alone along one piece at the frames, (n,): N, or m in the picture."""
+    problem, piece = explanation.solution.problem, response.piece
+    values, level = problem.layout.values(explanation.solution.p, piece.run)
     path = piece.at_frames(response.motion.x_edge[piece.at], response.motion.v_edge[piece.at], level)
-    effect, model = _effect(told), problem.model
+    effect, model = _effect(explanation), problem.model
     if effect.modifies:
-        without = type(model)(tuple(e for e in model.effects if e.name != told.effect))
+        without = type(model)(tuple(e for e in model.effects if e.name != explanation.effect))
         return np.asarray(model.force(path, values) - without.force(path, values))
     blocks = model.force_columns(path, values) if effect.acts_on == "force" else model.measurement_columns(path, values)
-    return np.asarray(blocks[told.effect] @ model.coefficients(told.effect, values))
+    return np.asarray(blocks[explanation.effect] @ model.coefficients(explanation.effect, values))
 
 
-def _value(told: Explanation, parameter: str) -> float:
-    """Root mean square over the runs of one parameter of the cause."""
-    layout = told.solution.problem.layout
-    values = [layout.values(told.solution.p, r)[0][told.effect][parameter] for r in range(len(layout.run_names))]
+def _value(explanation: Explanation, parameter: str) -> float:
+    """Root mean square over the runs of one parameter of the effect."""
+    layout = explanation.solution.problem.layout
+    values = [
+        layout.values(explanation.solution.p, r)[0][explanation.effect][parameter] for r in range(len(layout.run_names))
+    ]
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _in_picture(told: Explanation) -> float:
-    """Shift of everything in the picture along one run, against the noise of a frame."""
-    response = _longest(told)
-    return float(np.sum(response.piece.whitened(_block(told, response)) ** 2))
+def _in_picture(explanation: Explanation) -> float:
+    """Signal of a shift of the whole picture along one run, in units of the noise per frame."""
+    response = _longest(explanation)
+    return float(np.sum(response.piece.whitened(_effect_contribution(explanation, response)) ** 2))
 
 
-def _on_rule(told: Explanation) -> float:
-    """Bend of a rule along the course: a line through its marks is its scale and place."""
-    response = _longest(told)
-    shift, x = _block(told, response), response.motion.x_edge[response.piece.at]
+def _on_rule(explanation: Explanation) -> float:
+    """Signal of a bent rule along the course; a line through its marks is scale and position."""
+    response = _longest(explanation)
+    shift, x = _effect_contribution(explanation, response), response.motion.x_edge[response.piece.at]
     rows = np.linspace(0, len(x) - 1, N_MARKS).astype(int)
     line = np.polyfit(x[rows], shift[rows], 1)
     return float(np.sum(((shift - np.polyval(line, x)) / response.piece.noise)[rows] ** 2))
 
 
-def _by_clock(told: Explanation) -> float:
-    """Flashes of a clock in the picture: those of a drifting time base come earlier and earlier, or later."""
-    response = _longest(told)
+def _by_clock(explanation: Explanation) -> float:
+    """Signal of clock flashes in the picture: with a drifting time base their delay changes."""
+    response = _longest(explanation)
     piece, v = response.piece, response.motion.v_edge[response.piece.at]
     rows = np.linspace(0, len(v) - 1, N_MARKS).astype(int)
-    late = _block(told, response)[rows] / np.maximum(np.abs(v[rows]), 1e-3)
+    late = _effect_contribution(explanation, response)[rows] / np.maximum(np.abs(v[rows]), 1e-3)
     late = late - np.polyval(np.polyfit(piece.t[rows], late, 1), piece.t[rows])
     return float(np.sum((late / (FLASH_STD_FRAMES * np.median(np.diff(piece.t)))) ** 2))
 
 
-def _by_rate(told: Explanation) -> float:
-    """Flashes of a counter of known rate at the first and the last frame."""
-    piece = _longest(told).piece
-    return float((_value(told, "rate") * np.ptp(piece.t) / (FLASH_STD_FRAMES * np.median(np.diff(piece.t)))) ** 2 / 2)
+def _by_rate(explanation: Explanation) -> float:
+    """Signal of a counter of known rate at the first and the last frame."""
+    piece = _longest(explanation).piece
+    return float(
+        (_value(explanation, "rate") * np.ptp(piece.t) / (FLASH_STD_FRAMES * np.median(np.diff(piece.t)))) ** 2 / 2
+    )
 
 
-def _by_stamps(told: Explanation) -> float:
-    return (_value(told, "frames") / FLASH_STD_FRAMES) ** 2
+def _by_stamps(explanation: Explanation) -> float:
+    return (_value(explanation, "frames") / FLASH_STD_FRAMES) ** 2
 
 
-def _by_level(told: Explanation) -> float:
-    piece = told.solution.problem.pieces[0]
-    return (_value(told, "F") / (piece.mass / piece.path.mass_ratio * GRAVITY * LEVEL_STD_RAD)) ** 2
+def _by_level(explanation: Explanation) -> float:
+    piece = explanation.solution.problem.pieces[0]
+    return (_value(explanation, "F") / (piece.mass / piece.path.mass_ratio * GRAVITY * LEVEL_STD_RAD)) ** 2
 
 
-def _by_weight(told: Explanation) -> float:
-    return (_value(told, "e") / WEIGHT_RELATIVE_STD) ** 2
+def _by_weight(explanation: Explanation) -> float:
+    return (_value(explanation, "e") / WEIGHT_RELATIVE_STD) ** 2
 
 
-def _upward(told: Explanation) -> float:
-    """Vertical acceleration of the course, whose weight on the mass makes the modulation."""
-    response = _longest(told)
-    return 0.5 * len(response.piece.t) * (_value(told, "depth") * response.piece.path.gravity / ACCELEROMETER_STD) ** 2
+def _upward(explanation: Explanation) -> float:
+    """Signal of the vertical acceleration of the course, which modulates the load."""
+    response = _longest(explanation)
+    return (
+        0.5
+        * len(response.piece.t)
+        * (_value(explanation, "depth") * response.piece.path.gravity / ACCELEROMETER_STD) ** 2
+    )
 
 
-def _on_mass(told: Explanation) -> float:
-    """Acceleration of the mass by the force: a fault of the picture has none."""
-    response = _longest(told)
-    return float(np.sum((_block(told, response) / response.piece.mass / ACCELEROMETER_STD) ** 2))
+def _on_mass(explanation: Explanation) -> float:
+    """Signal of the acceleration that the force gives the mass; an error of the picture gives none."""
+    response = _longest(explanation)
+    return float(np.sum((_effect_contribution(explanation, response) / response.piece.mass / ACCELEROMETER_STD) ** 2))
 
 
 CHECK_BY_EFFECT = {
