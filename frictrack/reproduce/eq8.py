@@ -12,7 +12,7 @@ from frictrack.records import Array
 from frictrack.reproduce import figures, printed, statistics
 from frictrack.reproduce.parts import FAILS, FULL, HOLDS, OPEN, Claim, Effort, Part, Progress, Table, silent
 from frictrack.reproduce.trials import Trials, judged, trials
-from frictrack.search.mga import code_length, code_length_as_printed
+from frictrack.search import code_length, code_length_as_printed
 
 BOX = [[-1.0, 2.0]]
 POPULATION, EACH, GENERATIONS = 40, 36, 200  # generation gap 0.9: 36 children

@@ -1,10 +1,11 @@
-"""Global optimisers behind one call: `minimise(cost, bounds, method=..., rng=...)`.
+"""Minimise a cost function over a box by a global search: `minimise(cost, bounds, method=..., rng=...)`.
 
-One room for the papers' searches (``ga``, ``mga``, ``sa``, ``sga``) and for their stronger peers (``de``, ``da``,
-``cmaes``). The genetic ones share one loop, `evolve.evolve`, and bring only their operators.
+The methods of the two papers are ``ga``, ``mga``, ``sa`` and ``sga``. ``de``, ``da`` and ``cmaes`` are established
+methods to compare them with. The genetic methods share one loop, `evolve.evolve`, and differ in their operators only.
 """
 
-from frictrack.search.driver import METHODS, Search, minimise
-from frictrack.search.ledger import SearchResult
+from frictrack.search.driver import METHODS, SearchMethod, minimise
+from frictrack.search.evaluator import SearchResult
+from frictrack.search.mga import code_length, code_length_as_printed
 
-__all__ = ["METHODS", "Search", "SearchResult", "minimise"]
+__all__ = ["METHODS", "SearchMethod", "SearchResult", "code_length", "code_length_as_printed", "minimise"]

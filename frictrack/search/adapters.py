@@ -1,4 +1,7 @@
-"""Peers from SciPy and pycma behind the same interface. They bring their own loop; the ledger ends it."""
+"""Run global optimisers of SciPy and pycma behind the interface of `SearchMethod`.
+
+They bring their own loop. The evaluator ends it when the budget of evaluations is used up.
+"""
 
 from __future__ import annotations
 
@@ -11,38 +14,44 @@ from scipy.optimize import Bounds, differential_evolution, dual_annealing
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.search.ledger import Ledger
+from frictrack.search.evaluator import CostEvaluator
 
-ENDLESS = 10**9  # iterations: the ledger's budget decides
-DIFFERENCE = 1e-8  # of the box, the step of a forward difference
-HUGE = 1e100  # stands for an infinite cost where differences are taken
+UNLIMITED_ITERATIONS = 10**9  # iterations: the evaluator's budget decides
+DIFFERENCE_STEP = 1e-8  # of the box, the step of a forward difference
+MAX_FINITE_COST = 1e100  # stands for an infinite cost where differences are taken
 
 
 @dataclass(frozen=True)
 class DE:
-    """Differential evolution (Storn & Price 1997) by SciPy: best1bin, the whole population in one call."""
+    """Differential evolution by SciPy: strategy best1bin, the whole population in one call of the cost.
+
+    References
+    ----------
+    Storn, R. & Price, K. (1997). Differential evolution. Journal of Global Optimization 11, 341-359.
+
+    """
 
     population: int = 15  # individuals per parameter, but never fewer than 40 in all
     mutation: tuple[float, float] = (0.5, 1.0)  # differential weight, drawn anew each generation
     recombination: float = 0.7
     tolerance: float = 1e-8  # converged when the population's costs scatter by less than this share of their mean
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search until converged or until the ledger stops it."""
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search until converged or until the evaluator stops it."""
 
         def generation(unit: Array) -> Any:  # SciPy's stubs know only the scalar form
-            ledger.close()
-            return ledger(unit.T)
+            evaluator.end_generation()
+            return evaluator(unit.T)
 
         differential_evolution(
             generation,
-            _unit_box(ledger),
+            _unit_box(evaluator),
             strategy="best1bin",
-            popsize=max(self.population, -(-40 // ledger.dimension)),
+            popsize=max(self.population, -(-40 // evaluator.dimension)),
             mutation=self.mutation,
             recombination=self.recombination,
             tol=self.tolerance,
-            maxiter=ENDLESS,
+            maxiter=UNLIMITED_ITERATIONS,
             polish=False,
             updating="deferred",
             vectorized=True,
@@ -52,37 +61,43 @@ class DE:
 
 @dataclass(frozen=True)
 class DA:
-    """Dual annealing (Tsallis & Stariolo 1996; Xiang et al. 1997) by SciPy, with its local searches (L-BFGS-B).
+    """Dual annealing by SciPy, with local searches by L-BFGS-B.
 
-    It asks for single points, except that the local searches take their differences from one vectorised call. A
-    generation is about 2 d evaluations, the length of one of its Markov chains.
+    SciPy asks for single points. Only the finite differences of the local searches are evaluated in one vectorised
+    call. One generation is about 2 d evaluations, the length of one of its Markov chains.
+
+    References
+    ----------
+    Tsallis, C. & Stariolo, D. A. (1996). Generalized simulated annealing. Physica A 233, 395-406.
+    Xiang, Y. et al. (1997). Generalized simulated annealing algorithm. Physics Letters A 233, 216-220.
+
     """
 
     temperature: float = 5230.0
     visit: float = 2.62
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search until the ledger stops it."""
-        box = _unit_box(ledger)
-        chain, closed = 2 * ledger.dimension, 0
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search until the evaluator stops it."""
+        box = _unit_box(evaluator)
+        chain, closed = 2 * evaluator.dimension, 0
 
         def cost(unit: Array) -> float:
             nonlocal closed
-            if ledger.evaluations >= closed + chain:
-                closed = ledger.evaluations
-                ledger.close()
-            return float(min(ledger(np.clip(unit, 0.0, 1.0)[None])[0], HUGE))
+            if evaluator.evaluations >= closed + chain:
+                closed = evaluator.evaluations
+                evaluator.end_generation()
+            return float(min(evaluator(np.clip(unit, 0.0, 1.0)[None])[0], MAX_FINITE_COST))
 
         def gradient(unit: Array) -> Array:
-            step = np.where(unit < 0.5, DIFFERENCE, -DIFFERENCE)
-            costs = np.minimum(ledger(np.vstack([unit, unit + np.diag(step)])), HUGE)
+            step = np.where(unit < 0.5, DIFFERENCE_STEP, -DIFFERENCE_STEP)
+            costs = np.minimum(evaluator(np.vstack([unit, unit + np.diag(step)])), MAX_FINITE_COST)
             return (costs[1:] - costs[0]) / step
 
         local: Any = {
             "method": "L-BFGS-B",
             "jac": gradient,
             "bounds": box,
-            "options": {"maxiter": max(100, 6 * ledger.dimension)},  # SciPy's own limit
+            "options": {"maxiter": max(100, 6 * evaluator.dimension)},  # SciPy's own limit
         }
         dual_annealing(
             cost,
@@ -90,26 +105,34 @@ class DA:
             minimizer_kwargs=local,
             initial_temp=self.temperature,
             visit=self.visit,
-            maxiter=ENDLESS,
-            maxfun=ENDLESS,
+            maxiter=UNLIMITED_ITERATIONS,
+            maxfun=UNLIMITED_ITERATIONS,
             rng=rng,
         )
 
 
 @dataclass(frozen=True)
 class CMAES:
-    """CMA-ES (Hansen & Ostermeier 2001) by the optional package cma; each restart doubles the population (IPOP).
+    """Covariance matrix adaptation (CMA-ES) by the optional package cma; every restart doubles the population (IPOP).
 
-    The package cannot search along one parameter, so a second one without effect is added there.
+    The package cannot search along a single parameter. There a second parameter without effect is added.
+
+    References
+    ----------
+    Hansen, N. & Ostermeier, A. (2001). Completely derandomized self-adaptation in evolution strategies. Evolutionary
+    Computation 9, 159-195.
+    Auger, A. & Hansen, N. (2005). A restart CMA evolution strategy with increasing population size. IEEE CEC,
+    1769-1776.
+
     """
 
     sigma: float = 0.3  # first step length, share of the box
     population: int | None = None  # None: 4 + 3 ln d
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search, restarting from random points, until the ledger stops it."""
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search, restarting from random points, until the evaluator stops it."""
         cma = _cma()
-        d = max(2, ledger.dimension)
+        d = max(2, evaluator.dimension)
         population = self.population or 4 + int(3 * np.log(d))
         while True:
             strategy = cma.CMAEvolutionStrategy(
@@ -124,18 +147,18 @@ class CMAES:
                 },
             )
             while not strategy.stop():
-                ledger.close()
+                evaluator.end_generation()
                 unit = np.array(strategy.ask())
-                strategy.tell(list(unit), ledger(unit[:, : ledger.dimension]).tolist())
+                strategy.tell(list(unit), evaluator(unit[:, : evaluator.dimension]).tolist())
             population *= 2
 
 
-def _unit_box(ledger: Ledger) -> Bounds:
-    return Bounds(np.zeros(ledger.dimension), np.ones(ledger.dimension))
+def _unit_box(evaluator: CostEvaluator) -> Bounds:
+    return Bounds(np.zeros(evaluator.dimension), np.ones(evaluator.dimension))
 
 
 def _cma() -> Any:
-    """The package cma, imported only when asked for (it is slow to import, and optional)."""
+    """Import the package cma on first use: it is optional and slow to import."""
     try:
         return import_module("cma")
     except ImportError:

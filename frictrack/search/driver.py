@@ -1,4 +1,4 @@
-"""The door to every search: `minimise`, and the table of methods."""
+"""Select a search method by name and minimise a cost function with it: `minimise` and the table `METHODS`."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from numpy.typing import ArrayLike
 from frictrack.errors import FrictrackError, gather
 from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
+from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch
 from frictrack.search.ga import GA
-from frictrack.search.ledger import Callback, Cost, Ledger, SearchResult, Stop
 from frictrack.search.mga import MGA
 from frictrack.search.sa import SA
 from frictrack.search.sga import SGA
 
 
-class Search(Protocol):
-    """A method with its settings: asks the ledger for costs of points in the unit box until it stops or converges."""
+class SearchMethod(Protocol):
+    """The interface of a search method: a callable object whose fields are its settings.
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search; returning means converged."""
+    It asks the evaluator for the costs of points in the unit box until the evaluator stops it or it has converged.
+    """
+
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search; return when converged."""
 
 
-METHODS: dict[str, Callable[..., Search]] = {
+METHODS: dict[str, Callable[..., SearchMethod]] = {
     "ga": GA,
     "mga": MGA,
     "sa": SA,
@@ -37,7 +40,7 @@ METHODS: dict[str, Callable[..., Search]] = {
 }
 
 
-def minimise(  # noqa: PLR0913 - one door with named settings, all but two of them optional
+def minimise(  # noqa: PLR0913 - the one public function of the searches; all but two settings are optional
     cost: Cost,
     bounds: ArrayLike,
     *,
@@ -48,32 +51,65 @@ def minimise(  # noqa: PLR0913 - one door with named settings, all but two of th
     stagnation: int | None = None,
     **settings: Any,
 ) -> SearchResult:
-    """Minimise ``cost`` over a box by one of `METHODS`; the same ``rng`` state gives the same result.
+    """Minimise a cost function over a box.
 
-    ``cost`` takes a population (P, d) and returns (P,), NaN counting as infinitely bad; ``bounds`` is (d, 2), lower
-    and upper. ``max_evaluations``, the points whose cost is asked for, is never exceeded, and the papers' G_max follows
-    from it. ``callback(generation, best_x, best_cost)`` is called after every generation and stops the search by a
-    true answer; ``stagnation`` stops it after so many generations without improvement. ``settings`` are the fields of
-    the method's class, such as ``population=80`` or ``as_printed=True``.
+    The same state of ``rng`` gives the same result.
 
-    Raises FrictrackError for an unknown method or setting, bounds that are no box, a budget below 1, a cost of the
-    wrong shape, a missing optional package.
+    Parameters
+    ----------
+    cost : callable
+        Maps a population (P, d) to its costs (P,). NaN counts as infinite.
+    bounds : array_like of shape (d, 2)
+        Lower and upper bound of every parameter.
+    method : str
+        A key of `METHODS`: ``"ga"``, ``"mga"``, ``"sa"``, ``"sga"``, ``"de"``, ``"da"`` or ``"cmaes"``.
+    rng : numpy.random.Generator
+        Source of all random numbers of the search.
+    max_evaluations : int
+        Number of points whose cost may be evaluated. It is never exceeded; the papers' G_max follows from it.
+    callback : callable, optional
+        ``callback(generation, best_x, best_cost)`` is called after every generation. A true return value stops the
+        search.
+    stagnation : int, optional
+        Stop after this number of generations without improvement.
+    **settings
+        Fields of the method's class, for example ``population=80`` or ``as_printed=True``.
+
+    Returns
+    -------
+    SearchResult
+        The best point, its cost, the history of the search and the distinct optima.
+
+    Raises
+    ------
+    FrictrackError
+        If the method or a setting is unknown, the bounds are not finite with lower < upper, the budget is below 1,
+        the cost has the wrong shape, or an optional package is missing.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> found = minimise(lambda x: np.sum((x - 0.5) ** 2, axis=1), [[-2, 2], [-2, 2]], method="de", rng=rng)
+    >>> np.round(found.x, 2)
+    array([0.5, 0.5])
+
     """
     box = _box(bounds)
     search = _search(method, settings)
     if max_evaluations < 1:
         raise FrictrackError(f"expected max_evaluations of at least 1 but got {max_evaluations}")
-    ledger = Ledger(cost, box, max_evaluations, callback, stagnation)
+    evaluator = CostEvaluator(cost, box, max_evaluations, callback, stagnation)
     reason = "converged"
     try:
-        search(ledger, rng)
-        ledger.close()
-    except Stop as stop:
+        search(evaluator, rng)
+        evaluator.end_generation()
+    except StopSearch as stop:
         reason = str(stop)
-    return ledger.result(reason)
+    return evaluator.result(reason)
 
 
-def _search(method: str, settings: dict[str, Any]) -> Search:
+def _search(method: str, settings: dict[str, Any]) -> SearchMethod:
+    """Create the search method of a name with its settings."""
     if method not in METHODS:
         raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"')
     known = [f.name for f in fields(METHODS[method])]  # type: ignore[arg-type]
@@ -85,6 +121,7 @@ def _search(method: str, settings: dict[str, Any]) -> Search:
 
 
 def _box(bounds: ArrayLike) -> Array:
+    """Check bounds and return them as an array (d, 2)."""
     box = np.array(bounds, dtype=np.float64)
     if box.ndim != 2 or box.shape[1] != 2 or len(box) == 0:
         raise FrictrackError(f"expected bounds of shape (d, 2) but got shape {box.shape}; give one [lower, upper] each")

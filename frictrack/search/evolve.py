@@ -1,4 +1,4 @@
-"""The one loop of the genetic searches: rank, select, cross, mutate, evaluate, accept, reinsert."""
+"""Run the common loop of the genetic searches: rank, select, cross, mutate, evaluate, accept, reinsert."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from frictrack.errors import gather
 from frictrack.records import Array, Mask
 from frictrack.search.coding import decode, encode, random_genes
-from frictrack.search.ledger import Ledger
+from frictrack.search.evaluator import CostEvaluator
 from frictrack.search.operators import flip_bits, one_point_crossover, rank_fitness, universal_sampling
 
 
 @dataclass(frozen=True)
 class Operators:
-    """What distinguishes one genetic search from another. G counts generations; G = 0 is the first."""
+    """The operators that distinguish one genetic search from another. G counts generations; G = 0 is the first."""
 
     bits: Callable[[int], int]  # G -> code length L, bits per parameter
     crossover: Callable[[int], float]  # G -> P_c
@@ -24,38 +24,64 @@ class Operators:
     accept: Callable[[int, Array, Array], Mask] | None = None  # G, child's cost, parent's (n,) -> (n,); None: all
 
 
-MOST_BITS = 60  # per parameter: what a 64-bit integer carries
+MAX_BITS = 60  # per parameter: what a 64-bit integer carries
 
 
-def offspring(population: int, gap: float) -> int:
-    """Children per generation: the generation gap's share of the population, at least 2."""
+def offspring_count(population: int, gap: float) -> int:
+    """Compute the number of children per generation: the generation gap times the population, at least 2."""
     return max(2, round(gap * population))
 
 
-def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, population: int, gap: float) -> None:
-    """Evolve until the ledger stops it.
+def evolve(
+    evaluator: CostEvaluator, rng: np.random.Generator, operators: Operators, *, population: int, gap: float
+) -> None:
+    """Evolve a population until the evaluator stops the search.
 
-    Each generation the `offspring(population, gap)` children replace the worst; the best parents stay (elites). A
-    child that is not accepted leaves its place to the parent whose slot it took. When the code length changes, the
-    population is re-encoded and evaluated again, because rounding to another grid moves it.
+    In each generation the children replace the worst individuals and the best parents stay (elitism). A child that is
+    not accepted is replaced by its parent. When the code length changes, the population is encoded anew and evaluated
+    again, because rounding to another grid moves it.
+
+    Parameters
+    ----------
+    evaluator : CostEvaluator
+        Cost over the unit box; it ends the search.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    operators : Operators
+        Code length, crossover and mutation probabilities, and acceptance of the method.
+    population : int
+        Individuals, at least 4.
+    gap : float
+        Generation gap: children per generation over population, in (0, 1].
+
+    Raises
+    ------
+    FrictrackError
+        If population, gap or code length are out of range.
+
+    References
+    ----------
+    Baker, J. E. (1987). Reducing bias and inefficiency in the selection algorithm. Proc. 2nd Int. Conf. on Genetic
+    Algorithms, 14-21.
+
     """
-    n, bits = offspring(population, gap), use.bits(0)
+    n, bits = offspring_count(population, gap), operators.bits(0)
     _check(population, gap, bits)
-    genes = random_genes(population, ledger.dimension * bits, rng)
-    costs = ledger(decode(genes, bits))
-    for generation in ledger.generations():
-        if (length := use.bits(generation)) != bits:
+    genes = random_genes(population, evaluator.dimension * bits, rng)
+    costs = evaluator(decode(genes, bits))
+    for generation in evaluator.generations():
+        if (length := operators.bits(generation)) != bits:
             unit, bits = decode(genes, bits), length
             _check(population, gap, bits)
             genes = encode(unit, bits)
-            costs = ledger(decode(genes, bits))
+            costs = evaluator(decode(genes, bits))
         fitness = rank_fitness(costs)
         parents = universal_sampling(fitness, n, rng)
-        children = one_point_crossover(genes[parents], use.crossover(generation), rng)
-        children = flip_bits(children, use.mutation(generation, costs, fitness)[parents], rng)
-        child_costs = ledger(decode(children, bits))
-        if use.accept is not None:
-            refused = ~use.accept(generation, child_costs, costs[parents])
+        children = one_point_crossover(genes[parents], operators.crossover(generation), rng)
+        children = flip_bits(children, operators.mutation(generation, costs, fitness)[parents], rng)
+        child_costs = evaluator(decode(children, bits))
+        if operators.accept is not None:
+            refused = ~operators.accept(generation, child_costs, costs[parents])
             children[refused], child_costs[refused] = genes[parents[refused]], costs[parents[refused]]
         elite = np.argsort(costs, kind="stable")[: population - n]
         genes = np.concatenate([genes[elite], children])
@@ -63,11 +89,12 @@ def evolve(ledger: Ledger, rng: np.random.Generator, use: Operators, *, populati
 
 
 def _check(population: int, gap: float, bits: int) -> None:
+    """Raise FrictrackError for settings out of range."""
     faults = []
     if population < 4:
         faults.append(f"expected a population of at least 4 but got {population}")
     if not 0 < gap <= 1:
         faults.append(f"expected a generation gap above 0 and up to 1 but got {gap:g}")
-    if not 1 <= bits <= MOST_BITS:
-        faults.append(f"expected a code length of 1 to {MOST_BITS} bits but got {bits}")
+    if not 1 <= bits <= MAX_BITS:
+        faults.append(f"expected a code length of 1 to {MAX_BITS} bits but got {bits}")
     gather(faults, "genetic search")

@@ -1,4 +1,4 @@
-"""The small interchangeable parts of the evolutionary searches. All are vectorised over the population."""
+"""Operators of the evolutionary searches, vectorised over the population: ranking, selection, crossover, mutation."""
 
 from __future__ import annotations
 
@@ -8,16 +8,32 @@ from numpy.typing import NDArray
 from frictrack.records import Array, Mask
 from frictrack.search.coding import Genes
 
-TINY = float(np.finfo(float).tiny)  # the coldest temperature that can be divided by
+MIN_TEMPERATURE = float(np.finfo(float).tiny)  # the coldest temperature that can be divided by
 
 
 def rank_fitness(costs: Array) -> Array:
-    """Linear ranking with selective pressure 2: fitness (P,) from 0 (worst) to 2 (best), mean 1.
+    """Compute the fitness of linear ranking with selective pressure 2.
 
         f = 2 (pos - 1)/(P - 1),  pos = 1 for the worst ... P for the best
 
-    Equal costs share their mean position. "The fitness function is ordering distribution" (beam paper, 4.1);
-    the pressure is not specified by the paper and is the one of the common toolbox.
+    Equal costs share their mean position. "The fitness function is ordering distribution" (beam paper, 4.1). The
+    paper does not specify the pressure; 2 is that of the common toolbox.
+
+    Parameters
+    ----------
+    costs : array of shape (P,)
+        Costs; lower is better.
+
+    Returns
+    -------
+    array of shape (P,)
+        Fitness from 0 (worst) to 2 (best), mean 1.
+
+    Examples
+    --------
+    >>> rank_fitness(np.array([3.0, 1.0, 2.0])).tolist()
+    [0.0, 2.0, 1.0]
+
     """
     ordered, n = np.sort(costs), len(costs)
     better, no_worse = ordered.searchsorted(costs, "left"), ordered.searchsorted(costs, "right")
@@ -26,10 +42,30 @@ def rank_fitness(costs: Array) -> Array:
 
 
 def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Stochastic universal sampling (Baker 1987): n parents (n,) from one turn of a wheel with n equal pointers.
+    """Draw parents by stochastic universal sampling: one turn of a wheel with n equally spaced pointers.
 
     Individual i is drawn n f_i / sum(f) times, rounded down or up, with exactly this mean. The order is shuffled, so
     that neighbours may mate.
+
+    Parameters
+    ----------
+    fitness : array of shape (P,)
+        Fitness f, not negative.
+    n : int
+        Number of parents.
+    rng : numpy.random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    array of int, shape (n,)
+        Indices of the parents.
+
+    References
+    ----------
+    Baker, J. E. (1987). Reducing bias and inefficiency in the selection algorithm. Proc. 2nd Int. Conf. on Genetic
+    Algorithms, 14-21.
+
     """
     edges = np.cumsum(fitness)
     pointers = (rng.random() + np.arange(n)) * (edges[-1] / n)
@@ -37,7 +73,7 @@ def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDAr
 
 
 def one_point_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    """Neighbouring rows (0, 1), (2, 3), ... swap their tails behind one random cut, each pair with `probability`."""
+    """Swap the tails of neighbouring rows (0, 1), (2, 3), ... behind one random cut, each pair with `probability`."""
     pairs, length = len(genes) // 2, genes.shape[1]
     cut = rng.integers(1, max(2, length), pairs)
     cut[rng.random(pairs) >= probability] = length
@@ -51,21 +87,49 @@ def one_point_crossover(genes: Genes, probability: float, rng: np.random.Generat
 
 
 def flip_bits(genes: Genes, probability: Array, rng: np.random.Generator) -> Genes:
-    """Bit mutation: every bit of row i flips with ``probability[i]``; `probability` (P,)."""
+    """Mutate bits: every bit of row i flips with ``probability[i]``; `probability` has shape (P,)."""
     draw = rng.random(genes.shape, dtype=np.float32)
     return genes ^ (draw < probability[:, None].astype(np.float32))
 
 
 def metropolis(new: Array, old: Array, temperature: float, rng: np.random.Generator) -> Mask:
-    """Metropolis' rule: accept (P,) costs no worse than `old` always, a rise with probability exp(-rise/T).
+    """Decide by Metropolis' rule which new costs are accepted.
 
-    A step from an infinitely bad point is always accepted, so that a chain can walk out of there.
+    A cost not above the old one is always accepted; a rise is accepted with probability exp(-rise/T). A step from an
+    infinite cost is always accepted, so that a chain can leave such a point.
+
+    Parameters
+    ----------
+    new, old : array of shape (P,)
+        Costs after and before the step.
+    temperature : float
+        T, in the unit of the costs.
+    rng : numpy.random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    array of bool, shape (P,)
+        True where the step is accepted.
+
+    References
+    ----------
+    Metropolis, N. et al. (1953). Equation of state calculations by fast computing machines. J. Chem. Phys. 21,
+    1087-1092.
+
     """
     rise = np.zeros(len(new))
     np.subtract(new, old, out=rise, where=new > old)
-    return np.asarray(rng.random(len(new)) < np.exp(-rise / max(temperature, TINY)))
+    return np.asarray(rng.random(len(new)) < np.exp(-rise / max(temperature, MIN_TEMPERATURE)))
 
 
 def geometric_cooling(generation: int, limit: int, first: float, final: float) -> float:
-    """Temperature T = first final^(G/G_max): geometric, from ``first`` to ``first * final`` over the budget."""
+    """Compute the temperature T = first final^(G/G_max): from ``first`` to ``first * final`` over the budget.
+
+    Examples
+    --------
+    >>> geometric_cooling(50, 100, 1.0, 1e-4)
+    0.01
+
+    """
     return first * final ** (generation / limit)

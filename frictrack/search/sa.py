@@ -1,4 +1,4 @@
-"""Simulated annealing (Kirkpatrick et al. 1983), as a population of independent chains."""
+"""Simulated annealing (SA) as a population of independent chains."""
 
 from __future__ import annotations
 
@@ -6,41 +6,49 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.search.ledger import Ledger
+from frictrack.search.evaluator import CostEvaluator
 from frictrack.search.operators import geometric_cooling, metropolis
 
-ACCEPTANCE = 0.44  # the share of accepted moves that explores fastest in one dimension (Gelman et al. 1996)
-GAIN = 0.3  # how fast a step length follows its acceptance
+TARGET_ACCEPTANCE = 0.44  # the share of accepted moves that explores fastest in one dimension (Gelman et al. 1996)
+STEP_ADAPTATION_RATE = 0.3  # how fast a step length follows its acceptance
 
 
 @dataclass(frozen=True)
 class SA:
-    """Independent chains, one coordinate per move, Metropolis' rule, geometric cooling from T_0 to ``final`` T_0.
+    """Simulated annealing: one coordinate per move, Metropolis' rule, geometric cooling from T_0 to ``final`` T_0.
 
-    The collision paper names only Metropolis' rule; moves and cooling are chosen here. A move is Cauchy distributed
-    (Szu & Hartley 1987: mostly near, now and then into another valley), mirrored at the bounds; its scale follows the
-    acceptance, per chain and coordinate (Corana et al. 1987). One generation is one move of every chain.
+    The collision paper specifies Metropolis' rule only; moves and cooling are chosen here. A move is Cauchy
+    distributed (mostly near, sometimes into another valley) and mirrored at the bounds. Its scale follows the
+    acceptance rate of each chain and coordinate. One generation is one move of every chain.
+
+    References
+    ----------
+    Kirkpatrick, S., Gelatt, C. D. & Vecchi, M. P. (1983). Optimization by simulated annealing. Science 220, 671-680.
+    Szu, H. & Hartley, R. (1987). Fast simulated annealing. Physics Letters A 122, 157-162.
+    Corana, A. et al. (1987). Minimizing multimodal functions of continuous variables. ACM Trans. Math. Softw. 13,
+    262-280.
+
     """
 
     chains: int = 8  # few and long: more chains cool faster within the same budget
     temperature: float = 0.1  # T_0 over (median - minimum) of the first population's costs
     final: float = 1e-6  # T at the end of the budget over T_0
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search until the ledger stops it."""
-        d, rows = ledger.dimension, np.arange(self.chains)
-        limit = ledger.generation_limit(self.chains, self.chains)
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search until the evaluator stops it."""
+        d, rows = evaluator.dimension, np.arange(self.chains)
+        limit = evaluator.generation_limit(self.chains, self.chains)
         unit = rng.random((self.chains, d))
         step = np.full((self.chains, d), 0.5)
-        costs = ledger(unit)
-        for generation in ledger.generations():
+        costs = evaluator(unit)
+        for generation in evaluator.generations():
             column = rng.integers(d, size=self.chains)
             moved = unit.copy()
             moved[rows, column] += step[rows, column] * rng.standard_cauchy(self.chains)
             moved = np.abs((moved + 1) % 2 - 1)  # mirrored into the unit box
-            moved_costs = ledger(moved)
-            T = ledger.spread * geometric_cooling(generation, limit, self.temperature, self.final)
+            moved_costs = evaluator(moved)
+            T = evaluator.initial_spread * geometric_cooling(generation, limit, self.temperature, self.final)
             accepted = metropolis(moved_costs, costs, T, rng)
             unit[accepted], costs[accepted] = moved[accepted], moved_costs[accepted]
-            step[rows, column] *= np.exp(GAIN * (accepted - ACCEPTANCE))
+            step[rows, column] *= np.exp(STEP_ADAPTATION_RATE * (accepted - TARGET_ACCEPTANCE))
             np.minimum(step, 1.0, out=step)

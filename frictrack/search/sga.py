@@ -1,4 +1,4 @@
-"""The simulated annealing genetic algorithm of the collision paper, section 3.2."""
+"""The simulated annealing genetic algorithm (SGA) of the collision paper, section 3.2."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.records import Array, Mask
-from frictrack.search.evolve import Operators, evolve, offspring
-from frictrack.search.ledger import Ledger
+from frictrack.search.evaluator import CostEvaluator
+from frictrack.search.evolve import Operators, evolve, offspring_count
 from frictrack.search.operators import geometric_cooling, metropolis
 
 
 @dataclass(frozen=True)
 class SGA:
-    """The GA's frame, in which a child takes its parent's place by Metropolis' rule under a falling temperature.
+    """Simulated annealing genetic algorithm: the GA in which a child replaces its parent by Metropolis' rule.
 
-    "Hybrid algorithm introduces ideas of simulated annealing while sets genetic algorithm as basic framework": that is
-    all the paper says (its flowchart is lost). Not specified by the paper, and chosen here: what is accepted against
-    what (each child against the parent whose slot it took, after crossover and mutation), elites outside the rule,
-    the first temperature, the geometric cooling and all settings of the frame (mutation is four bits per chromosome:
-    acceptance needs more novelty than the plain GA's 0.7).
+    "Hybrid algorithm introduces ideas of simulated annealing while sets genetic algorithm as basic framework": the
+    paper says no more, and its flowchart is lost. Not specified by the paper, and chosen here: each child is compared
+    with its parent after crossover and mutation; elites are not subject to the rule; the first temperature, the
+    geometric cooling and all settings of the GA. Mutation is four bits per chromosome, because acceptance needs more
+    novelty than the 0.7 of the plain GA.
+
+    References
+    ----------
+    Research on friction parameter identification under the influence of vibration and collision, section 3.2.
+
     """
 
     population: int = 40
@@ -31,20 +36,20 @@ class SGA:
     temperature: float = 0.3  # T_0 over (median - minimum) of the first population's costs
     final: float = 1e-4  # T at the end of the budget over T_0
 
-    def __call__(self, ledger: Ledger, rng: np.random.Generator) -> None:
-        """Search until the ledger stops it."""
-        rate = 4 / (ledger.dimension * self.bits) if self.mutation is None else self.mutation
+    def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
+        """Search until the evaluator stops it."""
+        rate = 4 / (evaluator.dimension * self.bits) if self.mutation is None else self.mutation
         rates = np.full(self.population, min(0.5, rate))
-        limit = ledger.generation_limit(self.population, offspring(self.population, self.gap))
+        limit = evaluator.generation_limit(self.population, offspring_count(self.population, self.gap))
 
         def accept(generation: int, child: Array, parent: Array) -> Mask:
-            T = ledger.spread * geometric_cooling(generation, limit, self.temperature, self.final)
+            T = evaluator.initial_spread * geometric_cooling(generation, limit, self.temperature, self.final)
             return metropolis(child, parent, T, rng)
 
-        use = Operators(
+        operators = Operators(
             bits=lambda _: self.bits,
             crossover=lambda _: self.crossover,
             mutation=lambda *_: rates,
             accept=accept,
         )
-        evolve(ledger, rng, use, population=self.population, gap=self.gap)
+        evolve(evaluator, rng, operators, population=self.population, gap=self.gap)

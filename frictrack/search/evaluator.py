@@ -1,4 +1,4 @@
-"""What every search shares: the counted cost, the best so far, its history, and the reasons to stop."""
+"""Evaluate the cost function of a search: count evaluations, record the best points, stop at the budget."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.search.optima import WITHIN, distinct_optima
+from frictrack.search.optima import MAX_EXCESS_COST_SHARE, distinct_optima
 
 Cost = Callable[[Array], Array]
 Callback = Callable[[int, Array, float], "bool | None"]
@@ -30,15 +30,33 @@ class SearchResult:
     reason: str  # why it stopped: "evaluations", "callback", "stagnation" or "converged"
 
 
-class Stop(Exception):
-    """Ends a search from inside, whoever runs the loop; a signal, not an error. Its text is the reason."""
+class StopSearch(Exception):
+    """Signal that ends a search from inside the cost function, whichever loop runs it. Its text is the reason."""
 
 
-class Ledger:
-    """A cost function that keeps the books. Searches call it; `Stop` leaves it when the search is over.
+class CostEvaluator:
+    """A cost function over the unit box that counts its evaluations and raises `StopSearch` when the search is over.
 
-    Parameters: ``cost`` maps (P, d) to (P,), NaN counts as infinitely bad; ``bounds`` (d, 2) are already checked;
-    ``stagnation`` is the number of generations without improvement after which to stop, or None.
+    Parameters
+    ----------
+    cost : callable
+        Maps points (P, d) to costs (P,). NaN counts as infinite.
+    bounds : array of shape (d, 2)
+        Lower and upper bounds, already checked.
+    max_evaluations : int
+        Number of points that may be evaluated.
+    callback : callable, optional
+        Called after every generation with generation, best point and best cost. A true return value stops the search.
+    stagnation : int, optional
+        Number of generations without improvement after which the search stops.
+
+    Attributes
+    ----------
+    evaluations : int
+        Points evaluated so far.
+    initial_spread : float
+        Median minus minimum of the costs of the first population. Annealing scales its temperature by it.
+
     """
 
     def __init__(
@@ -52,13 +70,13 @@ class Ledger:
         self.lower, self.width = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
         self.max_evaluations = max_evaluations
         self.evaluations = 0
-        self.spread = 0.0  # of the first population's costs: median minus minimum; what annealing calls hot
+        self.initial_spread = 0.0  # median minus minimum of the first population's costs: scale of the temperature
         self._cost, self._callback, self._stagnation = cost, callback, stagnation
         self._best_x, self._best = bounds[:, 0], np.inf
         self._history: list[float] = []
-        self._improved = 0
-        self._open = False
-        self._near: list[tuple[Array, Array]] = []  # what was within 1 % of the best when it was met
+        self._last_improvement = 0
+        self._generation_open = False
+        self._near_optimal: list[tuple[Array, Array]] = []  # within 1 % of the best cost so far
 
     @property
     def dimension(self) -> int:
@@ -66,70 +84,75 @@ class Ledger:
         return len(self.lower)
 
     def generation_limit(self, first: int, each: int) -> int:
-        """G_max: generations of ``each`` points that the budget allows after ``first`` points, at least 1."""
+        """Compute G_max: generations of ``each`` points that the budget allows after ``first`` points; at least 1."""
         return max(1, -(-(self.max_evaluations - first) // each))
 
     def __call__(self, unit: Array) -> Array:
-        """Cost (P,) of the points ``unit`` (P, d), given in the unit box; stops when the budget is spent."""
+        """Evaluate the points ``unit`` (P, d) of the unit box and return their costs (P,).
+
+        Raises `StopSearch` when the budget is used up.
+        """
         points = self.lower + self.width * unit[: self.max_evaluations - self.evaluations]
         costs = self._checked(self._cost(points), len(points))
         self.evaluations += len(points)
-        self._note(points, costs)
+        self._record(points, costs)
         if self.evaluations >= self.max_evaluations:
-            self.close()
-            raise Stop("evaluations")
+            self.end_generation()
+            raise StopSearch("evaluations")
         return costs
 
     def generations(self) -> Iterator[int]:
-        """Count 1, 2, ... for ever; each step closes the generation before it."""
+        """Yield 1, 2, ... without end. Each step ends the previous generation."""
         while True:
-            self.close()
+            self.end_generation()
             yield len(self._history)
 
-    def close(self) -> None:
-        """End the current generation: history, callback, stagnation."""
-        if not self._open:
+    def end_generation(self) -> None:
+        """End the current generation: extend the history, call the callback, check for stagnation."""
+        if not self._generation_open:
             return
-        self._open = False
+        self._generation_open = False
         generation = len(self._history)
         self._history.append(self._best)
         if self._callback and self._callback(generation, self._best_x.copy(), self._best):
-            raise Stop("callback")
-        if self._stagnation and generation - self._improved >= self._stagnation:
-            raise Stop("stagnation")
+            raise StopSearch("callback")
+        if self._stagnation and generation - self._last_improvement >= self._stagnation:
+            raise StopSearch("stagnation")
 
     def result(self, reason: str) -> SearchResult:
-        """Close the books."""
-        points = np.concatenate([p for p, _ in self._near])
-        costs = np.concatenate([c for _, c in self._near])
+        """Return the result of the search, with the reason why it ended."""
+        points = np.concatenate([p for p, _ in self._near_optimal])
+        costs = np.concatenate([c for _, c in self._near_optimal])
         optima, optima_costs = distinct_optima(points, costs, self.lower, self.width)
         return SearchResult(
             x=self._best_x,
             cost=self._best,
             evaluations=self.evaluations,
             generations=len(self._history) - 1,
-            generation_of_last_improvement=self._improved,
+            generation_of_last_improvement=self._last_improvement,
             history=np.array(self._history),
             optima=optima,
             optima_costs=optima_costs,
             reason=reason,
         )
 
-    def _note(self, points: Array, costs: Array) -> None:
-        if not self._near:
+    def _record(self, points: Array, costs: Array) -> None:
+        """Update the best point and the list of nearly optimal points."""
+        if not self._near_optimal:
             finite = costs[np.isfinite(costs)]
-            self.spread = float(np.median(finite) - finite.min()) if len(finite) else 0.0
-        self._open = True
+            self.initial_spread = float(np.median(finite) - finite.min()) if len(finite) else 0.0
+        self._generation_open = True
         best = int(np.argmin(costs))
-        if costs[best] < self._best or not self._near:
+        if costs[best] < self._best or not self._near_optimal:
             self._best, self._best_x = float(costs[best]), points[best].copy()
-            self._improved = len(self._history)
-        near = costs <= self._best + WITHIN * abs(self._best)
+            self._last_improvement = len(self._history)
+        near = costs <= self._best + MAX_EXCESS_COST_SHARE * abs(self._best)
         if near.any():
-            self._near.append((points[near], costs[near]))
+            self._near_optimal.append((points[near], costs[near]))
 
     @staticmethod
     def _checked(costs: Array, n: int) -> Array:
+        """Costs as an array (n,), NaN replaced by infinity."""
         costs = np.asarray(costs, dtype=np.float64)
         if costs.shape != (n,):
             raise FrictrackError(
