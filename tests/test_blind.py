@@ -12,20 +12,20 @@ import pytest
 
 from frictrack import effects
 from frictrack.blind import benchmark, make, score
-from frictrack.blind import draw as drawing
-from frictrack.blind.alike import alike, exact
-from frictrack.blind.bounds import against_ideal, ideal_size
-from frictrack.blind.detector import Detector, freedom, is_event, limit
-from frictrack.blind.draw import LAWS, candidates, draw
-from frictrack.blind.foreign import FOREIGN
-from frictrack.blind.hide import SIZES
-from frictrack.blind.judge import Outcome, deviations
-from frictrack.blind.remembering import remember
-from frictrack.blind.seal import NAME, opened
+from frictrack.blind import draw_truth as drawing
+from frictrack.blind.detection_limits import ideal_detection_limit, limits_over_ideal
+from frictrack.blind.draw_truth import LAWS, candidates, draw_truth
+from frictrack.blind.equivalents import equivalent_effects, solution_at_truth
+from frictrack.blind.failure_overlap import overlap
+from frictrack.blind.foreign_effects import FOREIGN
+from frictrack.blind.ideal_detector import IdealDetector, degrees_of_freedom, is_event, noncentrality_limit
+from frictrack.blind.memory_motion import simulate_memory
+from frictrack.blind.outcome import Outcome, parameter_deviations
+from frictrack.blind.place_effect import SIZE_RANGE
+from frictrack.blind.seal import SEAL_FILE, open_seal
 from frictrack.blind.tally import tally, wilson
-from frictrack.blind.truth import RunTruth, Truth, made
-from frictrack.blind.where import overlap
-from frictrack.blind.write import table, write_study
+from frictrack.blind.truth import RunTruth, Truth, effect_named
+from frictrack.blind.write_study import run_table, write_study
 from frictrack.cli import main
 from frictrack.effects import LIBRARY
 from frictrack.errors import FrictrackError
@@ -103,22 +103,25 @@ CAUSES = {
 @pytest.mark.parametrize("name", CAUSES)
 def test_the_ideal_rise_is_that_of_a_brute_force_likelihood_ratio(name: str, scatter: float):
     truth = holding(replace(TRUTH, scatter=scatter), **{name: CAUSES[name]})
-    left = Detector(truth).shown(truth)[0]
+    left = IdealDetector(truth).trace_and_rise(truth)[0]
     assert float(left @ left) == pytest.approx(brute_force(truth), rel=0.02)
 
 
 @pytest.mark.parametrize("name", CAUSES)
 def test_the_linear_trace_is_the_simulated_one_of_a_small_cause(name: str):
     own = {name: CAUSES[name]}
-    truth, detector = holding(TRUTH, **own), Detector(TRUTH)
-    simulated, linear = detector.shown(truth)[0], detector.unit(made(name), [own] * len(truth.runs))
+    truth, detector = holding(TRUTH, **own), IdealDetector(TRUTH)
+    simulated, linear = (
+        detector.trace_and_rise(truth)[0],
+        detector.linear_trace(effect_named(name), [own] * len(truth.runs)),
+    )
     assert np.linalg.norm(simulated - linear) < 0.03 * np.linalg.norm(simulated)
 
 
 def test_a_scatter_that_is_not_known_takes_what_levels_could_explain_and_nothing_else():
     for name, values, kept in (("texture", CAUSES["texture"], (0.95, 1.0)), ("slope", {"F": 0.01}, (0.0, 0.5))):
         truth = holding(replace(TRUTH, scatter=0.0), **{name: values})
-        left, rise = Detector(truth).shown(truth)
+        left, rise = IdealDetector(truth).trace_and_rise(truth)
         assert kept[0] <= rise / float(left @ left) <= kept[1] + 1e-9
 
 
@@ -127,29 +130,29 @@ def test_the_limit_is_seen_in_95_of_100_repeats():
     from scipy.stats import chi2  # noqa: PLC0415
 
     threshold = chi2.isf(0.005 / 25 / 40, 3)
-    offset = np.array([np.sqrt(limit(3, 40)), 0.0, 0.0])
+    offset = np.array([np.sqrt(noncentrality_limit(3, 40)), 0.0, 0.0])
     seen = np.sum((rng.standard_normal((20000, 3)) + offset) ** 2, axis=1) > threshold
     assert np.mean(seen) == pytest.approx(0.95, abs=0.006)
 
 
 def test_a_phase_in_every_run_costs_two_numbers_in_every_run():
     counts = {"texture": 2, "vibration": 12, "drag": 1, "spring": 2, "collision": 1, "friction_lag": 1}
-    assert {name: freedom(made(name), 6) for name in counts} == counts
-    assert limit(12) > limit(2) > limit(1)
-    assert limit(1, 100) > limit(1)
+    assert {name: degrees_of_freedom(effect_named(name), 6) for name in counts} == counts
+    assert noncentrality_limit(12) > noncentrality_limit(2) > noncentrality_limit(1)
+    assert noncentrality_limit(1, 100) > noncentrality_limit(1)
 
 
 def test_the_size_at_the_limit_makes_that_rise():
-    detector = Detector(TRUTH)
-    size = ideal_size(detector, made("drag"), {})
+    detector = IdealDetector(TRUTH)
+    size = ideal_detection_limit(detector, effect_named("drag"), {})
     assert size is not None
-    left = detector.unit(made("drag"), [{"drag": {"c": size}}] * 4)
-    assert float(left @ left) == pytest.approx(limit(1), rel=1e-6)
+    left = detector.linear_trace(effect_named("drag"), [{"drag": {"c": size}}] * 4)
+    assert float(left @ left) == pytest.approx(noncentrality_limit(1), rel=1e-6)
 
 
 def test_what_a_film_shows_beside_the_truth_has_no_ideal_limit():
     told = {name: {"value": 0.1, "at": {}} for name in ("drag", "measured_load", "target_rotation")}
-    assert list(against_ideal(TRUTH, told)) == ["drag"]
+    assert list(limits_over_ideal(TRUTH, told)) == ["drag"]
 
 
 # --- motion with a memory, and causes of no library
@@ -162,7 +165,7 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
     run = truth.runs[0]
     values = truth.law | {name: {"tau": value, "stiffness": value, "exponent": 1.0}}
     conditions, t = truth.conditions(run), np.arange(160) / 2000
-    slide = remember(truth.base + made(name), values, conditions, t, truth.start(run))
+    slide = simulate_memory(truth.base + effect_named(name), values, conditions, t, truth.start(run))
     fine = np.linspace(0, t[-1], 40 * 159 + 1)  # Euler, from the first row of its equation
     x = v = 0.0
     state = 5.0 if name == "friction_lag" else 0.0
@@ -180,14 +183,16 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
 @pytest.mark.parametrize("name", FOREIGN)
 def test_a_foreign_cause_moves_the_mass_and_is_in_no_library(name: str):
     assert name not in LIBRARY
-    values = {p.name: {"speed": 2.0, "place": 0.2, "frequency": 30.0}.get(p.name, 0.03) for p in made(name).parameters}
+    values = {
+        p.name: {"speed": 2.0, "place": 0.2, "frequency": 30.0}.get(p.name, 0.03) for p in effect_named(name).parameters
+    }
     truth = holding(TRUTH, **{name: values | {"amplitude": 0.1}})
     run = truth.runs[0]
     assert np.max(np.abs(truth.slide(run).x - truth.slide(run, hidden=False).x)) > 1e-6
 
 
 def test_foreign_causes_are_of_place_time_velocity_and_memory():
-    axes = {p for name in FOREIGN for p in made(name).parameters if not p.linear}
+    axes = {p for name in FOREIGN for p in effect_named(name).parameters if not p.linear}
     assert {p.name for p in axes} == {"speed", "place", "length", "frequency", "time"}
     assert len(FOREIGN) >= 8
 
@@ -199,13 +204,13 @@ ORDER = list(dict.fromkeys(n for law, _ in LAWS for n in candidates("one", law))
 
 def test_a_draw_hides_what_it_says_at_the_size_it_says():
     for turn, name in enumerate(["drag", "vibration"]):
-        truth = draw(20 + turn, "one", ORDER.index(name))
+        truth = draw_truth(20 + turn, "one", ORDER.index(name))
         assert truth.hidden == (name,)
-        detector = Detector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs)))
-        left, surely = detector.shown(truth)
+        detector = IdealDetector(replace(truth, runs=tuple(replace(r, values={}) for r in truth.runs)))
+        left, surely = detector.trace_and_rise(truth)
         rise = min(float(left @ left), surely)
-        assert np.sqrt(rise / detector.limit(made(name))) == pytest.approx(truth.size[0], rel=0.06)
-        assert SIZES[0] <= truth.size[0] <= SIZES[1]
+        assert np.sqrt(rise / detector.limit(effect_named(name))) == pytest.approx(truth.size[0], rel=0.06)
+        assert SIZE_RANGE[0] <= truth.size[0] <= SIZE_RANGE[1]
 
 
 def test_every_cause_takes_its_turn():
@@ -221,17 +226,17 @@ def test_every_cause_takes_its_turn():
     ("name", "key"), [("drive_error", "push"), ("measured_load", "lift"), ("beam_vibration", "clamp")]
 )
 def test_a_draw_measures_what_its_cause_needs(name: str, key: str, tmp_path: Path):
-    truth = draw(3, "one", ORDER.index(name))
+    truth = draw_truth(3, "one", ORDER.index(name))
     assert truth.hidden == (name,)
     assert getattr(truth, key)
-    frame = table(truth, truth.runs[0], np.random.default_rng(0))
+    frame = run_table(truth, truth.runs[0], np.random.default_rng(0))
     assert ("drive_N" in frame) == bool(truth.push)
     assert ("y_m" in frame) == (truth.lift is not None)
 
 
 def test_a_study_has_runs_of_many_speeds_both_ways_and_another_mass():
     for seed in range(3):
-        truth = draw(seed, "none")
+        truth = draw_truth(seed, "none")
         speeds = [run.speed for run in truth.runs]
         assert 5 <= len(speeds) <= 8
         assert min(speeds) < 0 < max(speeds)
@@ -241,9 +246,9 @@ def test_a_study_has_runs_of_many_speeds_both_ways_and_another_mass():
 
 
 def test_events_happen_in_some_runs_each_at_a_moment_of_its_own():
-    truth = draw(8, "one", ORDER.index("dropped_frame"))
+    truth = draw_truth(8, "one", ORDER.index("dropped_frame"))
     own = [run.values["dropped_frame"] for run in truth.runs if run.values]
-    assert is_event(made("dropped_frame"))
+    assert is_event(effect_named("dropped_frame"))
     assert 1 <= len(own) <= len(truth.runs)
     assert {abs(o["frames"]) for o in own} == {1.0}
     assert len({o["time"] for o in own}) == len(own)
@@ -251,8 +256,8 @@ def test_events_happen_in_some_runs_each_at_a_moment_of_its_own():
 
 
 def test_the_same_seed_draws_the_same_study():
-    assert draw(5, "foreign", 3) == draw(5, "foreign", 3)
-    assert draw(5, "foreign", 3) != draw(6, "foreign", 3)
+    assert draw_truth(5, "foreign", 3) == draw_truth(5, "foreign", 3)
+    assert draw_truth(5, "foreign", 3) != draw_truth(6, "foreign", 3)
 
 
 # --- what nobody can tell from the truth
@@ -268,23 +273,23 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
     fit = session.tried.fit(session.tried.current()[0])
-    whole = exact(truth, fit.solution)
-    assert whole.chi2 < 0.05  # the true law at the true motion leaves nothing
-    found = alike(truth, fit.solution)[name]
+    full = solution_at_truth(truth, fit.solution)
+    assert full.chi2 < 0.05  # the true law at the true motion leaves nothing
+    found = equivalent_effects(truth, fit.solution)[name]
     assert found[0] == name
     assert ("camera_shake" in found) == (name == "vibration")
     assert not {"texture", "vibration"} - {name} & set(found)
 
 
 def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path):
-    truth = draw(9004, "two", 4)
+    truth = draw_truth(9004, "two", 4)
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
-    whole = exact(truth, session.tried.fit(session.tried.current()[0]).solution)
+    full = solution_at_truth(truth, session.tried.fit(session.tried.current()[0]).solution)
     for name, size, rise in zip(truth.hidden, truth.size, truth.rise, strict=True):
-        assert size >= SIZES[0]
-        assert remove_effect(whole, name).objective - whole.objective == pytest.approx(rise, rel=0.1)
+        assert size >= SIZE_RANGE[0]
+        assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=0.1)
 
 
 @pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends
@@ -297,8 +302,8 @@ def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
-    whole = exact(truth, session.tried.fit(session.tried.current()[0]).solution)
-    assert whole.chi2 < 0.01  # the true law at the true motion leaves nothing
+    full = solution_at_truth(truth, session.tried.fit(session.tried.current()[0]).solution)
+    assert full.chi2 < 0.01  # the true law at the true motion leaves nothing
 
 
 # --- seal and benchmark
@@ -311,7 +316,7 @@ SOME = ("coulomb", "stribeck", "viscous", "drag", "texture", "lens", "slope")  #
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind") / "out"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(drawing, "MOST", 150)  # short runs, for speed
+        patched.setattr(drawing, "MAX_FRAMES", 150)  # short runs, for speed
         patched.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
         made_of = make(folder, 3, seed=4, workers=1)
     assert made_of["studies"] == 3
@@ -319,9 +324,9 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_names_and_files_say_nothing_of_the_truth(studies: Path):
-    assert sorted(p.name for p in studies.iterdir()) == [NAME, "study_1", "study_2", "study_3"]
-    truths = opened(studies)
-    text = " ".join(p.read_text() for p in studies.glob("*/study.toml")) + (studies / NAME).read_text()
+    assert sorted(p.name for p in studies.iterdir()) == [SEAL_FILE, "study_1", "study_2", "study_3"]
+    truths = open_seal(studies)
+    text = " ".join(p.read_text() for p in studies.glob("*/study.toml")) + (studies / SEAL_FILE).read_text()
     for name in {n for t in truths.values() for n in t.hidden} - {"coulomb", "stribeck", "viscous", "drag"}:
         assert name not in text
 
@@ -331,18 +336,18 @@ def test_the_seal_tells_a_changed_file_and_a_missing_one(studies: Path):
     before = path.read_text()
     path.write_text(before.replace("1", "2", 1))
     with pytest.raises(FrictrackError, match=r"study_2/r1\.csv changed since; make them again"):
-        opened(studies)
+        open_seal(studies)
     path.write_text(before)
-    assert len(opened(studies)) == 3
+    assert len(open_seal(studies)) == 3
 
 
 def test_kinds_come_in_proportion_and_in_no_order():
-    planned = benchmark._planned(420, benchmark.TABLES, 0)
+    planned = benchmark._plan_studies(420, benchmark.STUDIES_PER_KIND_TABLES, 0)
     kinds = [kind for _, kind, _ in planned]
-    assert {k: kinds.count(k) for k in set(kinds)} == benchmark.TABLES
+    assert {k: kinds.count(k) for k in set(kinds)} == benchmark.STUDIES_PER_KIND_TABLES
     assert kinds != sorted(kinds)
     assert kinds[:200].count("one") < 140
-    few = [kind for _, kind, _ in benchmark._planned(7, benchmark.TABLES, 0)]
+    few = [kind for _, kind, _ in benchmark._plan_studies(7, benchmark.STUDIES_PER_KIND_TABLES, 0)]
     assert {k: few.count(k) for k in set(few)} == {"one": 3, "none": 2, "two": 1, "foreign": 1}
     assert len({turn for _, kind, turn in planned if kind == "one"}) == 200
 
@@ -350,7 +355,7 @@ def test_kinds_come_in_proportion_and_in_no_order():
 def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(effects, "LIBRARY", {name: LIBRARY[name] for name in SOME})
     done: list[str] = []
-    real = benchmark.judge
+    real = benchmark.judge_study
 
     def judged(name: str, *rest: object) -> Outcome:
         done.append(name)
@@ -358,7 +363,7 @@ def test_studies_are_diagnosed_once_and_counted(studies: Path, monkeypatch: pyte
             raise KeyboardInterrupt
         return real(name, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(benchmark, "judge", judged)
+    monkeypatch.setattr(benchmark, "judge_study", judged)
     with pytest.raises(KeyboardInterrupt):
         score(studies, workers=1)
     assert len(list((studies / "outcomes").iterdir())) == 1
@@ -377,14 +382,14 @@ def test_a_study_that_cannot_be_judged_is_an_outcome(tmp_path: Path):
     folder.mkdir()
     (folder / "study.toml").write_text('[study]\nmass = 1\n[[run]]\nname = "r1"\ntable = "r1.csv"\n')
     pd.DataFrame({"t_s": np.arange(5) / 1e3, "x_m": np.zeros(5)}).to_csv(folder / "r1.csv", index=False)
-    row = benchmark.judge("s", TRUTH, folder)
+    row = benchmark.judge_study("s", TRUTH, folder)
     assert row.verdict == "failed"
     assert "expected" in row.fault
 
 
 def test_folders_that_cannot_be_used_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(FrictrackError, match=r"no seal\.json in"):
-        opened(tmp_path)
+        open_seal(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     for call, said in (
         (["blind", "make", str(tmp_path)], "expected a new or empty folder"),
@@ -402,18 +407,18 @@ def test_folders_that_cannot_be_used_are_refused(tmp_path: Path, capsys: pytest.
 
 def outcome(kind: str, hidden: tuple[str, ...], group: tuple[str, ...] = (), **more: object) -> Outcome:
     verdict = "missing" if group else "complete"
-    alike = {h: (h,) for h in hidden}
-    given = {"verdict": verdict, "named": group[:1], "group": group, "alike": alike} | more
+    equivalents = {h: (h,) for h in hidden}
+    given = {"verdict": verdict, "named": group[:1], "group": group, "equivalents": equivalents} | more
     return Outcome("s", kind, hidden, tuple(3.0 for _ in hidden), **given)  # type: ignore[arg-type]
 
 
 def test_a_group_counts_only_where_nobody_could_tell_its_members_apart():
-    alike = {"drag": ("drag", "viscous", "drift")}
+    equivalents = {"drag": ("drag", "viscous", "drift")}
     rows = [
         outcome("one", ("drag",), ("drag",)),
-        outcome("one", ("drag",), ("drift", "drag"), alike=alike),
+        outcome("one", ("drag",), ("drift", "drag"), equivalents=equivalents),
         outcome("one", ("drag",), ("drift", "drag")),  # alone on what it does: the group is too large
-        outcome("one", ("drag",), ("spring",), alike=alike),
+        outcome("one", ("drag",), ("spring",), equivalents=equivalents),
         outcome("one", ("drag",)),
     ]
     one = tally(rows)["one"]
@@ -423,13 +428,13 @@ def test_a_group_counts_only_where_nobody_could_tell_its_members_apart():
 
 
 def test_two_causes_are_both_found_by_name_or_by_what_nobody_can_tell_from_them():
-    alike = {"drag": ("drag", "viscous"), "texture": ("texture",)}
+    equivalents = {"drag": ("drag", "viscous"), "texture": ("texture",)}
     hidden = ("drag", "texture")
     rows = [
-        outcome("two", hidden, named=("texture", "drag"), verdict="missing", alike=alike),
-        outcome("two", hidden, named=("texture", "viscous"), verdict="missing", alike=alike),
-        outcome("two", hidden, named=("drag", "viscous"), verdict="missing", alike=alike),  # one cause twice
-        outcome("two", hidden, named=("texture",), verdict="missing", alike=alike),
+        outcome("two", hidden, named=("texture", "drag"), verdict="missing", equivalents=equivalents),
+        outcome("two", hidden, named=("texture", "viscous"), verdict="missing", equivalents=equivalents),
+        outcome("two", hidden, named=("drag", "viscous"), verdict="missing", equivalents=equivalents),  # twice one
+        outcome("two", hidden, named=("texture",), verdict="missing", equivalents=equivalents),
     ]
     two = tally(rows)["two"]
     assert (two["both"]["hits"], two["both_by_name"]["hits"]) == (2, 1)
@@ -449,7 +454,7 @@ def test_a_fault_counts_where_the_data_can_show_it():
     rows = [
         outcome("one", ("lens",), ("lens",)),
         outcome("one", ("lens",), ("spring",)),
-        outcome("one", ("camera_shake",), ("vibration",), alike={"camera_shake": ("camera_shake", "vibration")}),
+        outcome("one", ("camera_shake",), ("vibration",), equivalents={"camera_shake": ("camera_shake", "vibration")}),
         outcome("fault", ("camera_shake",), film=True, noted=("camera_shake",)),
         outcome("fault", ("timebase",), ("lens",), film=True),
     ]
@@ -490,9 +495,9 @@ def test_deviations_are_taken_from_the_truth_as_it_is_quoted():
         "texture.phase": {"value": -3.1, "std": 0.1},
         "coulomb.F_c": {"value": None, "std": None},
     }
-    found = deviations(truth, ("texture",), told)
+    found = parameter_deviations(truth, ("texture",), told)
     assert found == pytest.approx({"stribeck.F_s": 2.0, "texture.period": 0.5, "texture.phase": 0.832}, abs=1e-3)
-    assert deviations(truth, ("drag",), told) == {}
+    assert parameter_deviations(truth, ("drag",), told) == {}
 
 
 def test_overlap_counts_frames_of_where_a_patch_acts():
@@ -509,11 +514,11 @@ def test_overlap_counts_frames_of_where_a_patch_acts():
 
 
 def test_what_shifts_the_picture_does_so_under_a_law_with_memory():
-    truth = draw(5, "none")
-    law = truth.base + made("presliding") + made("peak_locking")
+    truth = draw_truth(5, "none")
+    law = truth.base + effect_named("presliding") + effect_named("peak_locking")
     values = truth.law | {"presliding": {"stiffness": 1e-4, "exponent": 1.0}}
     values |= {"peak_locking": {"amplitude": 0.02, "phase": 0.3}}
-    slide = remember(
+    slide = simulate_memory(
         law, values, replace(truth, push=0.012).conditions(truth.runs[0]), np.arange(99) / 4000, (0.05, 0.0)
     )
     np.testing.assert_allclose(slide.shift, 0.02 * truth.pitch * np.sin(2 * np.pi * slide.x / truth.pitch + 0.3))

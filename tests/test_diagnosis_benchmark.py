@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
 from diagnosis import force, ours, sparse, studies
 
-from frictrack.blind.bounds import ideal_size, unit_values
-from frictrack.blind.judge import Outcome
+from frictrack.blind.detection_limits import ideal_detection_limit, unit_values
+from frictrack.blind.outcome import Outcome
 from frictrack.blind.tally import tally
-from frictrack.blind.truth import made
+from frictrack.blind.truth import effect_named
 
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "blind.ipynb"
 
@@ -42,7 +42,7 @@ def test_a_repeat_holds_the_effect_at_its_size():
 def test_the_force_domain_sees_less_than_the_ideal_detector():
     detector = studies.detector()
     for name, at in (("drag", {}), ("texture", {"period": 0.05})):
-        ideal, seen = ideal_size(detector, made(name), at), force.force_size(detector, name, at)
+        ideal, seen = ideal_detection_limit(detector, effect_named(name), at), force.force_size(detector, name, at)
         assert ideal is not None
         assert seen is not None
         assert 1.0 < seen / ideal < 200.0
@@ -77,7 +77,8 @@ def test_the_peer_is_given_every_effect_as_columns_of_its_own():
 
 def test_unit_values_keep_the_setting_and_fill_in_the_rest():
     assert (
-        unit_values(made("patch"), {"x_c": 0.2, "w": 0.01}, {}, 2) == [{"patch": {"F": 1.0, "x_c": 0.2, "w": 0.01}}] * 2
+        unit_values(effect_named("patch"), {"x_c": 0.2, "w": 0.01}, {}, 2)
+        == [{"patch": {"F": 1.0, "x_c": 0.2, "w": 0.01}}] * 2
     )
 
 

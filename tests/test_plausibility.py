@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.blind.draw import draw
-from frictrack.blind.write import write_study
+from frictrack.blind.draw_truth import draw_truth
+from frictrack.blind.write_study import write_study
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
@@ -471,7 +471,7 @@ def test_the_drive_of_a_real_carriage_tells_its_published_mass():
 
 def doubts(seed: int, kind: str, folder: Path) -> list[str]:
     """Findings on a rendered study whose numbers are right."""
-    write_study(draw(seed, kind), folder)
+    write_study(draw_truth(seed, kind), folder)
     session = Session(open_study(folder / "study.toml"))
     session.bring_up_to("motion")
     session.findings.of_all(session.runs)

@@ -12,30 +12,30 @@ from pathlib import Path
 from frictrack.blind.truth import Truth, read_truth
 from frictrack.errors import FrictrackError
 
-NAME = "seal.json"
-HANDED_OUT = (".csv", ".toml", ".avi")
+SEAL_FILE = "seal.json"
+SEALED_SUFFIXES = (".csv", ".toml", ".avi")
 
 
 def seal(folder: Path, truths: dict[str, Truth]) -> None:
     """Close the truths of the studies in `folder`, by their names, with a hash of every file that was handed out."""
     text = json.dumps({name: asdict(t) for name, t in truths.items()})
     packed = base64.b64encode(zlib.compress(text.encode(), 9)).decode()
-    body = {"studies": len(truths), "sealed": packed, "files": hashes(folder)}
-    (folder / NAME).write_text(json.dumps(body, indent=1), encoding="utf-8")
+    body = {"studies": len(truths), "sealed": packed, "files": file_hashes(folder)}
+    (folder / SEAL_FILE).write_text(json.dumps(body, indent=1), encoding="utf-8")
 
 
-def opened(folder: Path) -> dict[str, Truth]:
+def open_seal(folder: Path) -> dict[str, Truth]:
     """Open the seal: truths by the names of their studies.
 
     Raises FrictrackError where there is none, or where a file was changed since it was closed.
     """
-    path = folder / NAME
+    path = folder / SEAL_FILE
     if not path.is_file():
         raise FrictrackError(
-            f"expected the folder of `frictrack blind make` but found no {NAME} in {folder}", usage=True
+            f"expected the folder of `frictrack blind make` but found no {SEAL_FILE} in {folder}", usage=True
         )
     body = json.loads(path.read_text(encoding="utf-8"))
-    now = hashes(folder)
+    now = file_hashes(folder)
     changed = [name for name, digest in body["files"].items() if now.get(name) != digest]
     if changed:
         raise FrictrackError(
@@ -46,7 +46,7 @@ def opened(folder: Path) -> dict[str, Truth]:
     return {name: read_truth(entry) for name, entry in raw.items()}
 
 
-def hashes(folder: Path) -> dict[str, str]:
+def file_hashes(folder: Path) -> dict[str, str]:
     """SHA-256 of every table, film and study file, by its path within the folder."""
-    files = sorted(p for p in folder.glob("*/*") if p.suffix in HANDED_OUT)
+    files = sorted(p for p in folder.glob("*/*") if p.suffix in SEALED_SUFFIXES)
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects, models
-from frictrack.blind.foreign import FOREIGN, foreign
-from frictrack.blind.remembering import remember
+from frictrack.blind.foreign_effects import FOREIGN, foreign_effect
+from frictrack.blind.memory_motion import simulate_memory
 from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
 from frictrack.simulate.camera import Oscillation
 from frictrack.simulate.slide import Conditions, Slide, simulate
 
-BEGIN = 0.05  # m, where a run toward +x begins; one toward -x begins at the other end of the course
-Numbers = dict[str, dict[str, float]]
+START_X_M = 0.05  # m, where a run toward +x begins; one toward -x begins at the other end of the course
+EffectValues = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class RunTruth:
     level: float
     frames: int
     phase: float = 0.0
-    values: Numbers = field(default_factory=dict)
+    values: EffectValues = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Truth:
     seed: int
     kind: str
     model: tuple[str, ...]
-    law: Numbers
+    law: EffectValues
     mass: float
     fps: float
     pitch: float
@@ -80,7 +80,7 @@ class Truth:
             mass_ratio=run.mass_ratio,
             pixel_pitch=self.pitch,
             drive=self.drive(run) if self.push else None,
-            lift=None if self.lift is None else _twice(Oscillation(*self.lift, run.phase)),
+            lift=None if self.lift is None else _second_derivative(Oscillation(*self.lift, run.phase)),
             angle=None if self.turn is None else Oscillation(*self.turn, run.phase),
             clamp_x=self.clamp,
         )
@@ -96,17 +96,17 @@ class Truth:
 
     def start(self, run: RunTruth) -> tuple[float, float]:
         """Place and speed in the first frame; a pushed run starts at rest."""
-        return (BEGIN if run.speed > 0 else self.course + BEGIN), (0.0 if self.push else run.speed)
+        return (START_X_M if run.speed > 0 else self.course + START_X_M), (0.0 if self.push else run.speed)
 
     def slide(self, run: RunTruth, *, hidden: bool = True) -> Slide:
         """The true motion of one run, with what is hidden or without."""
         model, values = self.base, dict(self.law)
         for name in run.values if hidden else ():
-            model = model + made(name)
+            model = model + effect_named(name)
             values[name] = run.values[name]
         t = np.arange(run.frames) / self.fps
         if model.memory:
-            return remember(model, values, self.conditions(run), t, self.start(run))
+            return simulate_memory(model, values, self.conditions(run), t, self.start(run))
         return simulate(model, values, self.conditions(run), t, self.start(run))
 
     def span(self, slides: list[Slide]) -> Span:
@@ -122,9 +122,9 @@ class Truth:
         )
 
 
-def made(name: str) -> Effect:
+def effect_named(name: str) -> Effect:
     """The cause of that name, of the library or not."""
-    return foreign(name) if name in FOREIGN else effects.get(name)
+    return foreign_effect(name) if name in FOREIGN else effects.get(name)
 
 
 def read_truth(raw: dict[str, Any]) -> Truth:
@@ -135,6 +135,6 @@ def read_truth(raw: dict[str, Any]) -> Truth:
     return Truth(**raw | lists | pairs | {"runs": runs})
 
 
-def _twice(swing: Oscillation) -> Oscillation:
+def _second_derivative(swing: Oscillation) -> Oscillation:
     """Its second derivative."""
     return Oscillation(-swing.amplitude * (2 * np.pi * swing.frequency) ** 2, swing.frequency, swing.phase)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from frictrack.blind.bounds import PHASES, unit_values
-from frictrack.blind.detector import Detector
-from frictrack.blind.truth import made
+from frictrack.blind.detection_limits import N_PHASES, unit_values
+from frictrack.blind.ideal_detector import IdealDetector
+from frictrack.blind.truth import effect_named
 from frictrack.records import Array
 
 CUTOFF = 100.0  # Hz
@@ -28,23 +28,23 @@ def chained(x: Array, fps: float, mass: float) -> Array:
     return np.asarray(-mass * a[TRIM:-TRIM])
 
 
-def force_size(detector: Detector, name: str, at: dict[str, float], seed: int = 0) -> float | None:
+def force_size(detector: IdealDetector, name: str, at: dict[str, float], seed: int = 0) -> float | None:
     """Smallest size seen in 95 of 100 repeats, phases at their worst; None where it never can be."""
-    effect = made(name)
+    effect = effect_named(name)
     phases = [p.name for p in effect.parameters if p.role == "phase"]
-    tried = np.arange(PHASES) * np.pi / PHASES if phases else [0.0]
+    tried = np.arange(N_PHASES) * np.pi / N_PHASES if phases else [0.0]
     errors = [_error(detector, name, at, dict.fromkeys(phases, float(q)), seed) for q in tried]
     worst = max(errors)
     return float(np.sqrt(detector.limit(effect)) * worst) if np.isfinite(worst) else None
 
 
-def _error(detector: Detector, name: str, at: dict[str, float], phases: dict[str, float], seed: int) -> float:
+def _error(detector: IdealDetector, name: str, at: dict[str, float], phases: dict[str, float], seed: int) -> float:
     """Standard deviation of the effect's size by least squares in the force domain."""
-    rng, bare, effect = np.random.default_rng(seed), detector.bare, made(name)
+    rng, bare, effect = np.random.default_rng(seed), detector.base_study, effect_named(name)
     count = len(bare.runs)
     rows, noise = [], []
-    designs = detector.designs(effect, unit_values(effect, at, phases, count))
-    for i, (run, (_, _, block, answer)) in enumerate(zip(bare.runs, designs, strict=True)):
+    sensitivities = detector.sensitivities(effect, unit_values(effect, at, phases, count))
+    for i, (run, (_, _, block, answer)) in enumerate(zip(bare.runs, sensitivities, strict=True)):
         mass = bare.mass * run.mass_ratio
         own = np.zeros((len(block), 3 * count))  # two of the start and one of the level
         own[:, 2 * i : 2 * i + 2], own[:, 2 * count + i] = block[:, :2], block[:, -1]

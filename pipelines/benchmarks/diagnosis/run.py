@@ -11,8 +11,8 @@ from diagnosis import sparse
 from diagnosis.force import force_size
 from diagnosis.ours import repeated, size_seen, stated
 from diagnosis.studies import BASE, EFFECTS, detector, holding
-from frictrack.blind.bounds import ideal_size
-from frictrack.blind.truth import made
+from frictrack.blind.detection_limits import ideal_detection_limit
+from frictrack.blind.truth import effect_named
 
 Say = Callable[[str], None]
 STEPS = tuple(2.0**k for k in range(-1, 9))  # of the ideal limit, for the peer
@@ -27,7 +27,7 @@ def limits(names: Sequence[str], repeats: int, python: str | None, say: Say) -> 
         told = said.get(name)
         if told is None or told["value"] is None:
             continue
-        least = ideal_size(ideal, made(name), told["at"])
+        least = ideal_detection_limit(ideal, effect_named(name), told["at"])
         if least is None:
             continue
         force = force_size(ideal, name, told["at"])
@@ -46,7 +46,7 @@ def _times(size: float | None, ideal: float) -> str:
 
 def _with_peer(out: dict[str, Any], python: str, repeats: int, say: Say) -> None:
     """The peer's sizes beside the others."""
-    forms = {n: row["at"] for n, row in out.items() if made(n).acts_on == "force"}
+    forms = {n: row["at"] for n, row in out.items() if effect_named(n).acts_on == "force"}
     owner, law = sparse.owners(forms), len(BASE)
     nothing = [sparse.case(*_drawn(BASE[0], {}, 0.0, seed), forms) for seed in range(NULL)]
     told = sparse.ask(python, nothing, law, None)

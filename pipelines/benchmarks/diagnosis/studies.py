@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 import frictrack as ft
-from frictrack.blind.bounds import unit_values
-from frictrack.blind.detector import Detector
-from frictrack.blind.truth import RunTruth, Truth, made
-from frictrack.blind.write import table
+from frictrack.blind.detection_limits import unit_values
+from frictrack.blind.ideal_detector import IdealDetector
+from frictrack.blind.truth import RunTruth, Truth, effect_named
+from frictrack.blind.write_study import run_table
 from frictrack.effects import LIBRARY
 from frictrack.records import Displacement, Run
 
@@ -46,14 +46,14 @@ EFFECTS = [  # with one size, told by such runs: not by a drive, a lift, a clamp
 ]
 
 
-def detector() -> Detector:
+def detector() -> IdealDetector:
     """The ideal detector of the study."""
-    return Detector(BARE)
+    return IdealDetector(BARE)
 
 
 def holding(name: str, at: dict[str, float], size: float, rng: np.random.Generator) -> Truth:
     """The study with one effect of a size at a setting, and new levels; phases and scatter as they come."""
-    effect = made(name)
+    effect = effect_named(name)
     phases = [p for p in effect.parameters if p.role == "phase"]
     shared = {p.name: float(rng.uniform(-np.pi, np.pi)) for p in phases}
     runs = []
@@ -74,7 +74,7 @@ def recorded(truth: Truth, rng: np.random.Generator) -> list[Run]:
 
 
 def _recorded(truth: Truth, run: RunTruth, rng: np.random.Generator) -> Run:
-    data = table(truth, run, rng)
+    data = run_table(truth, run, rng)
     n = len(data)
     nan = np.full(n, np.nan)
     t, x, sigma = (data[c].to_numpy() for c in ("t_s", "x_m", "sigma_m"))

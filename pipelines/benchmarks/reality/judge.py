@@ -12,9 +12,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from frictrack.blind.alike import alike
-from frictrack.blind.judge import NOTED, deviations
-from frictrack.blind.write import write_study
+from frictrack.blind.equivalents import equivalent_effects
+from frictrack.blind.outcome import NOTE_PHRASES, parameter_deviations
+from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.stages import RunWork
@@ -106,7 +106,7 @@ def wrong(said: Outcome) -> str:
         for group in said.groups:
             if not set(group) & set(said.allowed):
                 return f"names {' / '.join(group)}"
-    seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in NOTED.get(h, ()))]
+    seen = [h for h in said.hidden if any(phrase in " ".join(said.findings) for phrase in NOTE_PHRASES.get(h, ()))]
     size = max(said.size, default=0.0) / said.fault.louder
     if said.verdict == "complete" and not said.named and not seen and size >= TWICE:
         return f"complete, while {said.hidden[0]} of {size:.1f} limits is hidden"
@@ -168,7 +168,7 @@ def _deviations(session: Session, case: Case, missing: tuple[str, ...], paramete
         parameters = session.add(name)["parameters"]
     known = truth if missing else replace(truth, hidden=())
     quoted = {k: p | {"std": p.get("std_misfit", p["std"])} for k, p in parameters.items()}
-    return deviations(known, missing, quoted)
+    return parameter_deviations(known, missing, quoted)
 
 
 def notes(session: Session | None) -> list[str]:
@@ -212,7 +212,7 @@ def indistinguishable(case: Case) -> dict[str, tuple[str, ...]]:
         write_study(truth, folder)
         session = Session(open_study(folder / "study.toml"))
         session.fit()
-        return alike(truth, session.tried.fit(session.tried.current()[0]).solution)
+        return equivalent_effects(truth, session.tried.fit(session.tried.current()[0]).solution)
 
 
 @contextmanager

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.blind.draw import LONGEST, draw
-from frictrack.blind.film import BLOCK, FULL_WELL, READ_NOISE, WALL
-from frictrack.blind.film import WIDTH as FILM_WIDTH
+from frictrack.blind.draw_truth import MAX_DURATION_S, draw_truth
+from frictrack.blind.render_run import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL
+from frictrack.blind.render_run import FILM_WIDTH_PX as FILM_WIDTH
 from frictrack.blind.truth import RunTruth, Truth
-from frictrack.blind.write import study_lines, table
+from frictrack.blind.write_study import run_table, study_lines
 from frictrack.records import GRAVITY
 from frictrack.simulate.camera import Camera
 from frictrack.simulate.film import write_film
@@ -72,7 +72,7 @@ def draw_case(name: str, seed: int, fault: str, hidden: str, turn: int) -> Case:
     drawn = draw_fault(fault, ["placeholder"], rng)
     film = fault in FILMED or drawn.variant == "scale"
     for again in range(40):
-        truth = draw(seed, hidden, turn + again, film=film)
+        truth = draw_truth(seed, hidden, turn + again, film=film)
         if not set(truth.hidden) & set(drawn.allowed):
             break
     if fault == "incline":
@@ -108,7 +108,7 @@ def sloped(flat: Truth, degrees: float, rng: np.random.Generator) -> Sloped:
 
 def _frames(truth: Truth, run: RunTruth) -> int:
     """Frames until the mass leaves the course or has come to rest."""
-    run = replace(run, frames=int(LONGEST * truth.fps))
+    run = replace(run, frames=int(MAX_DURATION_S * truth.fps))
     slide = truth.slide(run)
     gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > truth.course)
     stops = np.flatnonzero(np.abs(slide.v) < 1e-9)
@@ -138,7 +138,7 @@ def write_case(case: Case, folder: Path) -> Case:
 def recorded(truth: Truth, run: RunTruth, rng: np.random.Generator) -> Recorded:
     """The table of one run as it should be."""
     slide = truth.slide(run)
-    return Recorded(table(truth, run, rng), slide.x + slide.shift, truth.noise)
+    return Recorded(run_table(truth, run, rng), slide.x + slide.shift, truth.noise)
 
 
 def _write(data: Any, path: Path) -> None:
@@ -181,10 +181,10 @@ def filmed(case: Case, run: RunTruth, path: Path, rng: np.random.Generator) -> N
         height=height,
         scale=truth.pitch,
         exposure=0.0 if turns else 0.1,  # a flash: of a turned block every instant takes as long as a whole frame
-        full_well=FULL_WELL,
-        read_noise=READ_NOISE,
+        full_well=FULL_WELL_E,
+        read_noise=READ_NOISE_E,
     )
-    target = Target(*BLOCK, background=WALL, rod=_rod(case), course=not turns)
+    target = Target(*BLOCK_SIZE_PX, background=WALL, rod=_rod(case), course=not turns)
     write_film(render(position, camera, target, rng, n_frames=run.frames), path, truth.fps)
 
 

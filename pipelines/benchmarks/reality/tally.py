@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.blind.tally import counted
+from frictrack.blind.tally import count_with_interval
 from reality.faults import KINDS, NONE
 from reality.judge import BROKEN, CPU_LIMIT, FAR, OUT_OF_TIME, Outcome
 
@@ -34,7 +34,7 @@ def tally(rows: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _share(rows: Sequence[Outcome], right: Callable[[Outcome], bool]) -> dict[str, Any]:
-    return counted(sum(map(right, rows)), len(rows))
+    return count_with_interval(sum(map(right, rows)), len(rows))
 
 
 def _seconds(rows: Sequence[Outcome]) -> dict[str, float | None]:

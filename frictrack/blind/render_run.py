@@ -15,23 +15,23 @@ from frictrack.simulate.render import Target, render
 from frictrack.simulate.slide import Slide
 from frictrack.simulate.texture import Surface
 
-WIDTH, HEIGHT = 480, 72  # px
-BLOCK = (76.0, 48.0)  # px
-FULL_WELL, READ_NOISE = 3500.0, 50.0  # e-: a short exposure in a dim room
+FILM_WIDTH_PX, FILM_HEIGHT_PX = 480, 72  # px
+BLOCK_SIZE_PX = (76.0, 48.0)  # px
+FULL_WELL_E, READ_NOISE_E = 3500.0, 50.0  # e-: a short exposure in a dim room
 WALL = Surface(size=5.0, level=0.3, contrast=0.2, seed=2)  # told from its noise, so that it shows a shake
 
 
-def film(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
+def render_run(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator) -> None:
     """Render one run: the block moves as it does, the camera shakes, the target rocks, frames are lost."""
     slide, camera = truth.slide(run), _camera(truth, run)
     x = (slide.x + _drawn_shift(truth, run, slide)) / truth.pitch
     spline = CubicSpline(slide.t, x)
-    y = HEIGHT / 2 - 3
+    y = FILM_HEIGHT_PX / 2 - 3
 
     def position(t: Array) -> tuple[Array, Array]:
         return spline(t), np.full(np.shape(t), y)
 
-    target = Target(width=BLOCK[0], height=BLOCK[1], background=WALL, rotation=_rocking(truth, run))
+    target = Target(width=BLOCK_SIZE_PX[0], height=BLOCK_SIZE_PX[1], background=WALL, rotation=_rocking(truth, run))
     write_film(render(position, camera, target, rng, n_frames=len(x)), path, camera.fps)
 
 
@@ -42,17 +42,17 @@ def _drawn_shift(truth: Truth, run: RunTruth, slide: Slide) -> Array:
 
 def _camera(truth: Truth, run: RunTruth) -> Camera:
     shake = run.values.get("camera_shake")
-    moved = None
+    shake_x = None
     if shake is not None:
-        moved = Oscillation(shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
+        shake_x = Oscillation(shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
     return Camera(
         fps=truth.fps,
-        width=WIDTH,
-        height=HEIGHT,
+        width=FILM_WIDTH_PX,
+        height=FILM_HEIGHT_PX,
         scale=truth.pitch,
-        full_well=FULL_WELL,
-        read_noise=READ_NOISE,
-        shake_x=moved,
+        full_well=FULL_WELL_E,
+        read_noise=READ_NOISE_E,
+        shake_x=shake_x,
     )
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.blind.detector import Detector, beside
-from frictrack.blind.foreign import FOREIGN
-from frictrack.blind.hide import SIZES, Hidden, hide
-from frictrack.blind.truth import Numbers, RunTruth, Truth, made
+from frictrack.blind.foreign_effects import FOREIGN
+from frictrack.blind.ideal_detector import IdealDetector, unexplained_part
+from frictrack.blind.place_effect import SIZE_RANGE, PlacedEffect, place_effect
+from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
@@ -22,15 +22,15 @@ LAWS = (  # base laws, and how often each is drawn
     (("coulomb", "viscous"), 0.25),
     (("coulomb", "drag"), 0.15),
 )
-BESIDE = 0.15  # share of the studies that measure a drive, a vertical motion or a clamp without need
-PUSH = 0.012  # s
-LONGEST, MOST = 0.25, 900  # s and frames of a run
-RESTS = 8  # frames after a stop
-LEAST = 80  # frames of a run
-TRIES, PATIENCE = 60, 6  # per name; of one with memory, whose motion takes long
-NAMES = 8  # names tried until one can be seen
-FILM = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
-FAULTS = ("camera_shake", "dropped_frame", "lens", "timebase", "target_rotation")  # that a film can show
+UNUSED_SENSOR_SHARE = 0.15  # share of the studies that measure a drive, a vertical motion or a clamp without need
+PUSH_S = 0.012  # s
+MAX_DURATION_S, MAX_FRAMES = 0.25, 900  # s and frames of a run
+FRAMES_AFTER_STOP = 8  # frames after a stop
+MIN_FRAMES = 80  # frames of a run
+MAX_DRAWS, MAX_DRAWS_MEMORY = 60, 6  # per name; of one with memory, whose motion takes long
+MAX_EFFECTS_TRIED = 8  # names tried until one can be seen
+FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m, and px as measured on such films
+FILM_FAULTS = ("camera_shake", "dropped_frame", "lens", "timebase", "target_rotation")  # that a film can show
 
 
 def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
@@ -38,7 +38,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
     if kind == "foreign":
         return list(FOREIGN)
     if kind == "fault":
-        return list(FAULTS)
+        return list(FILM_FAULTS)
     kinds = set(law)
     return [
         e.name
@@ -54,36 +54,36 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
     ]
 
 
-def draw(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
+def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False) -> Truth:
     """One truth of a kind: "none", "one", "two", "foreign" or "fault".
 
     `turn` counts the studies of a kind: the causes take turns, so that all of them come up equally often. Raises
     FrictrackError when nothing visible was found in many draws.
     """
     rng = np.random.default_rng([seed, 2026])
-    for again in range(NAMES):
-        first = _in_turn(kind, turn + again, film=film)
+    for attempt in range(MAX_EFFECTS_TRIED):
+        first = _effect_in_turn(kind, turn + attempt, film=film)
         law = _law_names(rng, [law for law, _ in LAWS if first is None or first in candidates(kind, law, film=film)])
-        names = _names(kind, law, first, rng, film=film)
-        for _ in range(PATIENCE if any(made(n).memory for n in names) else TRIES):
-            bare = _bare(seed, kind, law, names, rng, film=film)
-            found = _tried(bare, names, rng)
+        names = _hidden_effects(kind, law, first, rng, film=film)
+        for _ in range(MAX_DRAWS_MEMORY if any(effect_named(n).memory for n in names) else MAX_DRAWS):
+            base_study = _draw_base(seed, kind, law, names, rng, film=film)
+            found = _try_draw(base_study, names, rng)
             if found is not None:
                 return found
     raise FrictrackError(f"no visible study of kind {kind} was found for seed {seed}; give another seed")
 
 
-def _tried(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+def _try_draw(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
     try:
-        bare = replace(bare, runs=tuple(_runs(bare, rng)))
-        if any(run.frames < LEAST for run in bare.runs):
+        base_study = replace(base_study, runs=tuple(_draw_runs(base_study, rng)))
+        if any(run.frames < MIN_FRAMES for run in base_study.runs):
             return None
-        return _hidden(bare, names, rng)
+        return _hide_effects(base_study, names, rng)
     except FrictrackError:  # a motion that cannot be followed
         return None
 
 
-def _in_turn(kind: str, turn: int, *, film: bool) -> str | None:
+def _effect_in_turn(kind: str, turn: int, *, film: bool) -> str | None:
     """The cause whose turn it is, whatever the base law; None where nothing is hidden."""
     if kind == "none":
         return None
@@ -93,98 +93,104 @@ def _in_turn(kind: str, turn: int, *, film: bool) -> str | None:
 
 def _law_names(rng: np.random.Generator, fitting: list[tuple[str, ...]]) -> tuple[str, ...]:
     """A base law that can lack the cause."""
-    share = np.array([often for law, often in LAWS if law in fitting])
+    share = np.array([share for law, share in LAWS if law in fitting])
     return fitting[int(rng.choice(len(fitting), p=share / share.sum()))]
 
 
-def _names(
+def _hidden_effects(
     kind: str, law: tuple[str, ...], first: str | None, rng: np.random.Generator, *, film: bool
 ) -> tuple[str, ...]:
     if first is None or kind != "two":
         return () if first is None else (first,)
-    known = candidates(kind, law, film=film)
-    lasting = made(first).memory  # what reshapes the same friction would have to be followed along with it
-    others = [n for n in known if n != first and not made(n).memory and not (lasting and made(n).modifies)]
+    possible = candidates(kind, law, film=film)
+    has_memory = effect_named(first).memory  # what reshapes the same friction would have to be followed along with it
+    others = [
+        n
+        for n in possible
+        if n != first and not effect_named(n).memory and not (has_memory and effect_named(n).modifies)
+    ]
     return first, str(rng.choice(others))
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _bare(
+def _draw_base(
     seed: int, kind: str, law: tuple[str, ...], names: tuple[str, ...], rng: np.random.Generator, *, film: bool
 ) -> Truth:
     """Law and camera, before the runs and before anything is hidden."""
-    mass = _log(rng, 0.05, 2.0)
-    needs = {need for name in names for need in made(name).needs}
-    beside = (rng.random(3) < BESIDE) & (not film)
-    pushed = "drive" in needs or any(made(n).memory for n in names) or beside[0]  # memory shows from rest
+    mass = _log_uniform(rng, 0.05, 2.0)
+    needs = {need for name in names for need in effect_named(name).needs}
+    has_unused = (rng.random(3) < UNUSED_SENSOR_SHARE) & (not film)
+    pushed = "drive" in needs or any(effect_named(n).memory for n in names) or has_unused[0]  # memory shows from rest
     lift = float(10 ** rng.uniform(-0.7, 0.3)), float(rng.uniform(12.0, 40.0))  # m/s^2 and Hz
-    pitch = FILM["pitch"] if film else _log(rng, 2e-4, 1e-3)
+    pitch = FILM_CAMERA["pitch"] if film else _log_uniform(rng, 2e-4, 1e-3)
     return Truth(
         seed=seed,
         kind=kind,
         model=law,
-        law=_law(law, mass * _log(rng, 4.0, 25.0), rng),
+        law=_draw_law(law, mass * _log_uniform(rng, 4.0, 25.0), rng),
         mass=mass,
         fps=4000.0 if film else float(rng.choice([2000.0, 4000.0, 4000.0, 6000.0])),
         pitch=pitch,
-        noise=pitch * FILM["noise_px"] if film else _log(rng, 2e-6, 3e-5),
+        noise=pitch * FILM_CAMERA["noise_px"] if film else _log_uniform(rng, 2e-6, 3e-5),
         scatter=float(rng.choice([0.0, 0.01, 0.03, 0.05])),
         course=0.16 if film else float(rng.uniform(0.4, 1.2)),
-        push=PUSH if pushed else 0.0,
-        lift=(lift[0] / (2 * np.pi * lift[1]) ** 2, lift[1]) if "lift" in needs or beside[1] else None,
-        clamp=float(-rng.uniform(0.0, 0.1)) if "clamp_x" in needs or beside[2] else None,
-        turn=(_log(rng, 2e-3, 2e-2), float(rng.uniform(20.0, 60.0))) if "angle" in needs else None,
+        push=PUSH_S if pushed else 0.0,
+        lift=(lift[0] / (2 * np.pi * lift[1]) ** 2, lift[1]) if "lift" in needs or has_unused[1] else None,
+        clamp=float(-rng.uniform(0.0, 0.1)) if "clamp_x" in needs or has_unused[2] else None,
+        turn=(_log_uniform(rng, 2e-3, 2e-2), float(rng.uniform(20.0, 60.0))) if "angle" in needs else None,
         stated=bool(rng.random() < 0.7),
         film=film,
     )
 
 
-def _law(names: tuple[str, ...], level: float, rng: np.random.Generator) -> Numbers:
+def _draw_law(names: tuple[str, ...], level: float, rng: np.random.Generator) -> EffectValues:
     """Numbers of a base law whose Coulomb friction is `level` N."""
-    known: Numbers = {
+    possible: EffectValues = {
         "coulomb": {"F_c": level},
-        "stribeck": {"F_s": level * float(rng.uniform(0.2, 1.0)), "v_s": _log(rng, 0.1, 0.8), "delta": 1.0},
+        "stribeck": {"F_s": level * float(rng.uniform(0.2, 1.0)), "v_s": _log_uniform(rng, 0.1, 0.8), "delta": 1.0},
         "viscous": {"F_v": level * float(rng.uniform(0.02, 0.15))},
         "drag": {"c": level * float(rng.uniform(0.004, 0.03))},
     }
-    return {name: known[name] for name in names}
+    return {name: possible[name] for name in names}
 
 
-def _runs(bare: Truth, rng: np.random.Generator) -> Iterator[RunTruth]:
+def _draw_runs(base_study: Truth, rng: np.random.Generator) -> Iterator[RunTruth]:
     """Five to eight runs: slow to fast, one to a stop where the course is long enough, one heavy or light, reversed."""
-    stopping = np.sqrt(1.6 * bare.law["coulomb"]["F_c"] / bare.mass * bare.course)  # stops on the course
+    stopping = np.sqrt(
+        1.6 * base_study.law["coulomb"]["F_c"] / base_study.mass * base_study.course
+    )  # stops on the course
     low = float(np.clip(rng.uniform(0.6, 0.95) * stopping, 1.5, 4.0))
-    high = float(rng.uniform(max(low + 1.0, 4.5), 6.0 if bare.film else 8.0))
+    high = float(rng.uniform(max(low + 1.0, 4.5), 6.0 if base_study.film else 8.0))
     speeds = np.linspace(low, high, int(rng.integers(3, 5)))
     plan = [(float(v), 1.0) for v in speeds] + [(float(np.mean(speeds)), float(rng.choice([0.5, 2.0])))]
     back = rng.choice(speeds, int(rng.integers(1, min(4, 8 - len(plan)))), replace=False)
     plan += [(-float(v), 1.0) for v in back]
     for i, (v, ratio) in enumerate(plan):
-        level = float(1 + bare.scatter * rng.standard_normal())
+        level = float(1 + base_study.scatter * rng.standard_normal())
         phase = float(rng.uniform(-np.pi, np.pi))
-        run = RunTruth(f"r{i + 1}", v, ratio, level, min(int(LONGEST * bare.fps), MOST), phase)
-        yield replace(run, frames=_frames(bare, run))
+        run = RunTruth(f"r{i + 1}", v, ratio, level, min(int(MAX_DURATION_S * base_study.fps), MAX_FRAMES), phase)
+        yield replace(run, frames=_count_frames(base_study, run))
 
 
-def _frames(bare: Truth, run: RunTruth) -> int:
+def _count_frames(base_study: Truth, run: RunTruth) -> int:
     """Frames until the run leaves the course or has come to its stop."""
-    slide = bare.slide(run, hidden=False)
-    gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > bare.course)
+    slide = base_study.slide(run, hidden=False)
+    gone = np.flatnonzero(np.abs(slide.x - slide.x[0]) > base_study.course)
     stops = np.flatnonzero(np.abs(slide.v) < 1e-9)
-    stops = stops[stops > bare.push * bare.fps]
-    ends = [len(slide.t), *(int(q[0]) + n for q, n in ((gone, 0), (stops, RESTS)) if len(q))]
+    stops = stops[stops > base_study.push * base_study.fps]
+    ends = [len(slide.t), *(int(q[0]) + n for q, n in ((gone, 0), (stops, FRAMES_AFTER_STOP)) if len(q))]
     return min(ends)
 
 
-def _hidden(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
+def _hide_effects(base_study: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Truth | None:
     """The study with its causes in; None where one cannot be seen, alone or beside the other."""
-    truth, detector = bare, Detector(bare)
+    truth, detector = base_study, IdealDetector(base_study)
     hidden = []
     for name in names:
-        found = hide(detector, name, rng)
+        found = place_effect(detector, name, rng)
         if found is None:
             return None
         hidden.append(found)
@@ -192,18 +198,20 @@ def _hidden(bare: Truth, names: tuple[str, ...], rng: np.random.Generator) -> Tr
         truth = replace(truth, runs=tuple(replace(r, values=r.values | a.values) for r, a in runs))
     sizes, traces = tuple(size for _, size in hidden), [trace for (_, trace), _ in hidden]
     if len(names) == 2:
-        traces = [_left(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
-        limits = [np.sqrt(detector.limit(made(name))) for name in names]
+        traces = [_trace_left(detector, traces[k], names[1 - k], hidden[1 - k][0]) for k in (0, 1)]
+        limits = [np.sqrt(detector.limit(effect_named(name))) for name in names]
         sizes = tuple(float(np.linalg.norm(t) / least) for t, least in zip(traces, limits, strict=True))
-        if min(sizes) < SIZES[0]:
+        if min(sizes) < SIZE_RANGE[0]:
             return None
     rises: Any = tuple(float(t @ t) for t in traces)
     return replace(truth, hidden=names, size=sizes, rise=rises)
 
 
-def _left(detector: Detector, trace: Array, other: str, alone: Hidden) -> Array:
+def _trace_left(detector: IdealDetector, trace: Array, other: str, placed: PlacedEffect) -> Array:
     """What is left of a cause's trace where the numbers of the other one are free beside it."""
-    truth, its_own = alone
-    effect = made(other)
+    truth, trace_alone = placed
+    effect = effect_named(other)
     values = [run.values for run in truth.runs]
-    return beside(trace, its_own[:, None] if effect.memory else detector.tangent(effect, values))
+    return unexplained_part(
+        trace, trace_alone[:, None] if effect.memory else detector.trace_derivatives(effect, values)
+    )

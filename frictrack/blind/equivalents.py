@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from frictrack import effects
-from frictrack.blind.detector import LEAST_SCATTER
-from frictrack.blind.truth import Numbers, RunTruth, Truth, made
+from frictrack.blind.ideal_detector import MIN_SCATTER
+from frictrack.blind.truth import EffectValues, RunTruth, Truth, effect_named
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
@@ -17,84 +17,86 @@ from frictrack.fit.parameters import ParameterLayout, penalty_residual
 from frictrack.fit.stepwise import effect_for_scan, remove_effect, simulate_trial, try_effect, with_layout
 from frictrack.records import Array
 
-SAME = 10.0  # expected chi-squared below which two causes are one for these runs
+MAX_CHI2_EXCESS = 10.0  # expected chi-squared below which two causes are one for these runs
 NEAR = 0.3, 60.0  # share of the rise, and chi-squared, along the motion below which a rival is followed to its end
 
 
-def alike(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
+def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
     """For every hidden cause the library effects that stand in for it beside all the rest, itself first.
 
     `base` is the fitted base law, whose pieces and layout are taken; its data are replaced by the true motion.
     """
-    whole = exact(truth, base)
-    return {name: (name, *_standing_in(whole, name)) for name in truth.hidden}
+    full = solution_at_truth(truth, base)
+    return {name: (name, *_equivalents(full, name)) for name in truth.hidden}
 
 
-def _standing_in(whole: Solution, name: str) -> list[str]:
+def _equivalents(full: Solution, name: str) -> list[str]:
     """Effects that explain the data without noise as well as the hidden one does."""
-    bare = remove_effect(whole, name)
-    law = linearise(bare)
-    rise = bare.objective - whole.objective
+    reduced = remove_effect(full, name)
+    linearised = linearise(reduced)
+    chi2_rise = reduced.objective - full.objective
     out = []
     for effect in effects.LIBRARY.values():
-        if effect.name in bare.problem.model or effect.replaces or effect.name == name:
+        if effect.name in reduced.problem.model or effect.replaces or effect.name == name:
             continue
-        kinds = {e.kind for e in bare.problem.model.effects}
+        kinds = {e.kind for e in reduced.problem.model.effects}
         if effect.modifies and not kinds & effect.modifies:
             continue
         try:
-            worse = _worse(law, effect, whole, rise)
+            excess = _chi2_excess(linearised, effect, full, chi2_rise)
         except FrictrackError:
             continue
-        if worse < SAME:
+        if excess < MAX_CHI2_EXCESS:
             out.append(effect.name)
     return out
 
 
-def _worse(law: LinearisedModel, effect: Effect, whole: Solution, rise: float) -> float:
+def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, chi2_rise: float) -> float:
     """By how much chi-squared is larger with another effect in the place of the true one."""
-    made_of = candidate_grids(law, effect_for_scan(law.solution, effect))
-    if not made_of:
+    grids = candidate_grids(linearised, effect_for_scan(linearised.solution, effect))
+    if not grids:
         return np.inf
-    series = measured_series(law)
-    trial = try_effect(law, effect, [scan_candidate(law, family, series) for family in made_of], series.own[:, 0])
-    if trial.misfit > NEAR[0] * rise + NEAR[1] + _restraint(whole):
+    data = measured_series(linearised)
+    trial = try_effect(
+        linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.own[:, 0]
+    )
+    if trial.misfit > NEAR[0] * chi2_rise + NEAR[1] + _level_penalty(full):
         return np.inf
-    grown = simulate_trial(law, trial)
-    fitted = refine(grown.problem, grown.p, grown.starts, tau=whole.tau)
-    return fitted.objective - whole.objective
+    extended = simulate_trial(linearised, trial)
+    fitted = refine(extended.problem, extended.p, extended.starts, tau=full.tau)
+    return fitted.objective - full.objective
 
 
-def _restraint(whole: Solution) -> float:
+def _level_penalty(full: Solution) -> float:
     """What the true levels' departure from one costs."""
-    held = penalty_residual(whole.problem.layout, whole.p, whole.tau)
-    return float(held @ held)
+    penalty = penalty_residual(full.problem.layout, full.p, full.tau)
+    return float(penalty @ penalty)
 
 
-def exact(truth: Truth, base: Solution) -> Solution:
+def solution_at_truth(truth: Truth, base: Solution) -> Solution:
     """The true law at the true motion, refined by what rounding leaves."""
     slides = [truth.slide(run) for run in truth.runs]
     pieces = [replace(p, y=(slides[p.run].x + slides[p.run].shift)[p.frames]) for p in base.problem.pieces]
-    old = base.problem.layout
-    model = old.model
+    base_layout = base.problem.layout
+    model = base_layout.model
     for name in truth.hidden:
-        model = model + made(name)
+        model = model + effect_named(name)
     absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
-    layout = replace(old, model=model, absent=absent)
-    problem = with_layout(base.problem.over(old, pieces), layout)
+    layout = replace(base_layout, model=model, absent=absent)
+    problem = with_layout(base.problem.over(base_layout, pieces), layout)
     starts = [
-        np.array([np.interp(p.t[0], s.t - _release(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
+        np.array([np.interp(p.t[0], s.t - _release_time(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
         for p, s in ((p, slides[p.run]) for p in pieces)
     ]
-    return refine(problem, _unknowns(truth, layout), starts, tau=max(truth.scatter, LEAST_SCATTER))
+    return refine(problem, _true_parameters(truth, layout), starts, tau=max(truth.scatter, MIN_SCATTER))
 
 
-def _release(since: Array, recorded: Array) -> float:
+def _release_time(time: Array, recorded: Array) -> float:
     """When a run was released, on the clock of its table, s."""
-    return float(recorded[0] - since[0])
+    return float(recorded[0] - time[0])
 
 
-def _unknowns(truth: Truth, layout: ParameterLayout) -> Array:
+def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
     """The true numbers as a fit counts them, (P,)."""
     out = []
     for slot in layout.slots:
@@ -104,12 +106,12 @@ def _unknowns(truth: Truth, layout: ParameterLayout) -> Array:
         elif slot.effect in truth.law:
             out.append(truth.law[slot.effect][slot.parameter])
         else:
-            out.append(_own(truth, slot.effect, slot.run)[slot.parameter])
+            out.append(_hidden_values(truth, slot.effect, slot.run)[slot.parameter])
     return np.array(out)
 
 
-def _own(truth: Truth, name: str, run: int | None) -> dict[str, float]:
+def _hidden_values(truth: Truth, name: str, run: int | None) -> dict[str, float]:
     """Numbers of a hidden cause in one run, or in any that has it."""
     chosen: tuple[RunTruth, ...] = truth.runs if run is None else (truth.runs[run],)
-    found: list[Numbers] = [r.values for r in chosen if name in r.values]
+    found: list[EffectValues] = [r.values for r in chosen if name in r.values]
     return found[0][name]

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.blind.alike import alike
-from frictrack.blind.bounds import against_ideal
-from frictrack.blind.truth import Truth, made
-from frictrack.blind.where import overlap
+from frictrack.blind.detection_limits import limits_over_ideal
+from frictrack.blind.equivalents import equivalent_effects
+from frictrack.blind.failure_overlap import overlap
+from frictrack.blind.truth import Truth, effect_named
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.flow import Session, open_study
 
-NOTED = {  # how the measuring chain itself puts a fault into words
+NOTE_PHRASES = {  # how the measuring chain itself puts a fault into words
     "camera_shake": ("camera shake of",),
     "dropped_frame": ("told by the motion", "repeats the one before", "repeat the one before"),
     "peak_locking": ("peak locking",),
@@ -36,7 +36,7 @@ class Outcome:
     verdict: str = ""
     named: tuple[str, ...] = ()  # effects found, in order
     group: tuple[str, ...] = ()  # the first one and what the diagnosis cannot tell from it
-    alike: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden cause: what nobody can tell from it
+    equivalents: dict[str, tuple[str, ...]] = field(default_factory=dict)  # per hidden effect: those that fit as well
     noted: tuple[str, ...] = ()  # faults that the measuring chain told and took away by itself
     reduced_chi2: float | None = None  # after adding what was named
     heldout: float | None = None  # held-out error over the true noise, after adding
@@ -50,45 +50,47 @@ class Outcome:
 def read_outcome(raw: dict[str, Any]) -> Outcome:
     """An outcome from its JSON."""
     lists = {name: tuple(raw[name]) for name in ("hidden", "size", "named", "group", "noted")}
-    return Outcome(**raw | lists | {"alike": {k: tuple(v) for k, v in raw["alike"].items()}})
+    equivalents = {name: tuple(others) for name, others in raw["alike"].items()}
+    known = {key: value for key, value in raw.items() if key != "alike"}
+    return Outcome(**known | lists, equivalents=equivalents)
 
 
-def judge(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
+def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
     """Diagnose a study, add what it names, and compare with the truth; work that fails is an outcome too."""
     blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
     try:
-        return _judged(truth, folder, seed, blank)
+        return _diagnose(truth, folder, seed, blank)
     except FrictrackError as e:
         return replace(blank, verdict="failed", fault=str(e))
     except Exception as e:  # noqa: BLE001 - a fault of ours is a failure of this study, and no end of the others
         return replace(blank, verdict="failed", fault=f"{type(e).__name__}: {e}")
 
 
-def _judged(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
+def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
     session = Session(open_study(folder / "study.toml"))
     session.fit()
     begin = time.process_time()
-    said = session.diagnose(seed)
+    diagnosis = session.diagnose(seed)
     seconds = time.process_time() - begin
-    named = tuple(said["missing"])
+    named = tuple(diagnosis["missing"])
     fit: Fit = session.tried.fit(session.tried.current()[0])
-    smear = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
+    low_pass_half_width = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
     out = replace(
         blank,
-        verdict=said["verdict"],
+        verdict=diagnosis["verdict"],
         named=named,
-        group=_group(said),
-        alike=alike(truth, fit.solution) if _compared(truth) else {},
-        noted=_noted(session),
-        overlap=overlap(truth, said["fails_at"], smear),
-        limits=against_ideal(truth, said["detection_limits"]) if truth.kind == "none" and not named else {},
+        group=_first_group(diagnosis),
+        equivalents=equivalent_effects(truth, fit.solution) if _has_equivalents(truth) else {},
+        noted=_faults_in_notes(session),
+        overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
+        limits=limits_over_ideal(truth, diagnosis["detection_limits"]) if truth.kind == "none" and not named else {},
         seconds=seconds,
     )
-    noise = (_tracked_noise(session, truth) or said["noise_um"]) if truth.film else 1e6 * truth.noise
-    return _added(session, truth, noise, out) if named else _as_it_is(session, noise, out)
+    noise = (_tracking_error(session, truth) or diagnosis["noise_um"]) if truth.film else 1e6 * truth.noise
+    return _with_additions(session, truth, noise, out) if named else _without_additions(session, noise, out)
 
 
-def _tracked_noise(session: Session, truth: Truth) -> float | None:
+def _tracking_error(session: Session, truth: Truth) -> float | None:
     """What the tracker was truly off by in the fitted frames, rms in um, beside each film's own start and speed.
 
     A shake of the camera is taken away by the fixed reference. None where frames are lost: they are no longer those
@@ -96,39 +98,39 @@ def _tracked_noise(session: Session, truth: Truth) -> float | None:
     """
     squares = []
     for run, work in zip(truth.runs, session.runs, strict=True):
-        slide, seen = truth.slide(run), work.get("displacement")
-        if len(seen.x) != len(slide.x):
+        slide, displacement = truth.slide(run), work.get("displacement")
+        if len(displacement.x) != len(slide.x):
             return None
         drawn = slide.x if "camera_shake" in run.values else slide.x + slide.shift
-        kept = seen.valid & work.get("friction").free
-        off, t = (seen.x - drawn)[kept], slide.t[kept] - slide.t[kept].mean()
+        kept = displacement.valid & work.get("friction").free
+        off, t = (displacement.x - drawn)[kept], slide.t[kept] - slide.t[kept].mean()
         off = off - off.mean()
         squares.append((off - t * (t @ off) / (t @ t)) ** 2)
     return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
-def _group(said: dict[str, Any]) -> tuple[str, ...]:
+def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
     """What is named first, and what the diagnosis cannot tell from it."""
-    if not said["missing"]:
+    if not diagnosis["missing"]:
         return ()
-    first = said["missing"][0]
-    rivals = [c["indistinguishable_from"] for c in said["candidates"] if c["effect"] == first]
+    first = diagnosis["missing"][0]
+    rivals = [c["indistinguishable_from"] for c in diagnosis["candidates"] if c["effect"] == first]
     return (first, *(rivals[0] if rivals else ()))
 
 
-def _compared(truth: Truth) -> bool:
+def _has_equivalents(truth: Truth) -> bool:
     """Whether what nobody can tell from the truth is known: of films whose frames are the drawn ones, too."""
     retimed = truth.film and "dropped_frame" in truth.hidden
     return bool(truth.hidden) and truth.kind != "foreign" and not retimed
 
 
-def _as_it_is(session: Session, noise: float, out: Outcome) -> Outcome:
+def _without_additions(session: Session, noise: float, out: Outcome) -> Outcome:
     """Nothing to add: the errors of the law as it stands."""
     errors = session.fit()["errors"]
     return replace(out, reduced_chi2=errors["reduced_chi2"], heldout=errors["heldout_rms_um"] / noise)
 
 
-def _added(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcome:
+def _with_additions(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcome:
     """What was named is added, one after the other."""
     for name in out.named:
         after = session.add(name)
@@ -137,18 +139,18 @@ def _added(session: Session, truth: Truth, noise: float, out: Outcome) -> Outcom
         out,
         reduced_chi2=errors["reduced_chi2"],
         heldout=errors["heldout_rms_um"] / noise,
-        z=deviations(truth, out.named, after["parameters"]),
+        z=parameter_deviations(truth, out.named, after["parameters"]),
     )
 
 
-def _noted(session: Session) -> tuple[str, ...]:
+def _faults_in_notes(session: Session) -> tuple[str, ...]:
     """Faults that are in the notes of the records."""
     stages = [(work, name) for work in session.runs for name in ("track", "displacement") if name in work.stages]
     words = " ".join(note for work, name in stages for note in work.get(name).notes)
-    return tuple(name for name, phrases in NOTED.items() if any(phrase in words for phrase in phrases))
+    return tuple(name for name, phrases in NOTE_PHRASES.items() if any(phrase in words for phrase in phrases))
 
 
-def deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
+def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
     """(Found - true)/stated deviation of all shared numbers, where exactly what was hidden was named."""
     if set(named) != set(truth.hidden):
         return {}
@@ -157,14 +159,14 @@ def deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any])
     quoted = {f"{name}.{key}": value for name, values in law.items() for key, value in values.items()}
     out = {}
     for name, values in law.items():
-        effect = made(name)
+        effect = effect_named(name)
         true = values | (effect.quote(values, quoted) if effect.quote else {})
         for p in effect.parameters:
-            told = parameters.get(f"{name}.{p.name}")
-            if told is None or p.per_run or not told["std"] or told["value"] is None:
+            estimate = parameters.get(f"{name}.{p.name}")
+            if estimate is None or p.per_run or not estimate["std"] or estimate["value"] is None:
                 continue
-            away = told["value"] - true[p.name]
+            error = estimate["value"] - true[p.name]
             if p.role == "phase":
-                away = float(np.angle(np.exp(1j * away)))
-            out[f"{name}.{p.name}"] = away / told["std"]
+                error = float(np.angle(np.exp(1j * error)))
+            out[f"{name}.{p.name}"] = error / estimate["std"]
     return out

@@ -11,8 +11,8 @@ from frictrack.effects import Effect, Parameter, Path, Span
 from frictrack.records import Array
 
 Shape = Callable[[Path, dict[str, float]], Array]
-NARROW = 0.15  # width of a resonance in the speed, over that speed
-TEETH = 5  # harmonics of a saw tooth, and one
+RESONANCE_WIDTH = 0.15  # width of a resonance in the speed, over that speed
+N_HARMONICS = 5  # harmonics of a saw tooth, and one
 
 
 def _rate_and_state(path: Path, q: dict[str, float]) -> Array:
@@ -27,7 +27,7 @@ def _flash_weakening(path: Path, q: dict[str, float]) -> Array:
 
 def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
     """The mounting resonates, and takes energy, at one speed of sliding."""
-    return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (NARROW * q["speed"])) ** 2) / 2)
+    return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (RESONANCE_WIDTH * q["speed"])) ** 2) / 2)
 
 
 def _joint(path: Path, q: dict[str, float]) -> Array:
@@ -38,7 +38,7 @@ def _joint(path: Path, q: dict[str, float]) -> Array:
 def _saw(path: Path, q: dict[str, float]) -> Array:
     """Plates of equal length lie on the course like scales: a saw tooth, its edges rounded by the slider's length."""
     turns = 2 * np.pi * path.x / q["length"]
-    return path.load * path.s * np.sum([np.sin(k * turns) / k for k in range(1, TEETH)], axis=0)
+    return path.load * path.s * np.sum([np.sin(k * turns) / k for k in range(1, N_HARMONICS)], axis=0)
 
 
 def _magnet(path: Path, q: dict[str, float]) -> Array:
@@ -67,8 +67,8 @@ def _heat(path: Path, q: dict[str, float]) -> Array:
     t, v = path.t, path.v
     if path.before is not None:
         t, v = np.append(path.before[0], t), np.append(path.before[2], v)
-    grows = np.exp((t - t[-1]) / q["time"])
-    warm = np.append(0.0, cumulative_trapezoid(grows * np.abs(v), t)) / grows / q["time"]
+    growth = np.exp((t - t[-1]) / q["time"])
+    warm = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / q["time"]
     return -path.load * path.s * warm[-len(path.t) :]
 
 
@@ -87,7 +87,7 @@ FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
 }  # name: shape, and the numbers that it needs
 
 
-def foreign(name: str) -> Effect:
+def foreign_effect(name: str) -> Effect:
     """A cause of that name as an effect with one coefficient, which no library lists."""
     shape, needs = FOREIGN[name]
     return Effect(
@@ -103,7 +103,7 @@ def foreign(name: str) -> Effect:
     )
 
 
-def reach(name: str, span: Span) -> tuple[float, float]:
+def parameter_range(name: str, span: Span) -> tuple[float, float]:
     """Where a number of such a cause may lie, given how far the runs reach."""
     travel = span.x_max - span.x_min
     return {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from frictrack.blind.film import film
+from frictrack.blind.render_run import render_run
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.records import Array
 from frictrack.simulate.camera import Oscillation
@@ -22,20 +22,20 @@ def write_study(truth: Truth, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for run in truth.runs:
         if truth.film:
-            film(truth, run, folder / f"{run.name}.avi", rng)
+            render_run(truth, run, folder / f"{run.name}.avi", rng)
         else:
-            table(truth, run, rng).to_csv(folder / f"{run.name}.csv", index=False, float_format="%.9g")
+            run_table(truth, run, rng).to_csv(folder / f"{run.name}.csv", index=False, float_format="%.9g")
     (folder / "study.toml").write_text("\n".join(study_lines(truth, folder.name)) + "\n", encoding="utf-8")
 
 
-def table(truth: Truth, run: RunTruth, rng: np.random.Generator) -> pd.DataFrame:
+def run_table(truth: Truth, run: RunTruth, rng: np.random.Generator) -> pd.DataFrame:
     """What a tracker of white noise would have given of one run."""
     slide = truth.slide(run)
     noise = truth.noise * rng.standard_normal(len(slide.t))
-    return pd.DataFrame({"t_s": slide.t, "x_m": slide.x + slide.shift + noise} | _beside(truth, run, slide, rng))
+    return pd.DataFrame({"t_s": slide.t, "x_m": slide.x + slide.shift + noise} | _other_signals(truth, run, slide, rng))
 
 
-def _beside(truth: Truth, run: RunTruth, slide: Slide, rng: np.random.Generator) -> dict[str, Array]:
+def _other_signals(truth: Truth, run: RunTruth, slide: Slide, rng: np.random.Generator) -> dict[str, Array]:
     """Stated noise, vertical motion and drive, where the study has them."""
     out = {"sigma_m": np.full(len(slide.t), truth.noise)} if truth.stated else {}
     if truth.lift is not None:

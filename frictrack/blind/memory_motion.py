@@ -19,11 +19,13 @@ from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.slide import Conditions, Slide, shift
 
-RELATIVE, ABSOLUTE = 1e-10, 1e-12
+RTOL, ATOL = 1e-10, 1e-12
 Law = Callable[[float, float, float], tuple[float, float]]  # x, v, t -> dry friction (size) and the rest, N
 
 
-def remember(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Slide:
+def simulate_memory(
+    model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]
+) -> Slide:
     """The motion from rest (or in motion) at start = (x m, v m/s) through the frame times t (n,), s.
 
     One effect of the model has a memory: friction_lag or presliding. Raises FrictrackError where it does not move.
@@ -33,7 +35,7 @@ def remember(model: Model, values: Values, conditions: Conditions, t: Array, sta
     scale = float(values[name]["tau" if lag else "stiffness"])
     push = conditions.drive or np.zeros_like
     s = float(np.sign(start[1] or push(t[:: len(t) // 50])[np.argmax(np.abs(push(t[:: len(t) // 50])))]))
-    law = _law(model - name, values, conditions, s)
+    law = _friction_parts(model - name, values, conditions, s)
 
     def friction(at: float, y: Array) -> float:
         size, rest = law(y[0], y[1], at)
@@ -46,22 +48,22 @@ def remember(model: Model, values: Values, conditions: Conditions, t: Array, sta
 
     size = law(start[0], start[1], float(t[0]))[0]
     state = np.array([*start, size if lag else s * float(start[1] != 0)])
-    leaves = float(t[0]) if start[1] or not lag else _leaves(t, lambda at: s * push(at) - size)
-    begin = int(np.searchsorted(t, leaves))
-    found = solve_ivp(motion, (leaves, t[-1]), state, "DOP853", t[begin:], rtol=RELATIVE, atol=ABSOLUTE)
+    departure = float(t[0]) if start[1] or not lag else _departure_time(t, lambda at: s * push(at) - size)
+    first_moving = int(np.searchsorted(t, departure))
+    found = solve_ivp(motion, (departure, t[-1]), state, "DOP853", t[first_moving:], rtol=RTOL, atol=ATOL)
     if not found.success:
         raise FrictrackError(f"expected a motion that can be followed but got none: {found.message}")
-    y = np.hstack([np.tile(state[:, None], begin), found.y])
-    stopped = np.flatnonzero((s * y[1] <= 0) & (np.arange(len(t)) > begin + 1))
+    y = np.hstack([np.tile(state[:, None], first_moving), found.y])
+    stopped = np.flatnonzero((s * y[1] <= 0) & (np.arange(len(t)) > first_moving + 1))
     if len(stopped):  # from here on it rests
         y[:, stopped[0] :] = y[:, stopped[:1]]
         y[1, stopped[0] :] = 0.0
     force = np.array([friction(float(at), state) for at, state in zip(t, y.T, strict=True)])
-    seen = shift(model, values, conditions.along(y[0], y[1], t, s))
-    return Slide(t, y[0], y[1], (push(t) - force) / conditions.mass, force, seen)
+    image_shift = shift(model, values, conditions.along(y[0], y[1], t, s))
+    return Slide(t, y[0], y[1], (push(t) - force) / conditions.mass, force, image_shift)
 
 
-def _leaves(t: Array, excess: Callable[[Array], Array]) -> float:
+def _departure_time(t: Array, excess: Callable[[Array], Array]) -> float:
     """When the drive overcomes friction at rest, s."""
     over = np.flatnonzero(excess(t) > 0)
     if not len(over):
@@ -72,7 +74,7 @@ def _leaves(t: Array, excess: Callable[[Array], Array]) -> float:
     return float(brentq(lambda at: float(excess(np.array([at]))[0]), float(t[first - 1]), float(t[first])))
 
 
-def _law(model: Model, values: Values, conditions: Conditions, s: float) -> Law:
+def _friction_parts(model: Model, values: Values, conditions: Conditions, s: float) -> Law:
     """Size of the dry friction and all other force, at one moment."""
 
     def at(x: float, v: float, t: float) -> tuple[float, float]:
