@@ -19,6 +19,7 @@ from frictrack import effects
 from frictrack.effects import Effect, Path, settings
 from frictrack.effects.settings import Settings
 from frictrack.errors import FrictrackError
+from frictrack.number_format import format_concise
 from frictrack.records import Array
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value, for one run
@@ -104,7 +105,7 @@ class Model:
             found = estimates.get(address)
             symbol = f"{name}_{number}" if number and name in own and effect.kind != effect.name else name
             if found is not None and found.value is not None:
-                symbol = _number(found.value, found.std)
+                symbol = format_concise(found.value, found.std)
             text = re.sub(rf"\b{name}\b", symbol, text)
         return text
 
@@ -255,21 +256,6 @@ _KEYS = {
 def _said(effect: Effect, name: str, key: str, value: Any) -> str:
     text: str = _KEYS[key](effect.parameter(name), value)
     return f"{effect.name}.{text.removesuffix(' 1')}"
-
-
-def _number(value: float, std: float | None) -> str:
-    """8.01(2): the deviation in units of the last digit, two digits of it where it begins with 1."""
-    if not std or not np.isfinite(std):
-        text = f"{value:.4g}"
-        return f"({text})" if value < 0 else text
-    power = int(np.floor(np.log10(max(abs(value), std))))
-    shift = power if not -3 <= power <= 5 else 0
-    value, std = value / 10.0**shift, std / 10.0**shift
-    first = int(np.floor(np.log10(std)))
-    digits = max((1 if std / 10.0**first < 1.95 else 0) - first, 0)
-    doubt = f"{std:.{digits}f}" if std >= 1 else f"{std * 10.0**digits:.0f}"
-    text = f"{value:.{digits}f}({doubt})" + (f"e{shift}" if shift else "")
-    return f"({text})" if value < 0 else text
 
 
 def of(names: Iterable[str | Effect], extra: Iterable[Effect] = ()) -> Model:

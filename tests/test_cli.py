@@ -19,9 +19,9 @@ import tifffile
 from film import block_film
 
 from frictrack.cli import main
-from frictrack.cli.show import plus_minus
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, films
+from frictrack.number_format import format_plus_minus
 
 
 @pytest.fixture(autouse=True)
@@ -253,11 +253,11 @@ def test_batch_lists_what_failed(capsys: pytest.CaptureFixture[str], here: Path)
 
 
 def test_the_values_that_a_person_reads() -> None:
-    assert plus_minus(8.01234, 0.0214) == "8.012 ± 0.021"
-    assert plus_minus(812.3, 12.3) == "812 ± 12"
-    assert plus_minus(None, None) == "not determined"
-    assert plus_minus(1.0, 0.0) == "1"
-    assert plus_minus(1.2345e-9, 1e-11) == "1.2345e-09 ± 1e-11"
+    assert format_plus_minus(8.01234, 0.0214) == "8.012 ± 0.021"
+    assert format_plus_minus(812.3, 12.3) == "812 ± 12"
+    assert format_plus_minus(None, None) == "not determined"
+    assert format_plus_minus(1.0, 0.0) == "1"
+    assert format_plus_minus(1.2345e-9, 1e-11) == "1.2345e-09 ± 1e-11"
 
 
 def test_help_comes_at_once() -> None:

@@ -352,7 +352,7 @@ def test_figure_shows_both_bands_and_opens_at_a_blow():
     assert "J = " in figure.axes[0].texts[0].get_text()
     own = figure.axes[0].lines[-1].get_ydata()
     assert np.array_equal(np.isnan(own), model.motion[0].blow)
-    assert "tells a to 0.1" in figure.get_suptitle()
+    assert "std of a 0.1" in figure.get_suptitle()
     upper = plots.fit(model, runs).axes[0].lines[-1].get_ydata()
     assert np.array_equal(np.isnan(upper), model.motion[0].blow)  # no peak force here either
 
@@ -370,7 +370,7 @@ def test_a_model_stored_without_motion_is_said():
 
 def test_report_tells_the_impulse_and_no_peak_force():
     model, _ = results_of(fitted(COLLISION, pulse=True))
-    told = " ".join(report.words.own_motion(model))
+    told = " ".join(report.verdict_text.model_motion_sentences(model))
     assert "own acceleration is known to 0.1" in told
     assert re.search(r"impulse \((19\.[89]|20\.[01])\d* ± 0\.07\) mN s, known to 0\.3\d %", told)
     assert "a peak force they do not" in told

@@ -385,14 +385,6 @@ def test_axis_labels_are_quantity_over_unit(written, label):
 
 
 @pytest.mark.parametrize(
-    ("value", "digits", "text"),
-    [(0.9594, 3, "0.959"), (12.0, 2, "12"), (-3.14159, 2, "\N{MINUS SIGN}3.1"), (None, 3, "unknown"), (0.0, 2, "0")],
-)
-def test_numbers_in_titles(value, digits, text):
-    assert style.number(value, digits) == text
-
-
-@pytest.mark.parametrize(
     ("group", "name"),
     [("1_tustin", "Tustin"), ("2_tustin+texture", "Tustin + texture"), ("3_atm1:2", "ATM1:2"),
      ("1_coulomb+viscous", "Coulomb + viscous"), ("4_stribeck-model", "Stribeck model")],

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from test_series import FPS as CELL_FPS
 from test_series import given, tustin_force
 
-from frictrack import effects, models, words
+from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.admissible import physical_objection
 from frictrack.effects import LIBRARY, Span
@@ -23,6 +23,7 @@ from frictrack.fit.segments.swings import join_swings
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.samples import screened
+from frictrack.verdicts import describe_verdict
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]
 SPAN = Span(duration=0.1, x_min=0.0, x_max=0.4, v_min=1.0, v_max=4.0, fps=4000.0)
@@ -85,7 +86,7 @@ def test_a_law_is_complete_only_where_a_tenth_of_the_friction_would_have_been_se
     assert (found.verdict, found.missing, found.fails_at) == ("undetermined", [], [])
     entry = found.summary()["undetermined"][0]
     assert entry.keys() == {"what", "why", "settled_by", "limit_over_friction"}
-    line = words.verdict(found.summary())
+    line = describe_verdict(found.summary())
     assert line.startswith("undetermined: these runs cannot show whether something is missing: ")
     assert entry["what"] in line
 

@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.cli.cells import number, table
+from frictrack.cli.cells import table
+from frictrack.number_format import format_plain
 
 SHARES = (  # words, and where they stand
     ("one hidden: named first", ("one", "named_first")),
@@ -31,10 +32,11 @@ def blind(out: Console, result: dict[str, Any]) -> None:
     out.print(_shares(result))
     one, where, time = result["one"], result["where"], result["seconds"]
     out.print(
-        f"median group {number(one['median_group'])}, of what nobody could tell apart {number(one['median_set'])}"
+        f"median group {format_plain(one['median_group'])}, "
+        f"of what nobody could tell apart {format_plain(one['median_set'])}"
     )
-    out.print(f"where it fails: mean F1 {number(where['mean_f1'], 3)} over {where['of']} studies")
-    out.print(f"a diagnosis takes {number(time['median'], 3)} s, at most {number(time['largest'], 3)} s")
+    out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
+    out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")
     if result["limits"]:
         out.print(_limits(result["limits"]))
     if result["confusion"]:
@@ -50,7 +52,7 @@ def _shares(result: dict[str, Any]) -> Table:
         if one["of"]:
             low, high = (100 * q for q in one["interval"])
             made.add_row(
-                words, str(one["hits"]), str(one["of"]), number(100 * one["share"], 3), f"{low:.1f}-{high:.1f}"
+                words, str(one["hits"]), str(one["of"]), format_plain(100 * one["share"], 3), f"{low:.1f}-{high:.1f}"
             )
     return made
 
@@ -58,7 +60,7 @@ def _shares(result: dict[str, Any]) -> Table:
 def _limits(limits: dict[str, dict[str, float]]) -> Table:
     made = table("detection limit over the ideal detector's", "median", "largest", "studies")
     for name, one in limits.items():
-        made.add_row(name, number(one["median"], 3), number(one["largest"], 3), str(one["of"]))
+        made.add_row(name, format_plain(one["median"], 3), format_plain(one["largest"], 3), str(one["of"]))
     return made
 
 

@@ -7,7 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from frictrack.cli.cells import number, table
+from frictrack.cli.cells import table
+from frictrack.number_format import format_plain
 
 MOST_PAIRS = 2  # of a run, told as examples
 
@@ -29,7 +30,7 @@ def _evidence(step: dict[str, Any]) -> str:
     if not step["separates"]:
         return ""
     tells = step.get("tells", f"{', '.join(step['separates'])} apart")
-    return f"tells {tells}; expected delta BIC {number(step.get('expected_delta_bic'), 2)}"
+    return f"tells {tells}; expected delta BIC {format_plain(step.get('expected_delta_bic'), 2)}"
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
@@ -66,6 +67,6 @@ def _limits(out: Console, limits: dict[str, Any]) -> None:
     rows = table("effect", "smallest size seen", "at")
     for name, limit in limits.items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
-        size = limit["reason"] if limit["value"] is None else f"{number(limit['value'], 2)} {unit}".rstrip()
+        size = limit["reason"] if limit["value"] is None else f"{format_plain(limit['value'], 2)} {unit}".rstrip()
         rows.add_row(name, size, limit["at_words"])
     out.print(rows)

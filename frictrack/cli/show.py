@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.cli.cells import number, plus_minus
 from frictrack.cli.cells import table as _table
 from frictrack.cli.findings import in_records
 from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
 from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
 from frictrack.cli.unexplained import evidence, unexplained
-from frictrack.words import verdict
+from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.verdicts import describe_verdict
 
 ERRORS = {
     "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
@@ -47,8 +47,8 @@ def fit(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(line))
     if result.get("scale_error"):
         out.print(
-            f"the scale is known to {number(100 * result['scale_error'], 2)} %, and so is every force above that was "
-            "told from acceleration: common to all runs of a camera, and not in the ±"
+            f"the scale is known to {format_plain(100 * result['scale_error'], 2)} %, and so is every force above that "
+            "was told from acceleration: common to all runs of a camera, and not in the ±"
         )
     own_motion(out, result)
     out.print(errors([("", result["errors"])]))
@@ -59,13 +59,13 @@ def own_motion(out: Console, result: dict[str, Any]) -> None:
     for row in result["per_run"]:
         told = row.get("motion")
         if told:
-            own, smooth = number(told["sigma_a"], 2), number(told["sigma_a_smoothed"], 2)
+            own, smooth = format_plain(told["sigma_a"], 2), format_plain(told["sigma_a_smoothed"], 2)
             out.print(f"{escape(row['run'])}: the model tells a to ± {own} m/s², smoothing to ± {smooth} m/s²")
             for note in told["notes"]:
                 out.print(f"  {escape(note)}")
     for c in result.get("collisions", []):
         share = None if c["relative_std"] is None else 100 * c["relative_std"]
-        impulse = f"impulse {plus_minus(c['impulse_N_s'], c['std'])} N s ({number(share, 2)} %)"
+        impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
         out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
 
 
@@ -78,8 +78,8 @@ def parameters(values: dict[str, Any]) -> Table:
     for name, p in values.items():
         word = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
         cells = [interval(p)] if sure else []
-        wider = [number(p.get("std_misfit"), 2)] if rejected else []
-        table.add_row(escape(name), plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
+        wider = [format_plain(p.get("std_misfit"), 2)] if rejected else []
+        table.add_row(escape(name), format_plus_minus(p["value"], p["std"]), *wider, p["unit"], *cells, escape(word))
     return table
 
 
@@ -89,14 +89,14 @@ def interval(p: dict[str, Any]) -> str:
     if low is None and high is None:
         return "any" if "interval" in p else ""
     if low is None:
-        return f"below {number(high)}"
-    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
+        return f"below {format_plain(high)}"
+    return f"above {format_plain(low)}" if high is None else f"{format_plain(low)} to {format_plain(high)}"
 
 
 def _mu(p: dict[str, Any]) -> str:
     """The coefficient of friction beside newtons, where the normal load is known."""
     mu = p.get("mu")
-    return "" if mu is None else f"mu {plus_minus(mu['value'], mu['std'])}"
+    return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
@@ -115,7 +115,7 @@ def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
     for key, (*_, factor) in ERRORS.items():
         values = [e.get(key) for e in models]
         if any(v is not None for v in values):
-            cells[key] = [number(None if v is None else v * factor) for v in values]
+            cells[key] = [format_plain(None if v is None else v * factor) for v in values]
     return cells
 
 
@@ -143,7 +143,7 @@ def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     for s in spans:
         ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
         p = s.get("p")
-        sure = "-" if p is None else "< 1e-6" if p < 1e-6 else number(p, 1)
+        sure = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
         table.add_row(s["run"], *ranges, f"{100 * s['share_of_error']:.0f} %", sure)
     out.print(table)
 
@@ -152,15 +152,15 @@ def _reach(ends: list[float]) -> str:
     """Both ends of a span, with the digits that tell them apart."""
     size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
     digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
-    return " to ".join(number(end, digits) for end in ends)
+    return " to ".join(format_plain(end, digits) for end in ends)
 
 
 def diagnose(out: Console, result: dict[str, Any]) -> None:
     """The verdict, the candidates, and the experiment that would settle it."""
-    out.print(f"[bold]{escape(verdict(result))}[/bold]")
-    chi2, p = (number(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
+    out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
+    chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
-    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {number(result.get(key), 3)} {unit}")
+    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
     evidence(out, result.get("evidence") or [])
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
@@ -190,11 +190,13 @@ def candidates(found: list[dict[str, Any]]) -> Table:
         shared = {k: v for k, v in c["parameters"].items() if "[" not in k}
         values = (f"{name} {_with_unit(p)}" for name, p in shared.items())
         unit = "um" if c.get("heldout_rms_before_um") is not None else "N"
-        before, after = (number(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
+        before, after = (format_plain(c.get(f"heldout_rms_{when}_{unit}")) for when in ("before", "after"))
         rivals = ", ".join(c["indistinguishable_from"])
         known = c.get(f"heldout_rms_after_{unit}") is not None  # only the best few are held out
         held_out = f"{before} -> {after} {unit.replace('u', 'µ')}" if known else ""
-        table.add_row(c["effect"], "\n".join(values), number(c["p"], 2), number(c["delta_bic"], 3), held_out, rivals)
+        table.add_row(
+            c["effect"], "\n".join(values), format_plain(c["p"], 2), format_plain(c["delta_bic"], 3), held_out, rivals
+        )
     return table
 
 
@@ -205,7 +207,7 @@ def importance(rows: list[dict[str, Any]]) -> Table:
         shares = [_percent(row[key]) for key in ("explained_alone", "explained_in_sequence")]
         unit = "um" if "heldout_rms_after_um" in row else "N"
         held = row[f"heldout_rms_after_{unit}"]
-        after = "" if held is None else f"{number(held)} {unit.replace('u', 'µ')}"
+        after = "" if held is None else f"{format_plain(held)} {unit.replace('u', 'µ')}"
         table.add_row(row["effect"], *shares, after, "stop here" if row["stop"] else "")
     return table
 
@@ -216,7 +218,7 @@ def _percent(share: float | None) -> str:
 
 def _with_unit(parameter: dict[str, Any]) -> str:
     unit = "" if parameter["value"] is None or parameter["unit"] == "1" else parameter["unit"]
-    return f"{plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
+    return f"{format_plus_minus(parameter['value'], parameter['std'])} {unit}".rstrip()
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:
@@ -277,10 +279,10 @@ def _happened(row: dict[str, Any]) -> list[str]:
     said = [", ".join(told)] if told else []
     cutoff = row.get("cutoff")
     if cutoff:
-        plain = number(hypot(cutoff["noise"], cutoff["lost"]), 2)
+        plain = format_plain(hypot(cutoff["noise"], cutoff["lost"]), 2)
         said.append(
-            f"error of {number(cutoff['followed_apart'], 2)} {cutoff['unit']}; a plain low-pass at "
-            f"{number(cutoff['chosen_Hz'])} Hz would have {plain}"
+            f"error of {format_plain(cutoff['followed_apart'], 2)} {cutoff['unit']}; a plain low-pass at "
+            f"{format_plain(cutoff['chosen_Hz'])} Hz would have {plain}"
         )
         said += cutoff["warnings"]
     return said
@@ -291,8 +293,8 @@ def budget(out: Console, row: dict[str, Any]) -> None:
     table = _table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
     for part in row["budget"]:
         unknown = part["source"] != "total" and part["size"] is None
-        size = "not known" if unknown else f"{number(part['size'], 2)} {part['unit']}" if part["unit"] else ""
-        table.add_row(part["source"], size, *(number(part[key], 2) for key in ("mean_N", "frame_N")))
+        size = "not known" if unknown else f"{format_plain(part['size'], 2)} {part['unit']}" if part["unit"] else ""
+        table.add_row(part["source"], size, *(format_plain(part[key], 2) for key in ("mean_N", "frame_N")))
     out.print(table)
     for says in row["budget_says"]:
         out.print(f"  {escape(says)}", soft_wrap=True)
@@ -323,17 +325,17 @@ def track(out: Console, result: dict[str, Any]) -> None:
 def _measured(row: dict[str, Any]) -> tuple[str, ...]:
     """The cells of one film."""
     locking = (row["peak_locking_px"], row["peak_locking_std_px"])
-    shaking = "none" if row["shake_px"] == 0 else number(row["shake_px"], 2)
+    shaking = "none" if row["shake_px"] == 0 else format_plain(row["shake_px"], 2)
     return (
         escape(row["run"]),
         f"{row['found']} of {row['frames']}",
-        *(number(row[key], 3) for key in ("sigma_px", "sigma_um")),
-        number(row["score"], 3),
+        *(format_plain(row[key], 3) for key in ("sigma_px", "sigma_um")),
+        format_plain(row["score"], 3),
         "-" if locking[0] is None else f"{locking[0]:.1g} ± {locking[1]:.1g}",
-        number(row["forward_backward_px"], 2),
-        number(row["noise_floor_px"], 2),
+        format_plain(row["forward_backward_px"], 2),
+        format_plain(row["noise_floor_px"], 2),
         shaking,
-        number(row["blur_px"], 2),
+        format_plain(row["blur_px"], 2),
     )
 
 
@@ -369,7 +371,7 @@ def batch(out: Console, result: dict[str, Any]) -> None:
     for run in (one for one in result["failed"] if one["run"]):
         out.print(f"left out of {run['study']}: {run['reason']}", markup=False)
     for trend in (one for one in result["trends"] if one["holds"]):
-        change = plus_minus(trend["change"], trend["change_std"])
+        change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
         out.print(f"over the series {trend['name']} changes by {change}{unit}", markup=False)
 
@@ -388,7 +390,7 @@ def verify(out: Console, result: dict[str, Any]) -> None:
 
 def _cell(value: Any) -> str:
     if isinstance(value, float):
-        return number(value)
+        return format_plain(value)
     if isinstance(value, list):
         return escape(", ".join(str(v) for v in value))
     return "" if value is None else escape(str(value))

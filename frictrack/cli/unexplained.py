@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from frictrack.words import AXES
+from frictrack.axes import AXES
 
 
 def evidence(out: Console, found: list[dict[str, Any]]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.formulas import AXIS_SYMBOLS, MAX_DELTA_BIC_EQUAL, SHAPES
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
@@ -19,7 +20,6 @@ from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import smooth_forces
 from frictrack.diagnose.unexplained import unexplained_force
 from frictrack.fit.least_squares import Solution
-from frictrack.words import AXES
 
 
 def find_simpler_model(start: Solution, found: Solution, repeats: Repeatability) -> dict[str, Any] | None:

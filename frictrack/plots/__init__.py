@@ -5,7 +5,7 @@ plots.motion(run).savefig("v3.pdf")
 
 from frictrack.plots.budget import budget
 from frictrack.plots.cutoff import cutoff
-from frictrack.plots.evidence import candidates, format_gain, has_limits, has_scan, history, limits, passes, scan
+from frictrack.plots.evidence import candidates, has_limits, has_scan, history, limits, passes, scan
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.missing_force import has_missing_force, missing_force
@@ -13,7 +13,7 @@ from frictrack.plots.model import failing, fit, noise_um, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.next_experiments import next_experiments
 from frictrack.plots.profiles import profiles
-from frictrack.plots.style import number, numbered_name, plain_name, png, svg, unit
+from frictrack.plots.style import numbered_name, plain_name, png, svg
 from frictrack.plots.unexplained import in_step, unexplained
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "failing",
     "film",
     "fit",
-    "format_gain",
     "friction",
     "has_limits",
     "has_missing_force",
@@ -37,7 +36,6 @@ __all__ = [
     "motion",
     "next_experiments",
     "noise_um",
-    "number",
     "numbered_name",
     "passes",
     "plain_name",
@@ -47,5 +45,4 @@ __all__ = [
     "scan",
     "svg",
     "unexplained",
-    "unit",
 ]

@@ -8,8 +8,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, blank, number, styled
+from frictrack.plots.style import axis, blank, styled
 
 SOURCE: dict[str, Any] = {"color": style.SKY, "edgecolor": style.MEASURED, "lw": 0.6}
 TOTAL: dict[str, Any] = {"color": style.MEASURED}
@@ -34,7 +35,8 @@ def budget(name: str, found: Mapping[str, Any]) -> Figure:
 def _title(name: str, found: Mapping[str, Any]) -> str:
     *rows, total = found["rows"]
     most = max(rows, key=lambda row: row["mean_N"] or 0.0)
-    return f"{name}: the mean force is known to {number(total['mean_N'], 2)} N, the largest part is {most['source']}"
+    error = f"{format_number(total['mean_N'], 2)} N"
+    return f"{name}: standard deviation of the mean force {error}; largest source: {most['source']}"
 
 
 def _bars(ax: Axes, rows: Sequence[Mapping[str, Any]], key: str) -> None:
@@ -57,4 +59,4 @@ def _bar_label(value: float | None, longest: float) -> str:
         return "not known"
     if value < TINY * longest:
         return "negligible" if value else "none"
-    return number(value, 2)
+    return format_number(value, 2)

@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frictrack.number_format import format_unit
 from frictrack.plots import style
-from frictrack.plots.style import SIGMAS, blank, styled, unit
+from frictrack.plots.style import SIGMAS, blank, styled
 from frictrack.records import Array
 
 ACROSS = 2  # panels beside each other
@@ -49,7 +50,7 @@ def _panel(ax: Axes, trend: Mapping[str, Any]) -> None:
         ends = np.array([at[0], at[-1]])
         ax.plot(ends, middle + trend["slope"] * ends, color=style.MODEL, lw=2.0, zorder=3)
     ax.set_title(trend["name"])
-    ax.set_ylabel(unit(trend["unit"]) or "relative")
+    ax.set_ylabel(format_unit(trend["unit"]) or "relative")
     ax.set_xlabel(trend["along"])
     low, high = np.quantile(value, [0.0, 1.0])
     reach = max(float(np.max(SIGMAS * np.nan_to_num(std))) if len(at) <= BARS else 0.0, 0.08 * (high - low))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
-from frictrack.plots.style import axis, blank, number, styled
+from frictrack.plots.style import axis, blank, styled
 from frictrack.records import Trade
 
 
@@ -32,7 +33,7 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
         ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
         ax.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)  # a curve may run anywhere inside
     above.annotate(
-        f"{number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
+        f"{format_number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
         xytext=(3, -10), textcoords="offset points", fontsize=8,
     )  # fmt: skip
     return figure
@@ -41,5 +42,5 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
 def _title(name: str, found: Trade, factor: float, unit: str) -> str:
     noise, lost = found.at(found.chosen)
     plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
-    written = style.unit(unit)
-    return f"{name}: ± {number(apart, 2)} {written}, a plain low-pass ± {number(plain, 2)} {written}"
+    written = format_unit(unit)
+    return f"{name}: ± {format_number(apart, 2)} {written}, a plain low-pass ± {format_number(plain, 2)} {written}"

@@ -13,9 +13,10 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack import effects
 from frictrack.errors import FrictrackError
+from frictrack.number_format import format_change, format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.model import noise_um
-from frictrack.plots.style import axis, blank, number, plain_name, styled
+from frictrack.plots.style import axis, blank, plain_name, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults
 
@@ -47,7 +48,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
         good = passes(c)
         look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
         ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
-        told = f" {format_gain(c['delta_bic'])}, p = {number(c['p'], 1)}"
+        told = f" {format_change(c['delta_bic'])}, p = {format_number(c['p'], 1)}"
         ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
     if logarithmic:
         ax.set_xscale("log")
@@ -63,11 +64,6 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside lower left", ncols=2)
     return figure
-
-
-def format_gain(delta_bic: float) -> str:
-    """Evidence with its sign, thousands apart."""
-    return f"{delta_bic:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def _spreads(gains: Array) -> bool:
@@ -139,7 +135,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.WIDTH) -
     best = float(at[np.argmax(rise)])
     written = _unit(effect, name)
     factor, shown = style.scaled(at, written)
-    where = f"{number(factor * best, 2)} {style.unit(shown)}".strip()
+    where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
     title = f"{effect} stands out at a {_words(name)} near {where}"
     figure = blank(3.2, title if width == style.WIDTH else f"{_words(name)} near {where}", width)
     ax = figure.subplots()
@@ -191,10 +187,10 @@ def history(models: Sequence[ModelResults]) -> Figure:
     places = np.arange(len(models))
     ax.plot(places, values, color=style.BLUE, marker="o", markersize=8, lw=1.8)
     for x, y in zip(places, values, strict=True):
-        ax.annotate(number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
+        ax.annotate(format_number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
     if noise is not None and noise > FAR_BELOW * float(np.nanmin(values)):
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
-        ax.annotate(f"noise {number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
+        ax.annotate(f"noise {format_number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", va="bottom")  # fmt: skip
     ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in models])
     ax.set_xlim(-0.5, len(models) - 0.5)
@@ -230,11 +226,12 @@ def _held_out(models: Sequence[ModelResults]) -> tuple[str, Array, float | None]
 
 
 def _history_title(models: Sequence[ModelResults], values: Array, noise: float | None, unit: str) -> str:
-    against = "" if noise is None else f"; the noise is {number(noise)} {unit}"
+    against = "" if noise is None else f"; the noise is {format_number(noise)} {unit}"
     if len(models) == 1:
-        return f"Held-out error of {plain_name(models[0].name)}: {number(float(values[0]))} {unit}{against}"
+        return f"Held-out error of {plain_name(models[0].name)}: {format_number(float(values[0]))} {unit}{against}"
     falls = "falls" if values[-1] < values[0] else "does not fall:"
-    return f"Held-out error {falls} from {number(float(values[0]))} to {number(float(values[-1]))} {unit}{against}"
+    before, after = (format_number(float(values[k])) for k in (0, -1))
+    return f"Held-out error {falls} from {before} to {after} {unit}{against}"
 
 
 def _wrapped(name: str) -> str:

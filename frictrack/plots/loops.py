@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.model import worst_runs
-from frictrack.plots.style import axis, blank, number, plain_name, styled
+from frictrack.plots.style import axis, blank, plain_name, styled
 from frictrack.records import Array, Curve, Mask
 from frictrack.results import ModelResults, RunResults
 
@@ -71,4 +72,4 @@ def _unbroken(t: Array) -> Mask:
 
 def _title(model: ModelResults) -> str:
     error = model.summary["errors"]["relative_force_error"]
-    return f"{plain_name(model.name)} leaves {number(100 * error, 2)} % of the measured friction force"
+    return f"{plain_name(model.name)} leaves {format_number(100 * error, 2)} % of the measured friction force"

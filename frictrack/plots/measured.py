@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
+from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, band, blank, number, styled
+from frictrack.plots.style import axis, band, blank, styled
 from frictrack.polygons import polygon
 from frictrack.records import Array, Motion
 from frictrack.results import RunResults
@@ -33,7 +34,7 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    precision = f", ± {number(_typical(track.sigma_px), 2)} px" if wide else ""
+    precision = f", ± {format_number(_typical(track.sigma_px), 2)} px" if wide else ""
     title = f"{run.name}: target found in {found} of {frames} frames{precision}"
     width = style.WIDTH if wide else style.WIDTH / 2
     figure = blank(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
@@ -109,18 +110,18 @@ def _motion_title(run: RunResults) -> str:
     at = run.friction.free if run.friction is not None and np.any(run.friction.free) else np.ones(len(m), bool)
     v = m.v[at]
     if np.any(np.diff(np.sign(v)) != 0):
-        return f"{run.name} moves to and fro at up to {number(float(np.max(np.abs(v))), 2)} m/s"
+        return f"{run.name} moves to and fro at up to {format_number(float(np.max(np.abs(v))), 2)} m/s"
     start, end = abs(float(v[0])), abs(float(v[-1]))
     change = "slows" if end < start else "speeds up"
     if min(start, end) < RESTS * max(start, end):
         return (
             f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_extreme_speed(start, end)}"
         )
-    return f"{run.name} {change} from {number(start)} to {number(end)} m/s"
+    return f"{run.name} {change} from {format_number(start)} to {format_number(end)} m/s"
 
 
 def _extreme_speed(start: float, end: float) -> str:
-    return f"{number(start)} m/s to a stop" if end < start else f"{number(end)} m/s"
+    return f"{format_number(start)} m/s to a stop" if end < start else f"{format_number(end)} m/s"
 
 
 def _close_up(ax: Axes, run: RunResults) -> None:
@@ -200,6 +201,6 @@ def _friction_title(runs: Sequence[RunResults]) -> str:
     speed = np.concatenate([np.abs(run.motion.v[at]) for run, at in zip(runs, rows, strict=True)])
     low, high = np.percentile(size, [5, 95])
     return (
-        f"Friction between {number(low, 2)} and {number(high, 2)} N "
-        f"at speeds from {number(float(speed.min()), 2)} to {number(float(speed.max()), 2)} m/s"
+        f"Friction between {format_number(low, 2)} and {format_number(high, 2)} N "
+        f"at speeds from {format_number(float(speed.min()), 2)} to {format_number(float(speed.max()), 2)} m/s"
     )

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from frictrack.axes import AXES
+from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.style import axis, band, blank, styled
 from frictrack.records import Array, Mask
-from frictrack.words import AXES
 
 MAX_GAP_STEPS = 20.0  # usual steps along an axis beyond which a line is broken
 MARK_HEIGHT = 0.03  # of a panel's height between the marks of two runs
@@ -78,7 +79,7 @@ def _repeat_note(found: Mapping[str, Any] | None) -> str:
 def _label(name: str, whole: Mapping[str, Array]) -> str:
     along = AXES[name]
     if name == "phase" and "frequency" in whole:
-        return f"{along.label} at {style.number(float(whole['frequency'][0]))} Hz / {along.unit}"
+        return f"{along.label} at {format_number(float(whole['frequency'][0]))} Hz / {along.unit}"
     return axis(along.label, along.unit)
 
 

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, band, blank, number, plain_name, styled
+from frictrack.plots.style import axis, band, blank, plain_name, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
@@ -123,9 +124,9 @@ def fit_title(model: ModelResults) -> str:
     """The finding in words: residual against noise, and whether that is as good as it can be."""
     errors, noise = model.summary["errors"], noise_um(model)
     name, rms = plain_name(model.name), errors["rms_displacement_um"]
-    figures = f"force error {number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
+    figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
     if rms is not None and noise is not None:
-        figures = f"residual {number(rms)} µm against {number(noise)} µm noise"
+        figures = f"residual {format_number(rms)} µm against {format_number(noise)} µm noise"
     verdict = (model.diagnosis or {}).get("verdict")
     if verdict is None:
         return f"{name}: {figures}"
@@ -136,15 +137,15 @@ def fit_title(model: ModelResults) -> str:
 def _residual_words(model: ModelResults, runs: Sequence[RunResults]) -> str:
     most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
     noise = noise_um(model)
-    against = "" if noise is None else f"; the noise is {number(noise)} µm"
-    return f"{plain_name(model.name)} leaves up to {number(most)} {residual_unit(model)}{against}"
+    against = "" if noise is None else f"; the noise is {format_number(noise)} µm"
+    return f"{plain_name(model.name)} leaves up to {format_number(most)} {residual_unit(model)}{against}"
 
 
 def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
     if not spans:
         return _residual_words(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
-    t0, t1 = (number(1e3 * t) for t in worst["t"])
+    t0, t1 = (format_number(1e3 * t) for t in worst["t"])
     share = f"{100 * worst['share_of_error']:.0f} % of the error"
     return f"{plain_name(model.name)} fails most in {worst['run']} from {t0} to {t1} ms: {share}"
 
@@ -230,7 +231,7 @@ def _panel_title(model: ModelResults, name: str) -> str:
     if row is None or row["errors"].get("rms_displacement_um") is None:
         return name
     told = ", not fitted" if row["role"] == "validation" else ""
-    return f"{name}: {number(row['errors']['rms_displacement_um'])} µm{told}"
+    return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{told}"
 
 
 def _mark(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:

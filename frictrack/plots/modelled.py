@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.model import worst_runs
-from frictrack.plots.style import axis, band, blank, number, plain_name, styled
+from frictrack.plots.style import axis, band, blank, plain_name, styled
 from frictrack.records import Array, Mask, Modelled, stretches
 from frictrack.results import ModelResults, RunResults
 
@@ -60,8 +61,8 @@ def modelled_title(model: ModelResults) -> str:
     rows = [row["motion"] for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
         return f"{plain_name(model.name)}: its own motion on the smoothed one"
-    own, smooth = (_rms([row[key] for row in rows]) for key in ("sigma_a", "sigma_a_smoothed"))
-    motion = f"{plain_name(model.name)} tells a to {number(own, 2)} m/s², smoothing to {number(smooth, 2)} m/s²"
+    own, smooth = (format_number(_rms([row[key] for row in rows]), 2) for key in ("sigma_a", "sigma_a_smoothed"))
+    motion = f"{plain_name(model.name)}: std of a {own} m/s²; by smoothing {smooth} m/s²"
     return f"{motion}; it misses something" if any(row["notes"] for row in rows) else motion
 
 
@@ -137,7 +138,9 @@ def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
 def _impulses(model: ModelResults, run: str) -> str:
     """Impulses of a run's collisions in a few words."""
     motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
-    return ", ".join(f"J = {number(1e3 * c['impulse_N_s'])} ± {number(1e3 * c['std'], 1)} mN s" for c in motion)
+    return ", ".join(
+        f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
+    )
 
 
 def _label(cell: Sequence[Axes]) -> None:

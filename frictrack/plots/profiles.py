@@ -13,8 +13,9 @@ from matplotlib.patches import Patch
 from scipy.interpolate import PchipInterpolator
 from scipy.stats import norm
 
+from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
-from frictrack.plots.style import blank, number, scaled, styled
+from frictrack.plots.style import blank, scaled, styled
 from frictrack.records import Array
 
 MAX_SHOWN_RISE = 1.7  # of the limit: how high a panel goes
@@ -85,7 +86,7 @@ def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str,
     ax.set_xlim(factor * low, factor * high)
     ax.set_ylim(-0.06 * limit, MAX_SHOWN_RISE * limit)
     ax.set_title(name, fontweight="normal")
-    ax.set_xlabel(f"{_interval(profile, factor)} {style.unit(unit)}".strip())
+    ax.set_xlabel(f"{_interval(profile, factor)} {format_unit(unit)}".strip())
 
 
 def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:
@@ -114,5 +115,5 @@ def _interval(profile: Mapping[str, Any], factor: float) -> str:
     if low is None and high is None:
         return "any"
     if low is None:
-        return f"below {number(high)}"
-    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
+        return f"below {format_number(high)}"
+    return f"above {format_number(low)}" if high is None else f"{format_number(low)} to {format_number(high)}"

@@ -20,6 +20,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from frictrack import records
+from frictrack.number_format import format_unit
 from frictrack.records import Array, Friction, Mask
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -111,14 +112,9 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
     return held.getvalue()
 
 
-def unit(written: str) -> str:
-    """A unit as people write it: ``"N s^2/m^2"`` -> ``"N s²/m²"``, ``"1"`` -> ``""``."""
-    return "" if written == "1" else written.replace("^2", "²").replace("^3", "³")
-
-
 def axis(quantity: str, written: str) -> str:
     """Label of an axis, quantity over unit: ``"velocity v / (m/s)"``."""
-    text = unit(written)
+    text = format_unit(written)
     return f"{quantity} / ({text})" if "/" in text else f"{quantity} / {text}" if text else quantity
 
 
@@ -176,16 +172,6 @@ def robust(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> None:
         low, high = float(together.min()), float(together.max())
         room = margin * ((high - low) or abs(high) or 1.0)
         ax.set_ylim(low - room, high + room)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number short enough for a title, never with an exponent where digits do; "unknown" for none."""
-    if value is None or not np.isfinite(value):
-        return "unknown"
-    if value != 0 and not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits}g}"
-    decimals = digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]) if value else 0
-    return f"{value:.{max(decimals, 0)}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def numbered_name(group: str) -> str:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from frictrack.axes import AXES
 from frictrack.plots import style
 from frictrack.plots.style import axis, blank, styled
 from frictrack.records import Array
-from frictrack.words import AXES
 
 SIDES = {"L * s": "resisting motion, with the load", "s": "resisting motion", "": "whichever way the mass goes"}
 WITNESSES = {"vertical": "vertical motion", "accelerometer": "the accelerometer"}

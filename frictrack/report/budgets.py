@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from frictrack.report.numbers import number
+from frictrack.number_format import format_number, format_unit
 from frictrack.report.tables import Cell, TextTable, table
 from frictrack.results import RunResults
 
@@ -30,11 +30,21 @@ def source_table(runs: Sequence[RunResults]) -> TextTable:
 
 def _cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
     last = row["source"] == "total"
-    size = "" if last else "not known" if row["size"] is None else f"{number(row['size'], 2)} {_unit(row['unit'])}"
+    size = (
+        ""
+        if last
+        else "not known"
+        if row["size"] is None
+        else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
+    )
     share = "" if row["share_mean"] is None or last else f"{100 * row['share_mean']:.0f} %"
     name: Cell = Markup("<b>total</b>") if last else row["source"]
-    return name, size, row["told"], number(row["mean_N"], 2), share, number(row["frame_N"], 2), row["common"]
-
-
-def _unit(written: str) -> str:
-    return {"um": "µm", "m/s^2": "m/s²"}.get(written, written)
+    return (
+        name,
+        size,
+        row["told"],
+        format_number(row["mean_N"], 2),
+        share,
+        format_number(row["frame_N"], 2),
+        row["common"],
+    )

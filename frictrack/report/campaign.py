@@ -10,8 +10,8 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.files import replace_text
+from frictrack.number_format import format_number, format_quantity
 from frictrack.plots.campaign import series
-from frictrack.report.numbers import number, quantity
 from frictrack.report.page import SvgEmbedder
 from frictrack.report.tables import Cell, TextTable, code, table
 from frictrack.report.templates import now, template
@@ -80,7 +80,8 @@ def _sentences(result: Mapping[str, Any]) -> str:
     if result["kept"]:
         text += f"; {result['kept']} had been finished before and had not changed"
     if worked and result["seconds"] > 1.0:
-        text += f"; {worked} worked on in {_time(result['seconds'])}, {number(result['runs_per_minute'])} runs a minute"
+        pace = format_number(result["runs_per_minute"])
+        text += f"; {worked} worked on in {_time(result['seconds'])}, {pace} runs a minute"
     return f"{text}."
 
 
@@ -93,9 +94,9 @@ def _trends(trends: Sequence[Mapping[str, Any]]) -> TextTable:
         (
             code(one["name"]) if "." in one["name"] else one["name"],
             str(len(one["at"])),
-            quantity(one["change"], one["change_std"], one["unit"]),
-            number(one["scatter"]) + f" {one['unit']}".removesuffix(" 1"),
-            number(one["p"], 2) if one["p"] >= 1e-4 else "below 0.0001",
+            format_quantity(one["change"], one["change_std"], one["unit"]),
+            format_number(one["scatter"]) + f" {one['unit']}".removesuffix(" 1"),
+            format_number(one["p"], 2) if one["p"] >= 1e-4 else "below 0.0001",
             "changes" if one["holds"] else "",
         )
         for one in sorted(trends, key=lambda one: one["p"])
@@ -128,7 +129,7 @@ def _studies(studies: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> 
             str(one["runs"]),
             "failed" if one["reason"] else one["verdict"],
             ", ".join(one.get("missing", ())),
-            number(one.get("reduced_chi2")),
+            format_number(one.get("reduced_chi2")),
         )
         for k, one in enumerate(studies, 1)
     ]

@@ -10,11 +10,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
+from frictrack.axes import AXES
+from frictrack.number_format import format_change, format_number
 from frictrack.plots.style import run_looks
-from frictrack.report.numbers import number
 from frictrack.report.tables import TextTable, spans, table
 from frictrack.results import ModelResults, Results
-from frictrack.words import AXES
 
 
 @dataclass(frozen=True)
@@ -56,20 +56,20 @@ def _fit(diagnosis: Mapping[str, Any]) -> str:
     chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
     if chi2 is None or p is None:
         return ""
-    often = "in none of 999 draws" if p <= 0.001 else f"in {number(100 * p, 2)} % of all draws"
+    often = "in none of 999 draws" if p <= 0.001 else f"in {format_number(100 * p, 2)} % of all draws"
     return (
-        f"What the model leaves is {number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
-        f"{number(chi2, 3)}); noise alone looks as bad {often}."
+        f"What the model leaves is {format_number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
+        f"{format_number(chi2, 3)}); noise alone looks as bad {often}."
     )
 
 
 def _repeats(found: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
-            AXES[r["axis"]].word + (f" ({number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            AXES[r["axis"]].word + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
-            plots.format_gain(r["evidence"]),
+            format_change(r["evidence"]),
             "yes" if r["holds"] else "no",
         )
         for r in found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from frictrack.report.numbers import low_to_high, number
+from frictrack.number_format import format_number, format_range
 from frictrack.results import Results, RunResults
 
 MIN_LOCKING_SIGMAS, MIN_BACKWARD_SIGMAS, MIN_BLUR_PX = (
@@ -34,13 +34,13 @@ def _precision(found: Sequence[Mapping[str, Any]]) -> Markup:
     """Noise of the target and of something fixed, over all films."""
     px, um, floor = ([q[k] for q in found if q[k] is not None] for k in ("sigma_px", "sigma_um", "noise_floor_px"))
     sentence = (
-        Markup("One frame tells the position to {} px").format(low_to_high(px))
+        Markup("One frame tells the position to {} px").format(format_range(px))
         if px
         else Markup("No position is known")
     )
-    sentence += Markup(" ({} µm)").format(low_to_high(um)) if um else Markup("")
+    sentence += Markup(" ({} µm)").format(format_range(um)) if um else Markup("")
     sentence += (
-        Markup("; something fixed in the same pictures is seen to rest within {} px").format(low_to_high(floor))
+        Markup("; something fixed in the same pictures is seen to rest within {} px").format(format_range(floor))
         if (floor)
         else Markup("; no picture shows something fixed to compare with")
     )
@@ -53,7 +53,7 @@ def _self_checks(run: RunResults) -> list[str]:
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
     judged = (
         (lost, f"the target is lost in {lost} of {q['frames']} frames"),
-        (q["shake_px"], f"the camera shook by {_px(q['shake_px'])} at {number(q['shake_Hz'])} Hz, subtracted"),
+        (q["shake_px"], f"the camera shook by {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz, subtracted"),
         (
             locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,
             f"positions are drawn toward a place between the pixels by {_px(locking)}",
@@ -74,7 +74,7 @@ def _is_good(verdict: str) -> bool:
 
 
 def _px(value: float | None) -> str:
-    return f"{number(value, 2)} px"
+    return f"{format_number(value, 2)} px"
 
 
 def smoothing(results: Results) -> list[Markup]:
@@ -87,7 +87,7 @@ def smoothing(results: Results) -> list[Markup]:
         if run.happenings.noise_at_rest > 0:
             rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
             sentence = "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
-            sentences.append(Markup(sentence).format(run.name, number(rest, 2), number(moving, 2)))
+            sentences.append(Markup(sentence).format(run.name, format_number(rest, 2), format_number(moving, 2)))
     return sentences
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from frictrack.report.numbers import number, typed
+from frictrack.number_format import format_number
+from frictrack.report.markup import mark_code
 from frictrack.report.tables import TextTable, table
 
 DEFAULTS: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
@@ -35,9 +36,9 @@ def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             f"{k}.",
-            typed(step["what"]),
+            mark_code(step["what"]),
             step["tells"],
-            f"{number(step['expected_delta_bic'], 2)}",
+            f"{format_number(step['expected_delta_bic'], 2)}",
         )
         for k, step in enumerate(steps, 1)
     ]

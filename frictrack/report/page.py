@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.files import replace_text
+from frictrack.number_format import format_quantity
 from frictrack.records import Array
 from frictrack.report import (
     budgets,
@@ -26,7 +27,7 @@ from frictrack.report import (
     unexplained,
     verdict_text,
 )
-from frictrack.report.numbers import formula, quantity
+from frictrack.report.markup import mark_equation
 from frictrack.report.templates import now, template
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -97,8 +98,8 @@ def render(results: Results, key: str = "") -> str:
         drawn=verdict_text.bootstrap_sentence(results.current) if results.current else "",
         tables=tables,
         provenance=provenance,
-        formula=formula,
-        quantity=quantity,
+        mark_equation=mark_equation,
+        format_quantity=format_quantity,
         measured=measurement_quality.measurement(results.runs),
         scale_line=verdict_text.scale_line(results),
         scale_error=verdict_text.scale_error(results),

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.files import replace_text
+from frictrack.number_format import format_size
 from frictrack.plots.plan import apart, falling
-from frictrack.report.numbers import size, typed
+from frictrack.report.markup import mark_code
 from frictrack.report.page import SvgEmbedder
 from frictrack.report.tables import TextTable, code, table
 from frictrack.report.templates import now, template
@@ -36,7 +37,7 @@ def render(plan: Mapping[str, Any]) -> str:
         left=_left(plan["left"]),
         unseen=_unseen(plan["unseen"]),
         limits=_limits(plan["detection_limits"]),
-        typed=typed,
+        mark_code=mark_code,
     )
 
 
@@ -55,7 +56,7 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             str(k),
-            typed(run["what"]),
+            mark_code(run["what"]),
             str(run["adds"]),
             str(run["pairs_left"]),
             _some(run["separates"]),
@@ -73,12 +74,12 @@ def _some(pairs: Sequence[Sequence[str]], most: int = 3) -> str:
 
 
 def _left(left: Sequence[Mapping[str, Any]]) -> TextTable:
-    rows = [(" and ".join(one["effects"]), one["why"], typed(one["settle"])) for one in left]
+    rows = [(" and ".join(one["effects"]), one["why"], mark_code(one["settle"])) for one in left]
     return table(("pair", "why", "what settles it"), rows)
 
 
 def _unseen(unseen: Sequence[Mapping[str, Any]]) -> TextTable:
-    rows = [(code(one["effect"]), one["why"], typed(one["settle"])) for one in unseen]
+    rows = [(code(one["effect"]), one["why"], mark_code(one["settle"])) for one in unseen]
     return table(("effect", "why", "what shows it"), rows)
 
 
@@ -86,7 +87,7 @@ def _limits(limits: Mapping[str, Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             code(name),
-            size(limit["value"], limit["unit"]) if limit["value"] is not None else limit["reason"],
+            format_size(limit["value"], limit["unit"]) if limit["value"] is not None else limit["reason"],
             limit["at_words"],
         )
         for name, limit in limits.items()

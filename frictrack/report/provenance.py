@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from frictrack.report.numbers import quantity
+from frictrack.number_format import format_quantity
 from frictrack.report.tables import Cell, TextTable, table
 from frictrack.results import Results
 
@@ -28,7 +28,7 @@ def settings(results: Results) -> TextTable:
             (
                 run.name,
                 run.source,
-                quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
+                format_quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
                 f"{s['fps']:g} Hz" if "fps" in s else "",
                 _scale(s.get("scale", "")),
                 f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",

@@ -9,9 +9,9 @@ from typing import Any
 
 from markupsafe import Markup
 
+from frictrack.number_format import DASH, format_interval, format_number, format_quantity, format_size, format_unit
 from frictrack.plots import passes, plain_name
-from frictrack.plots import unit as written_unit
-from frictrack.report.numbers import number, quantity, size, span, typed
+from frictrack.report.markup import mark_code
 from frictrack.report.verdict_text import held_out_change
 from frictrack.results import ModelResults, RunResults
 
@@ -31,7 +31,7 @@ class TextTable:
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> TextTable:
     """A table whose empty columns are left out."""
-    kept = [k for k in range(len(heads)) if not rows or any(row[k] not in ("", "\N{EN DASH}") for row in rows)]
+    kept = [k for k in range(len(heads)) if not rows or any(row[k] not in ("", DASH) for row in rows)]
     new = {old: k for k, old in enumerate(kept)}
     return TextTable(
         tuple(heads[k] for k in kept),
@@ -55,8 +55,8 @@ def parameters(model: ModelResults, scale_error: float = 0.0) -> TextTable:
     rows = [
         (
             code(name),
-            quantity(p["value"], p["std"], p["unit"]),
-            *([size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
+            format_quantity(p["value"], p["std"], p["unit"]),
+            *([format_size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
             _scale_part(p, scale_error),
             _remark(p, unresolved=name in blows),
         )
@@ -72,7 +72,7 @@ def _scale_part(p: Mapping[str, Any], scale_error: float) -> str:
     value = p["value"]
     if not (scale_error and value) or p["unit"] not in UNITS_OF_SCALE or p.get("reason") == "fixed":
         return ""
-    return size(abs(value) * scale_error, p["unit"])
+    return format_size(abs(value) * scale_error, p["unit"])
 
 
 def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
@@ -83,7 +83,7 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
     if p.get("at_bound"):
         return "at its bound: the true value may lie beyond"
     mu = p.get("mu")
-    return "" if mu is None else f"µ = {quantity(mu['value'], mu['std'], '1')}"
+    return "" if mu is None else f"µ = {format_quantity(mu['value'], mu['std'], '1')}"
 
 
 def uncertainty(model: ModelResults) -> TextTable:
@@ -93,10 +93,10 @@ def uncertainty(model: ModelResults) -> TextTable:
     rows = [
         (
             code(name),
-            quantity(p["value"], p["std"], p["unit"]),
+            format_quantity(p["value"], p["std"], p["unit"]),
             _interval(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
             _interval(drawn[name]["interval"][0], drawn[name]["interval"][1], p["unit"]) if name in drawn else "",
-            size(drawn[name]["std"], p["unit"]) if name in drawn else "",
+            format_size(drawn[name]["std"], p["unit"]) if name in drawn else "",
             "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
         )
         for name, p in summary["parameters"].items()
@@ -111,8 +111,8 @@ def _interval(low: float | None, high: float | None, unit: str) -> str:
     if low is None and high is None:
         return "any"
     if low is None or high is None:
-        return f"below {size(high, unit)}" if high is not None else f"above {size(low or 0.0, unit)}"
-    return f"{number(low, 4)} to {number(high, 4)} {written_unit(unit)}".strip()
+        return f"below {format_size(high, unit)}" if high is not None else f"above {format_size(low or 0.0, unit)}"
+    return f"{format_number(low, 4)} to {format_number(high, 4)} {format_unit(unit)}".strip()
 
 
 def routes(default: ModelResults, papers: ModelResults) -> TextTable:
@@ -121,7 +121,7 @@ def routes(default: ModelResults, papers: ModelResults) -> TextTable:
     rows: list[Sequence[Cell]] = [
         (
             code(name),
-            quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]),
+            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]),
             _quantity_or_dash(theirs.get(name)),
         )
         for name, p in default.summary["parameters"].items()
@@ -130,13 +130,13 @@ def routes(default: ModelResults, papers: ModelResults) -> TextTable:
     for key, words, unit, factor in ERRORS:
         cells = [m.summary["errors"].get(key) for m in (default, papers)]
         if any(c is not None for c in cells):
-            rows.append((words, *(f"{number(None if c is None else factor * c)} {unit}".strip() for c in cells)))
+            rows.append((words, *(f"{format_number(None if c is None else factor * c)} {unit}".strip() for c in cells)))
     heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
     return table(heads, rows, (1, 2))
 
 
 def _quantity_or_dash(p: Mapping[str, Any] | None) -> str:
-    return "\N{EN DASH}" if p is None else quantity(p["value"], p["std"], p["unit"])
+    return DASH if p is None else format_quantity(p["value"], p["std"], p["unit"])
 
 
 ERRORS = (
@@ -165,7 +165,7 @@ def history(models: Sequence[ModelResults]) -> TextTable:
     rows = []
     for k, m in enumerate(models, 1):
         errors = m.summary["errors"]
-        cells = [number(None if errors.get(key) is None else f * errors[key]) for key, _, _, f in used]
+        cells = [format_number(None if errors.get(key) is None else f * errors[key]) for key, _, _, f in used]
         name = Markup("{}. {}{}").format(k, plain_name(m.name), " (current)" if m.current else "")
         rows.append((name, *cells, (m.diagnosis or {}).get("verdict", "")))
     return table(heads, rows, range(1, len(used) + 1))
@@ -180,9 +180,9 @@ def spans(found: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             s["run"],
-            span(s.get("t"), 1e3),
-            span(s.get("x")),
-            span(s.get("v")),
+            format_interval(s.get("t"), 1e3),
+            format_interval(s.get("x")),
+            format_interval(s.get("v")),
             f"{100 * s['share_of_error']:.0f} %",
             _chance(s.get("p")),
         )
@@ -193,7 +193,7 @@ def spans(found: Sequence[Mapping[str, Any]]) -> TextTable:
 
 def _chance(p: float | None) -> str:
     """A p-value; what is far beyond any doubt is not given digits that no noise is known to."""
-    return "" if p is None else "< 10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}" if p < 1e-6 else number(p, 1)
+    return "" if p is None else "< 10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}" if p < 1e-6 else format_number(p, 1)
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def cards(diagnosis: Mapping[str, Any]) -> list[Card]:
             passes=passes(c),
             acts_on={"force": "a force on the mass", "measurement": "a fault of the picture"}.get(c["acts_on"], ""),
             rank=_rank(c, diagnosis["candidates"][0]),
-            words={key: typed(c["words"].get(key, "")) for key in ("what", "looks_like", "here", "confirm")},
+            words={key: mark_code(c["words"].get(key, "")) for key in ("what", "looks_like", "here", "confirm")},
             numbers=tuple(_numbers(c)),
             rivals=tuple(c["indistinguishable_from"]),
         )
@@ -232,7 +232,7 @@ def importance(diagnosis: Mapping[str, Any]) -> TextTable:
         shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
         unit = "um" if "heldout_rms_after_um" in row else "N"
         held = row[f"heldout_rms_after_{unit}"]
-        after = "" if held is None else f"{number(held)} {unit.replace('u', 'µ')}"
+        after = "" if held is None else f"{format_number(held)} {format_unit(unit)}"
         rows.append((code(row["effect"]), *shares, after, "stop here" if row["stop"] else ""))
     return table(("effect", "explains alone", "adds in sequence", "held out after it", ""), rows, (1, 2, 3))
 
@@ -251,17 +251,17 @@ def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
         return "passes, the best"
     if c["effect"] in best["indistinguishable_from"]:
         return "passes, as good as the best"
-    return f"passes, but {number(best['delta_bic'] - c['delta_bic'])} behind the best"
+    return f"passes, but {format_number(best['delta_bic'] - c['delta_bic'])} behind the best"
 
 
 def _numbers(c: Mapping[str, Any]) -> list[Cell]:
     """Shared parameters, then the evidence."""
     shared = {name: p for name, p in c["parameters"].items() if not PER_RUN_NAME.match(name)}
     own = sorted({m["name"] for name in c["parameters"] if (m := PER_RUN_NAME.match(name))})
-    out: list[Cell] = [f"{name} {quantity(p['value'], p['std'], p['unit'])}" for name, p in shared.items()]
+    out: list[Cell] = [f"{name} {format_quantity(p['value'], p['std'], p['unit'])}" for name, p in shared.items()]
     if own:
         out.append(f"one {' and one '.join(own)} per run")
-    out.append(f"p = {number(c['p'], 1)}, delta BIC {number(c['delta_bic'])}")
+    out.append(f"p = {format_number(c['p'], 1)}, delta BIC {format_number(c['delta_bic'])}")
     change = held_out_change(c)
     if change:
         out.append(f"held out {change} ({'whole runs' if c['heldout'] == 'run' else 'every other frame'})")
@@ -274,18 +274,18 @@ def runs(model: ModelResults) -> TextTable:
     for name, p in model.summary["parameters"].items():
         m = PER_RUN_NAME.match(name)
         if m:
-            own.setdefault(m["name"], {})[m["run"]] = quantity(p["value"], p["std"], p["unit"])
+            own.setdefault(m["name"], {})[m["run"]] = format_quantity(p["value"], p["std"], p["unit"])
     rows = [
         (
             row["run"],
             "" if row["role"] == "fit" else "predicted, not fitted",
-            number(row["level"]),
-            number(row.get("noise_um")),
-            number(row["errors"].get("rms_displacement_um")),
-            number(row["errors"].get("free_run_rms_um")),
-            number(_percent(row["errors"].get("relative_force_error"))),
+            format_number(row["level"]),
+            format_number(row.get("noise_um")),
+            format_number(row["errors"].get("rms_displacement_um")),
+            format_number(row["errors"].get("free_run_rms_um")),
+            format_number(_percent(row["errors"].get("relative_force_error"))),
             str(row["segments"]),
-            *(of.get(row["run"], "\N{EN DASH}") for of in own.values()),
+            *(of.get(row["run"], DASH) for of in own.values()),
         )
         for row in model.summary["per_run"]
     ]
@@ -308,7 +308,7 @@ def limits(diagnosis: Mapping[str, Any]) -> TextTable:
 
 
 def _limit(limit: Mapping[str, Any]) -> str:
-    return "\N{EN DASH}" if limit["value"] is None else size(limit["value"], limit["unit"])
+    return DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
 
 
 def _at(effect: str, limit: Mapping[str, Any]) -> str:
@@ -316,7 +316,7 @@ def _at(effect: str, limit: Mapping[str, Any]) -> str:
 
     kind = effects.LIBRARY.get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
-    return ", ".join(f"{name} {size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
+    return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
 
 
 def tracks(runs: Sequence[RunResults]) -> TextTable:
@@ -330,7 +330,7 @@ def tracks(runs: Sequence[RunResults]) -> TextTable:
         pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
         rows.append(
             (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", code(at),
-             number(1e6 * pitch if pitch else None, 4), number(error, 2) if error else "")
+             format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
         )  # fmt: skip
     heads = ("run", "film", "frames per s", "target found in", "target", "µm/px", "scale known to / %")
     return table(heads, rows, (2, 3, 5, 6))
@@ -343,12 +343,12 @@ def measurement(runs: Sequence[RunResults]) -> TextTable:
         if not run.quality:
             continue
         q = run.quality
-        locking = quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
-        still = "none" if q["shake_px"] == 0 else number(q["shake_px"], 2)
+        locking = format_quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
+        still = "none" if q["shake_px"] == 0 else format_number(q["shake_px"], 2)
         rows.append(
-            (run.name, number(q["sigma_px"], 2), number(q["sigma_um"], 2), number(q["score"]), locking,
-             number(q["forward_backward_px"], 2), number(q["noise_floor_px"], 2), still,
-             number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), number(q["blur_px"], 2))
+            (run.name, format_number(q["sigma_px"], 2), format_number(q["sigma_um"], 2), format_number(q["score"]),
+             locking, format_number(q["forward_backward_px"], 2), format_number(q["noise_floor_px"], 2), still,
+             format_number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), format_number(q["blur_px"], 2))
         )  # fmt: skip
     heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
              "shake / px", "exposure / µs", "blur / px")  # fmt: skip

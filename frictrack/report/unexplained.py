@@ -9,8 +9,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import plots
+from frictrack.number_format import format_number
 from frictrack.records import Array
-from frictrack.report.numbers import number
 
 Embed = Callable[[Figure], Markup]
 
@@ -37,8 +37,8 @@ def unexplained(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, Any] | N
             "formula": f["formula"],
             "beside": f.get("beside", []),
             "share": f"{100 * f['share']:.1f} %",
-            "delta_bic": number(f["delta_bic"], 4),
-            "chi2": number(f.get("reduced_chi2", float("nan")), 3),
+            "delta_bic": format_number(f["delta_bic"], 4),
+            "chi2": format_number(f.get("reduced_chi2", float("nan")), 3),
         }
         for f in left["formulas"]
     ]

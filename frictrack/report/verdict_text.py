@@ -10,10 +10,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from frictrack.axes import AXES
+from frictrack.number_format import format_change, format_number, format_quantity, format_range
 from frictrack.plots import noise_um, passes, plain_name
-from frictrack.report.numbers import low_to_high, number, quantity, typed
+from frictrack.report.markup import mark_code
 from frictrack.results import ModelResults, Results
-from frictrack.words import AXES, group, open_question
+from frictrack.verdicts import describe_open_question, indistinguishable_effects
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -76,7 +78,7 @@ def scale_line(results: Results) -> str:
     error = scale_error(results)
     if error > 0:
         return (
-            f"{SCALE_LINE} The scale is known to {number(100 * error, 2)} %, and so is every force told from "
+            f"{SCALE_LINE} The scale is known to {format_number(100 * error, 2)} %, and so is every force told from "
             "acceleration: this is common to all runs of one camera and stands apart from the ± of the fit."
         )
     filmed = any(r.film is not None for r in results.runs)
@@ -88,7 +90,9 @@ def model_motion_sentences(model: ModelResults) -> list[Markup]:
     rows = [row for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
         return []
-    told = [Markup("<b>{}</b>: {}.").format(row["run"], typed(note)) for row in rows for note in row["motion"]["notes"]]
+    told = [
+        Markup("<b>{}</b>: {}.").format(row["run"], mark_code(note)) for row in rows for note in row["motion"]["notes"]
+    ]
     return [_motion_precision([row["motion"] for row in rows], held=not told), *told, *_collision_sentences(model)]
 
 
@@ -101,7 +105,7 @@ def _motion_precision(bands: Sequence[Mapping[str, Any]], *, held: bool) -> Mark
     return Markup(
         "The model's own acceleration is known to {} m/s² and its friction force to {} N (rms over a run); smoothing "
         "tells the acceleration to {} m/s²: {}."
-    ).format(low_to_high(own), low_to_high(force), low_to_high(smooth), why)
+    ).format(format_range(own), format_range(force), format_range(smooth), why)
 
 
 def _collision_sentences(model: ModelResults) -> Iterator[Markup]:
@@ -111,9 +115,9 @@ def _collision_sentences(model: ModelResults) -> Iterator[Markup]:
             yield Markup("<b>{}</b>, {} at {} ms after release: impulse {}, known to {} %; {}.").format(
                 c["run"],
                 c["effect"],
-                number(1e3 * c["time_s"]) if c["time_s"] is not None else "an unknown time",
-                quantity(c["impulse_N_s"], c["std"], "N s"),
-                number(100 * c["relative_std"], 2),
+                format_number(1e3 * c["time_s"]) if c["time_s"] is not None else "an unknown time",
+                format_quantity(c["impulse_N_s"], c["std"], "N s"),
+                format_number(100 * c["relative_std"], 2),
                 c["words"],
             )
 
@@ -135,7 +139,7 @@ def model_status(diagnosis: Mapping[str, Any]) -> str:
     if diagnosis["verdict"] == "undetermined":
         return "is neither confirmed nor refuted"
     if diagnosis["verdict"] == "ambiguous":
-        return f"lacks {join_words(group(diagnosis), 'or')}"
+        return f"lacks {join_words(indistinguishable_effects(diagnosis), 'or')}"
     if diagnosis["verdict"] == "missing":
         return f"lacks {join_words(diagnosis['missing'])}"
     return "fails, and not all of it is explained"
@@ -166,7 +170,7 @@ def held_out_change(found: Mapping[str, Any]) -> str:
     for key, unit in (("um", "µm"), ("N", "N")):
         before, after = (found.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
         if before is not None and after is not None:
-            return f"{number(before)} to {number(after)} {unit}"
+            return f"{format_number(before)} to {format_number(after)} {unit}"
     return ""
 
 
@@ -177,7 +181,7 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
         added = [effect for *_, effect in single_additions(results.models) if effect in model.summary["model"]]
         return f"Complete with {join_words(added)}" if added else f"{name} is complete for these runs"
     if kind == "undetermined":
-        return f"Undetermined: {open_question(diagnosis)}"
+        return f"Undetermined: {describe_open_question(diagnosis)}"
     if kind == "ambiguous":
         return f"{name} {model_status(diagnosis)}: these runs cannot tell which"
     return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
@@ -198,7 +202,13 @@ def _added(models: Sequence[ModelResults]) -> Iterator[Markup]:
         if found is not None:
             why = Markup(" ({}; {})").format(_as_clause(found["words"].get("what", "")), evidence(found))
         yield Markup("{} failed; it lacked <b>{}</b>{}: with it the held-out error {} from {} to <b>{} {}</b>.").format(
-            plain_name(before.name), effect, why, _falls_or_rises(old, new), number(old), number(new), unit
+            plain_name(before.name),
+            effect,
+            why,
+            _falls_or_rises(old, new),
+            format_number(old),
+            format_number(new),
+            unit,
         )
         yield _added_parameters(after, effect)
 
@@ -215,7 +225,7 @@ def _falls_or_rises(old: float | None, new: float | None) -> str:
 def _added_parameters(model: ModelResults, effect: str) -> Markup:
     """What the added effect came to: its shared parameters."""
     known = {
-        name.removeprefix(f"{effect}."): quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
+        name.removeprefix(f"{effect}."): format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
         for name, p in model.summary["parameters"].items()
         if name.startswith(f"{effect}.") and "[" not in name and p["std"]
     }
@@ -226,8 +236,8 @@ def _added_parameters(model: ModelResults, effect: str) -> Markup:
 def evidence(found: Mapping[str, Any]) -> Markup:
     """How sure: p for the whole search and delta BIC."""
     return Markup("p = {} for the whole search, delta BIC {}").format(
-        number(found["p"], 1),
-        f"{found['delta_bic']:+,.0f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}"),
+        format_number(found["p"], 1),
+        format_change(found["delta_bic"]),
     )
 
 
@@ -236,28 +246,28 @@ def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mar
         "Nothing more is seen: {}lack of fit has p = {}, and no further effect of the library passes. "
         "This speaks of this library and these runs; what would have stayed unseen stands under "
         '<a href="#limits">detection limits</a>.'
-    ).format(_residual(model), number(diagnosis["p_lack_of_fit"], 2))
+    ).format(_residual(model), format_number(diagnosis["p_lack_of_fit"], 2))
 
 
 def _residual(model: ModelResults) -> str:
     rms, noise = model.summary["errors"].get("rms_displacement_um"), noise_um(model)
     if rms is None or noise is None:
         return ""
-    return f"the residual is {number(rms)} µm where the noise is {number(noise)} µm, "
+    return f"the residual is {format_number(rms)} µm where the noise is {format_number(noise)} µm, "
 
 
 def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield Markup("These runs cannot show whether something is missing: {}lack of fit has p = {}.").format(
-        _residual(model), number(diagnosis["p_lack_of_fit"], 2)
+        _residual(model), format_number(diagnosis["p_lack_of_fit"], 2)
     )
     for gap in diagnosis["undetermined"]:
         advice = f"; to settle it: {_as_clause(gap['settled_by'])}" if gap["settled_by"] else ""
-        yield Markup("Open is <b>{}</b>: {}{}.").format(gap["what"], typed(gap["why"]), typed(advice))
+        yield Markup("Open is <b>{}</b>: {}{}.").format(gap["what"], mark_code(gap["why"]), mark_code(advice))
 
 
 def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield Markup("The model fails: {}reduced chi-squared is {}.").format(
-        _residual(model), number(diagnosis["reduced_chi2"])
+        _residual(model), format_number(diagnosis["reduced_chi2"])
     )
     for effect in diagnosis["missing"]:
         found = find_candidate(diagnosis, effect)
@@ -275,13 +285,13 @@ def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Mark
 
 def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield from _missing(model, diagnosis)
-    others = group(diagnosis)[1:]
+    others = indistinguishable_effects(diagnosis)[1:]
     yield Markup("But <b>{}</b> would predict the same data within the noise.").format(join_words(others, "or"))
 
 
 def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     yield Markup("The model fails: {}reduced chi-squared is {}.").format(
-        _residual(model), number(diagnosis["reduced_chi2"])
+        _residual(model), format_number(diagnosis["reduced_chi2"])
     )
     left = diagnosis.get("unexplained")
     if left and left.get("words"):
@@ -308,13 +318,15 @@ def _next_step(diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
     """What to film next."""
     for step in (diagnosis.get("next_experiment") or [])[:1]:
         yield Markup('To settle it: {}. More stands under <a href="#settle">what would settle it</a>.').format(
-            typed(step["what"])
+            mark_code(step["what"])
         )
     if diagnosis["verdict"] in ("missing", "ambiguous") and not diagnosis.get("next_experiment"):
-        for effect in group(diagnosis):
+        for effect in indistinguishable_effects(diagnosis):
             found = find_candidate(diagnosis, effect)
             if found is not None and found["words"].get("confirm"):
-                yield Markup("To confirm <b>{}</b>: {}.").format(effect, typed(_as_clause(found["words"]["confirm"])))
+                yield Markup("To confirm <b>{}</b>: {}.").format(
+                    effect, mark_code(_as_clause(found["words"]["confirm"]))
+                )
 
 
 ADDRESS = re.compile(r"\b[a-z][a-z_0-9]*(?::\d+)?\.[A-Za-z][A-Za-z_0-9]*")  # of a parameter: stribeck.v_s

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.errors import FrictrackError
+from frictrack.number_format import format_number
 from frictrack.report.page import ID_ATTRIBUTES
 from frictrack.report.templates import template
 from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
@@ -107,7 +108,7 @@ def number(cell: Cell) -> str:
     if isinstance(cell, str):
         return cell
     whole = cell == round(cell) and abs(cell) < 1e6
-    return f"{cell:.0f}".replace("-", "\N{MINUS SIGN}") if whole else plots.number(cell, 4)
+    return f"{cell:.0f}".replace("-", "\N{MINUS SIGN}") if whole else format_number(cell, 4)
 
 
 def _write_csv(table: Table, path: Path) -> None:

@@ -12,10 +12,9 @@ from typing import Any
 
 import panel as pn
 
-from frictrack import plots
 from frictrack.errors import FrictrackError
-from frictrack.plots import number
-from frictrack.report.numbers import formula
+from frictrack.number_format import format_number, format_unit
+from frictrack.report.markup import mark_equation
 from frictrack.units import quantity
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, html
@@ -68,7 +67,7 @@ class EffectBlocks:
         )
         settings.param.watch(lambda e: (self._open.discard if e.new else self._open.add)(name), "collapsed")
         return pn.Column(
-            html(f"<h3 class=ft-h>{escape(name)}</h3><p class=ft-note>{formula(entry.get('equation', ''))}</p>"),
+            html(f"<h3 class=ft-h>{escape(name)}</h3><p class=ft-note>{mark_equation(entry.get('equation', ''))}</p>"),
             *rows,
             settings,
             button(f"Remove {name}", lambda: self.state.start("remove", effect=name)),
@@ -194,7 +193,7 @@ def _values(state: PageState, name: str) -> dict[str, dict[str, Any]]:
 def _parameter_line(parameter: str, values: dict[str, Any]) -> str:
     """A parameter with its value and standard deviation, or its values in the runs."""
     entry = "; ".join(f"{escape(run)} {_value(value)}" if run else _value(value) for run, value in values.items())
-    return f"<b>{formula(parameter)}</b> = {entry or 'fit again to see it'}"
+    return f"<b>{mark_equation(parameter)}</b> = {entry or 'fit again to see it'}"
 
 
 def _value(value: dict[str, Any]) -> str:
@@ -203,5 +202,5 @@ def _value(value: dict[str, Any]) -> str:
         return escape(f"not determined{reason}")
     std, mark = value.get("std_misfit"), " (†, with the misfit)"
     std, mark = (value.get("std"), "") if std is None else (std, mark)
-    error = f" ± {number(std, 2)}{mark}" if std else ""
-    return escape(f"{number(value['value'])}{error} {plots.unit(value['unit'])}{reason}")
+    error = f" ± {format_number(std, 2)}{mark}" if std else ""
+    return escape(f"{format_number(value['value'])}{error} {format_unit(value['unit'])}{reason}")

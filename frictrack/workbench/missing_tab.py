@@ -10,11 +10,11 @@ import panel as pn
 from markupsafe import Markup, escape
 
 from frictrack import plots
-from frictrack.plots import format_gain, number
+from frictrack.number_format import format_change, format_number
 from frictrack.report import next_experiments
-from frictrack.report.numbers import typed
+from frictrack.report.markup import mark_code
 from frictrack.report.tables import Card, cards
-from frictrack.words import verdict
+from frictrack.verdicts import describe_verdict
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots
@@ -78,7 +78,7 @@ class MissingTab:
             return []
         parts: list[Any] = [figure(plots.unexplained(left))]
         for formula in left["formulas"][:MAX_FORMULAS]:
-            share = f"{100 * formula['share']:.1f} % of what is left, evidence {format_gain(formula['delta_bic'])}"
+            share = f"{100 * formula['share']:.1f} % of what is left, evidence {format_change(formula['delta_bic'])}"
             also_needed = formula.get("beside", [])
             after = note(f"beside {', '.join(also_needed)}: add that first") if also_needed else ""
             take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(also_needed))
@@ -126,8 +126,8 @@ class MissingTab:
 
 def _verdict_html(diagnosis: dict[str, Any]) -> str:
     """The verdict in words, and where the failure repeats."""
-    message = verdict(diagnosis)
-    chi2, p = number(diagnosis["reduced_chi2"]), number(diagnosis["p_lack_of_fit"], 1)
+    message = describe_verdict(diagnosis)
+    chi2, p = format_number(diagnosis["reduced_chi2"]), format_number(diagnosis["p_lack_of_fit"], 1)
     fit = f"reduced chi-squared {chi2}, p of the lack of fit {p}"
     more = [fit, diagnosis.get("repeats_words") or "", (diagnosis.get("unexplained") or {}).get("words", "")]
     head = f"<p class=ft-verdict>{escape(message[:1].upper() + message[1:])}</p>"
@@ -138,7 +138,7 @@ def _next_experiment_html(diagnosis: dict[str, Any]) -> str:
     """The runs that would settle what these cannot, and what no run can."""
     steps, words = (
         next_experiments.separating_experiments(diagnosis),
-        "".join(note(typed(line)) for line in next_experiments.inseparable(diagnosis)),
+        "".join(note(mark_code(line)) for line in next_experiments.inseparable(diagnosis)),
     )
     menu = grid(next_experiments.experiment_table(steps)) if steps else ""
     return heading("The next experiment") + menu + words if menu or words else ""

@@ -11,7 +11,7 @@ import panel as pn
 from frictrack.effects import catalogue
 from frictrack.flow import own_effects
 from frictrack.plots.style import BLUE
-from frictrack.report.numbers import formula
+from frictrack.report.markup import mark_equation
 from frictrack.workbench.effect_blocks import EffectBlocks
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots
@@ -74,7 +74,7 @@ class ModelTab:
             self.head.object = note("No model was fitted yet. Fit the one of the study file, or another one.")
             self.choice.options = []
             return
-        self.head.object = f"<p class=ft-verdict>{formula(model.equation)}</p>" + "".join(
+        self.head.object = f"<p class=ft-verdict>{mark_equation(model.equation)}</p>" + "".join(
             note(remark) for remark in model.summary.get("remarks", [])
         )
         names = model.summary["model"]

@@ -9,7 +9,7 @@ from typing import Any
 import panel as pn
 
 from frictrack import plots
-from frictrack.plots import number
+from frictrack.number_format import format_number
 from frictrack.workbench.compare_tab import CompareTab
 from frictrack.workbench.film_tab import FilmTab
 from frictrack.workbench.history_tab import HistoryTab
@@ -112,7 +112,7 @@ class Page:
         if model is not None:
             chi2 = model.summary["errors"].get("reduced_chi2")
             verdict = (state.diagnosis or {}).get("verdict", "not diagnosed")
-            words = f"{plots.plain_name(model.name)}: reduced chi-squared {number(chi2)}, {verdict}"
+            words = f"{plots.plain_name(model.name)}: reduced chi-squared {format_number(chi2)}, {verdict}"
         self.head.object = f"<b>{escape(name)}</b><br>{escape(words)}"
         old = state.results.outdated if state.results else ()
         self.old.visible = bool(old)

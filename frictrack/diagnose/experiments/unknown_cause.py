@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.expected_separation import Explanation
 from frictrack.diagnose.formulas import AXIS_SYMBOLS
@@ -19,7 +20,6 @@ from frictrack.effects.base import Nonlinear
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.records import Array
-from frictrack.words import AXES
 
 N_HATS = 14  # over an axis
 PRIOR_STD_RATIO = 0.5  # of friction: what is known of a height beside the runs

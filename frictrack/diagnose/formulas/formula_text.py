@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.diagnose.formulas.terms import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -21,7 +22,6 @@ from frictrack.diagnose.formulas.terms import (
 )
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO
 from frictrack.fit.least_squares import Solution
-from frictrack.words import AXES
 
 FACTORS = {"L * s": "L s ", "s": "s ", "": ""}  # study file -> words
 INVERSE = {"m": ("1/m", "1/m^2"), "s": ("Hz", "1/s^2"), "m/s": ("s/m", "s^2/m^2")}

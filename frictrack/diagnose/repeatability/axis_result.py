@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.words import AXES
+from frictrack.axes import AXES
 
 MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs predict, and its chance, for a failure to repeat
 MIN_EVIDENCE = 10.0  # of evidence, twice the log of a likelihood ratio: a lesser one decides nothing

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from frictrack.axes import AXES
 from frictrack.compare.deconvolve import Deconvolved, deconvolved
 from frictrack.compare.spectral_lines import Line
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
 from frictrack.records import Array
-from frictrack.words import AXES
 
 N_POINTS = 161  # of a common curve
 SMOOTHING_WIDTH = 1 / 80  # of an axis: width of the smoothing

@@ -1,0 +1,247 @@
+"""Format numbers, uncertainties and units as text for reports, figures and the terminal.
+
+Each function takes a number in the unit that is given and returns text; nothing here parses text (see `units`).
+
+The rounding rule: a standard deviation keeps one significant digit, or two where the first one is 1 (below 1.95);
+the value ends at the same decimal place. The terminal keeps two digits throughout, so that its numbers can be used
+in further calculations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+MINUS, TIMES, PLUS_MINUS = "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}", "\N{PLUS-MINUS SIGN}"
+DASH, THIN_SPACE = "\N{EN DASH}", "\N{NARROW NO-BREAK SPACE}"
+NOT_DETERMINED = "not determined"
+PREFIXED_UNITS = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common in friction measurements
+MAX_LEADING_ONE = 1.95  # a standard deviation of 1.0 to 1.95 keeps a second digit
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def format_number(value: float | None, digits: int = 3, missing: str = DASH) -> str:
+    """Format a number with a fixed count of significant digits.
+
+    Parameters
+    ----------
+    value : float or None
+        The number.
+    digits : int
+        Significant digits.
+    missing : str
+        Text for None, NaN and infinity.
+
+    Returns
+    -------
+    str
+        Thousands are separated by a thin space. A power of ten is written outside 1e-3 to 1e6.
+
+    Examples
+    --------
+    >>> format_number(0.012345), format_number(None), format_number(5.0, 1)
+    ('0.0123', '–', '5')
+
+    """
+    if value is None or not math.isfinite(value):
+        return missing
+    if value == 0:
+        return "0"
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded value: 0.9999 is 1.00
+    if not -4 < exponent < 6:
+        return f"{value / 10**exponent:.{digits - 1}f}".replace("-", MINUS) + _power_of_ten(exponent)
+    comma = "," if exponent > 3 else ""
+    return f"{value:{comma}.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS).replace(",", THIN_SPACE)
+
+
+def format_plain(value: float | None, digits: int = 4) -> str:
+    """Format a number for the terminal, in characters that other programs can read; "-" for None.
+
+    Examples
+    --------
+    >>> format_plain(0.0000123456), format_plain(-3.0), format_plain(None)
+    ('1.235e-05', '-3', '-')
+
+    """
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def format_change(value: float) -> str:
+    """Format a whole number with its sign, thousands apart.
+
+    Examples
+    --------
+    >>> format_change(-12.4) == "\N{MINUS SIGN}12"
+    True
+
+    """
+    return f"{value:+,.0f}".replace("-", MINUS).replace(",", THIN_SPACE)
+
+
+def format_quantity(value: float | None, std: float | None, unit: str) -> str:
+    """Format a value with its standard deviation and unit.
+
+    Parameters
+    ----------
+    value : float or None
+        The value; None gives "not determined".
+    std : float or None
+        The standard deviation, in the same unit. None, 0 and infinity are left out.
+    unit : str
+        The SI unit, such as ``"N s/m"``; ``"1"`` for a pure number.
+
+    Returns
+    -------
+    str
+        Lengths, times, forces and impulses below 0.1 are given in thousandths or millionths.
+
+    Examples
+    --------
+    >>> format_quantity(8.0123, 0.021, "N")
+    '8.01 ± 0.02 N'
+    >>> format_quantity(0.00123, 0.000012, "m")
+    '1.230 ± 0.012 mm'
+
+    """
+    if value is None:
+        return NOT_DETERMINED
+    factor, unit = _prefixed(value, unit)
+    value, std = value * factor, None if std is None else std * factor
+    tail = format_unit(unit)
+    tail = f" {tail}" if tail else ""
+    if not std or not math.isfinite(std):
+        return f"{_without_std(value)}{tail}"
+    exponent = _exponent_outside(max(abs(value), std), -4, 6)
+    value, std = value / 10.0**exponent, std / 10.0**exponent
+    places = _decimal_places(std)
+    text = f"{value:.{places}f} ± {std:.{places}f}".replace("-", MINUS)
+    if exponent:
+        return f"({text}){_power_of_ten(exponent)}{tail}"
+    return f"({text}){tail}" if "/" in tail or " " in tail.strip() else f"{text}{tail}"
+
+
+def format_plus_minus(value: float | None, std: float | None) -> str:
+    """Format a value and its standard deviation for the terminal, both to the second digit of the latter.
+
+    Examples
+    --------
+    >>> format_plus_minus(8.01234, 0.0214), format_plus_minus(1.0, 0.0), format_plus_minus(None, None)
+    ('8.012 ± 0.021', '1', 'not determined')
+
+    """
+    if value is None:
+        return NOT_DETERMINED
+    if not std:
+        return format_plain(value, 6)
+    decimals = 1 - math.floor(math.log10(std))
+    if not -3 < decimals < 7:
+        return f"{value:.5g} ± {std:.2g}"
+    decimals = max(decimals, 0)
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def format_concise(value: float, std: float | None) -> str:
+    """Format a value with its standard deviation in units of the last digit; negative values in brackets.
+
+    References
+    ----------
+    JCGM 100:2008 (GUM), 7.2.2: the concise form of a value and its standard uncertainty.
+
+    Examples
+    --------
+    >>> format_concise(8.0123, 0.021), format_concise(-0.5, 0.013), format_concise(0.25, None)
+    ('8.01(2)', '(-0.500(13))', '0.25')
+
+    """
+    if not std or not math.isfinite(std):
+        text = f"{value:.4g}"
+        return f"({text})" if value < 0 else text
+    shift = _exponent_outside(max(abs(value), std), -4, 6)
+    value, std = value / 10.0**shift, std / 10.0**shift
+    places = _decimal_places(std)
+    last_digits = f"{std:.{places}f}" if std >= 1 else f"{std * 10.0**places:.0f}"
+    text = f"{value:.{places}f}({last_digits})" + (f"e{shift}" if shift else "")
+    return f"({text})" if value < 0 else text
+
+
+def format_size(value: float, unit: str) -> str:
+    """Format a rough size with its unit: two significant digits.
+
+    Examples
+    --------
+    >>> format_size(0.0123, "N"), format_size(2.0, "m/s^2")
+    ('12 mN', '2.0 m/s²')
+
+    """
+    factor, unit = _prefixed(value, unit)
+    return f"{format_number(factor * value, 2)} {format_unit(unit)}".strip()
+
+
+def format_interval(ends: Sequence[float] | None, factor: float = 1.0) -> str:
+    """Format both ends of an interval, multiplied by `factor`; a dash for no interval.
+
+    Examples
+    --------
+    >>> format_interval((0.031, 0.0382), 1e3)
+    '31.0 to 38.2'
+
+    """
+    return " to ".join(format_number(factor * end) for end in ends) if ends else DASH
+
+
+def format_range(values: Sequence[float]) -> str:
+    """Format the smallest and the largest of some values in two digits, or one number where both read the same.
+
+    Examples
+    --------
+    >>> format_range([0.31, 1.5, 0.9]), format_range([0.311, 0.312])
+    ('0.31 to 1.5', '0.31')
+
+    """
+    low, high = format_number(min(values), 2), format_number(max(values), 2)
+    return low if low == high else f"{low} to {high}"
+
+
+def format_unit(unit: str) -> str:
+    """Write a unit with superscripts and the micro sign; "1" gives an empty text.
+
+    Examples
+    --------
+    >>> format_unit("N s^2/m^2"), format_unit("um"), format_unit("1")
+    ('N s²/m²', 'µm', '')
+
+    """
+    if unit == "um":
+        return "µm"
+    return "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")
+
+
+def _without_std(value: float) -> str:
+    if value == round(value, 3) and abs(value) < 1e6:
+        return f"{value:g}".replace("-", MINUS)
+    return format_number(value, 4)
+
+
+def _prefixed(value: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit for a small value."""
+    size = abs(value)
+    if unit not in PREFIXED_UNITS or size == 0 or size >= 0.1 or size < 1e-9:
+        return 1.0, unit
+    return (1e3, f"m{unit}") if size >= 1e-4 else (1e6, f"µ{unit}")
+
+
+def _exponent_outside(size: float, low: int, high: int) -> int:
+    """Decimal exponent of a size that lies outside ``10**low`` to ``10**high``, both excluded; else 0."""
+    exponent = math.floor(math.log10(size))
+    return 0 if low < exponent < high else exponent
+
+
+def _decimal_places(std: float) -> int:
+    """Decimal places at which a value and its standard deviation end."""
+    first = math.floor(math.log10(std))
+    return max(-first + (1 if std < MAX_LEADING_ONE * 10.0**first else 0), 0)
+
+
+def _power_of_ten(exponent: int) -> str:
+    return f"{THIN_SPACE}{TIMES}{THIN_SPACE}10{str(exponent).translate(_SUPERSCRIPT)}"
