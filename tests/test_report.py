@@ -14,8 +14,8 @@ from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
+from frictrack.report import markup, tables, verdict_text
 from frictrack.report import measurement_quality as of_measurement
-from frictrack.report import numbers, tables, verdict_text
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -248,38 +248,8 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, mon
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-@pytest.mark.parametrize(
-    ("value", "std", "unit", "text"),
-    [
-        (8.0123, 0.0213, "N", "8.01 ± 0.02 N"),
-        (8.0123, 0.0961, "N", "8.01 ± 0.10 N"),
-        (8.0123, 0.149, "N", "8.01 ± 0.15 N"),
-        (8.0123, 0.1961, "N", "8.0 ± 0.2 N"),
-        (0.030005, 0.0000107, "m", "30.005 ± 0.011 mm"),
-        (2.3e-5, 4e-6, "m", "23 ± 4 µm"),
-        (1.20055, 0.0005, "N s/m", "(1.2006 ± 0.0005) N s/m"),
-        (-0.62, 0.03, "rad", f"{MINUS}0.62 ± 0.03 rad"),
-        (123.4, 26.0, "Hz", "123 ± 26 Hz"),
-        (1.0, 0.0, "1", "1"),
-        (None, None, "N", "not determined"),
-        (9.2e-6, 1e-7, "1/m^2", "(9.20 ± 0.10) × 10⁻⁶ 1/m²"),
-    ],
-)
-def test_quantities_are_rounded_to_their_deviation(value, std, unit, text):
-    assert numbers.quantity(value, std, unit).replace(numbers.THIN, " ") == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(10.0442, "10.0"), (0.00213, "0.00213"), (12884.9, "12 885"), (None, "–"), (0, "0"), (-2.5, f"{MINUS}2.50"),
-     (1.25e-7, "1.25 × 10⁻⁷"), (3.2e8, "3.20 × 10⁸")],
-)  # fmt: skip
-def test_numbers(value, text):
-    assert numbers.number(value).replace(numbers.THIN, " ") == text
-
-
 def test_formulas_are_set():
-    text = numbers.formula("F = (F_s - F_c) L s exp(-(|v|/v_s)^delta) + a sin(2 pi f t) <b>")
+    text = markup.mark_equation("F = (F_s - F_c) L s exp(-(|v|/v_s)^delta) + a sin(2 pi f t) <b>")
     assert "F<sub>s</sub> − F<sub>c</sub>" in text
     assert "exp(−(|v|/v<sub>s</sub>)<sup>δ</sup>)" in text
     assert "2 π f" in text
@@ -287,7 +257,7 @@ def test_formulas_are_set():
 
 
 def test_commands_in_words_are_set_as_code():
-    assert numbers.typed("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
+    assert markup.mark_code("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
 
 
 # ---- how well the films were measured
