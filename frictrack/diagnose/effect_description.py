@@ -216,7 +216,8 @@ def _blow(fitted: FittedEffect) -> str:
     mass = fitted.most[1].piece.mass
     lost = abs(fitted.value("J")) / mass
     when = 1e3 * fitted.value("time")
-    return f"in run {fitted.run} {_num(when)} ms after release, of {_num(abs(fitted.value('J')))} N s: {_num(lost, 2)} m/s at once"
+    impulse = _num(abs(fitted.value("J")))
+    return f"in run {fitted.run} {_num(when)} ms after release, of {impulse} N s: {_num(lost, 2)} m/s at once"
 
 
 def _lost(fitted: FittedEffect) -> str:
@@ -234,7 +235,8 @@ def _spring(fitted: FittedEffect) -> str:
 
 def _thermal(fitted: FittedEffect) -> str:
     way = "less" if fitted.value("dF") > 0 else "more"
-    return f"{_num(abs(fitted.value('dF')))} N {way} in the end, two thirds of it within {_length(fitted.value('length'))} slid"
+    size, length = _num(abs(fitted.value("dF"))), _length(fitted.value("length"))
+    return f"{size} N {way} in the end, two thirds of it within {length} slid"
 
 
 def _drift(fitted: FittedEffect) -> str:
