@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from runs import BASE, FPS, MASS, Spec, measured, study
+from runs import BASE, Spec, study
 
 from frictrack import models
-from frictrack.compare import compare, curvature, failing_spans, history, residual_force
+from frictrack.compare import compare, failing_spans, history
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.results import plain
@@ -67,27 +67,6 @@ def test_errors_fall_in_the_order_tried(fits):
 def test_nothing_to_compare_is_said():
     with pytest.raises(FrictrackError, match="expected at least one fitted model to compare but got none"):
         compare([])
-
-
-def test_residual_force_is_the_force_that_was_left_out():
-    t = np.arange(400) / FPS
-    extra = 0.5  # N, for half of the run: x'' = -(8 + extra)/m
-    late = np.maximum(t - 0.05, 0.0)
-    x = 4 * t - 8 / MASS * t**2 / 2 - extra / MASS * late**2 / 2
-    response = fit("coulomb", [measured(t, x, sigma=1e-6)]).solution.responses[0]
-    force = residual_force(response, 2e-3)
-    step = force.F[250:370].mean() - force.F[30:150].mean()
-    assert step == pytest.approx(extra, rel=0.05)
-    assert np.all(force.sigma_F > 0)
-
-
-def test_curvature_is_exact_for_parabolas_and_its_noise_is_that_of_repeats():
-    rng, t = np.random.default_rng(0), np.arange(200) / FPS
-    sigma = np.full(200, 2e-6)
-    a, stated = curvature(0.3 - 2 * t + 7 * t**2, sigma, t, 3e-3)
-    np.testing.assert_allclose(a, 14.0, rtol=1e-9)
-    seen = [curvature(sigma * rng.standard_normal(200), sigma, t, 3e-3)[0] for _ in range(300)]
-    np.testing.assert_allclose(np.std(seen, axis=0) / stated, 1.0, atol=0.2)  # 300 repeats: 4 % deviation
 
 
 def test_the_true_law_fails_nowhere_by_chance():

@@ -8,7 +8,7 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
-from frictrack.compare.spectral_lines import seen, waves
+from frictrack.compare.spectral_lines import sine_cosine_columns, time_wave_traces
 from frictrack.diagnose.experiments.expected_separation import _compress_response
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
@@ -105,8 +105,8 @@ def test_matrices_of_panels_are_inverted():
 
 def test_waves_are_traced_some_at_a_time(slide):
     response, f = slide.responses[0], np.linspace(5.0, 300.0, 75)
-    whole = displacement_response(response, waves(response.piece.panels.t, f))
-    np.testing.assert_allclose(seen(response, f), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
+    whole = displacement_response(response, sine_cosine_columns(response.piece.panels.t, f))
+    np.testing.assert_allclose(time_wave_traces(response, f), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
 
 
 def test_a_trial_goes_to_its_end_where_little_is_left_and_stops_early_where_much_is():

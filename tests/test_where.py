@@ -10,10 +10,10 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, models, plots
 from frictrack.compare import failing_spans
-from frictrack.compare.bump_dictionary import _times
-from frictrack.compare.deconvolve import deconvolved
-from frictrack.compare.global_significance import Chance, arc
-from frictrack.compare.local_forces import local_forces
+from frictrack.compare.bump_dictionary import _bumps_in_time
+from frictrack.compare.deconvolve import deconvolve_force
+from frictrack.compare.global_significance import GlobalSignificance, curve_length
+from frictrack.compare.local_forces import find_local_forces
 from frictrack.diagnose.repeatability.common_curves import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.repeatability.residual_curves import mean_curve, residual_figures
 from frictrack.fit import fit
@@ -69,8 +69,10 @@ def on_patch(run):
 
 def test_a_curve_of_looks_has_the_length_of_its_angle():
     turn = np.linspace(0, 1.2, 300)
-    assert arc([(3 * np.stack([np.cos(turn), np.sin(turn)]), 1.0)], np.full(300, 3.0)) == pytest.approx(1.2, rel=1e-3)
-    assert arc([(np.eye(2), 1.0)], np.array([1.0, 0.0])) == 0.0
+    assert curve_length([(3 * np.stack([np.cos(turn), np.sin(turn)]), 1.0)], np.full(300, 3.0)) == pytest.approx(
+        1.2, rel=1e-3
+    )
+    assert curve_length([(np.eye(2), 1.0)], np.array([1.0, 0.0])) == 0.0
 
 
 def test_the_bound_on_chance_is_one_and_a_close_one():
@@ -78,7 +80,7 @@ def test_the_bound_on_chance_is_one_and_a_close_one():
     rng, n, width = np.random.default_rng(3), 400, 6.0
     looks = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / width) ** 2) / 2)
     norm = np.linalg.norm(looks, axis=0)
-    chance = Chance(arc([(looks, 1.0)], norm), 1, 1e6)
+    chance = GlobalSignificance(curve_length([(looks, 1.0)], norm), 1, 1e6)
     highest = np.max(np.abs(looks.T @ rng.standard_normal((n, 4000))) / norm[:, None], axis=0)
     for level in (3.0, 3.5, 4.0):
         seen = np.mean(highest > level)
@@ -87,7 +89,7 @@ def test_the_bound_on_chance_is_one_and_a_close_one():
 
 
 def test_an_estimated_noise_makes_a_high_look_less_sure():
-    assert Chance(100.0, 3, 50.0)(5.0) > 10 * Chance(100.0, 3, 1e6)(5.0)
+    assert GlobalSignificance(100.0, 3, 50.0)(5.0) > 10 * GlobalSignificance(100.0, 3, 1e6)(5.0)
 
 
 def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched):
@@ -100,7 +102,7 @@ def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched
 
 
 def test_one_common_place_is_found_and_not_a_moment_of_each_run(patched):
-    found = local_forces(patched[1])
+    found = find_local_forces(patched[1])
     assert [b.at_place for b in found.bumps] == [True]
     assert found.bumps[0].centre == pytest.approx(PATCH["x_c"], abs=0.3 * PATCH["w"])
     assert found.complete
@@ -133,7 +135,7 @@ def test_nothing_is_named_where_nothing_is_missing():
 
 def test_the_missing_force_lies_within_its_band(patched):
     runs, solution = patched
-    pieces, _ = deconvolved(solution)
+    pieces, _ = deconvolve_force(solution)
     z, size = [], []
     for p in pieces:
         true = np.sign(p.v) * PATCH["F"] * (runs[p.run].mass / MASS) * np.exp(
@@ -147,7 +149,7 @@ def test_the_missing_force_lies_within_its_band(patched):
 def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
     texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
     runs = lacking("texture", texture, sigma=2e-6)
-    pieces, _ = deconvolved(fit(LAW, runs).solution)
+    pieces, _ = deconvolve_force(fit(LAW, runs).solution)
     z = []
     for p in pieces:
         wave = texture["amplitude"] * np.sin(2 * np.pi * p.x / texture["period"] + texture["phase"])
@@ -158,7 +160,7 @@ def test_a_fine_ripple_lies_within_the_band_and_not_under_it():
 def test_the_missing_force_of_a_line_is_told_with_its_phase():
     vibration = {"amplitude": 1.0, "frequency": 61.3, "phase": 0.7}
     solution = fit(LAW, lacking("vibration", vibration)).solution
-    pieces, line = deconvolved(solution)
+    pieces, line = deconvolve_force(solution)
     assert line.frequency == pytest.approx(61.3, abs=1.5)
     assert line.p < 1e-6
     size = np.sqrt(2 * np.mean(np.concatenate([p.F for p in pieces]) ** 2))
@@ -267,7 +269,7 @@ def test_the_common_curve_is_the_mean_of_runs_and_its_band_knows_their_scatter()
 
 def test_every_span_is_marked_in_its_runs_colour(patched):
     runs, solution = patched
-    pieces, line = deconvolved(solution)
+    pieces, line = deconvolve_force(solution)
     spans = failing_spans(solution, runs)
     looks = style.run_looks(runs)
     found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
@@ -285,5 +287,5 @@ def test_a_piece_of_a_few_frames_has_one_look():
     runs, _ = study(models.of(LAW.split(",")), DRY, specs=slides, sigma=1e-5, rng=np.random.default_rng(2))
     solution = fit(LAW, runs).solution
     shortest = min(solution.responses, key=lambda r: len(r.piece.t))
-    assert len(_times(1, shortest)) >= 1
-    assert local_forces(solution).bumps == []
+    assert len(_bumps_in_time(1, shortest)) >= 1
+    assert find_local_forces(solution).bumps == []

@@ -1,4 +1,4 @@
-"""Model against measurement: the errors of every model tried, and where the last one fails."""
+"""Compare models with the measurement: the errors of every model tried, and the spans where the last one fails."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.compare.residual import ResidualForce, curvature, effect_force, residual_force
+from frictrack.compare.bump_dictionary import NodeMotion, course_ends, motion_at_nodes
+from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
 from frictrack.compare.spans import failing_spans
+from frictrack.compare.spectral_lines import SpectralLine, scan_frequencies, time_wave_traces, wave_traces
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.groups import GroupFits
@@ -15,31 +17,64 @@ from frictrack.threads import one_thread
 
 __all__ = [
     "Comparison",
-    "ResidualForce",
+    "DeconvolvedForce",
+    "NodeMotion",
+    "SpectralLine",
     "compare",
-    "curvature",
-    "effect_force",
+    "course_ends",
+    "deconvolve_force",
     "failing_spans",
     "history",
-    "residual_force",
+    "motion_at_nodes",
+    "scan_frequencies",
+    "time_wave_traces",
+    "wave_traces",
 ]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of the models in the order in which they were tried, and the spans where the current one fails."""
+    """Errors of models, and the spans where the current one fails.
+
+    Parameters
+    ----------
+    models
+        One entry per model, in the order tried: name, effects, settings and errors.
+    fails_at
+        Failing spans, largest share of the misfit first; see `failing_spans`.
+
+    """
 
     models: list[dict[str, Any]]
     fails_at: list[dict[str, Any]]
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `frictrack compare` and `frictrack history`."""
+        """Return the JSON of `frictrack compare` and `frictrack history`."""
         return {"models": self.models, "fails_at": self.fails_at}
 
 
 @one_thread()
 def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
-    """Errors of every model tried, and where the `current` one fails: the last, when nothing is said."""
+    """Compare fitted models, and find where the current one fails.
+
+    Parameters
+    ----------
+    fits
+        One fit, or several in the order tried.
+    current
+        Index of the model whose failing spans are sought; by default the last.
+
+    Returns
+    -------
+    Comparison
+        Errors of all models and failing spans of one.
+
+    Raises
+    ------
+    FrictrackError
+        If `fits` is empty.
+
+    """
     tried = [fits] if isinstance(fits, Fit) else list(fits)
     if not tried:
         raise FrictrackError("expected at least one fitted model to compare but got none; run `frictrack fit` first")
@@ -50,11 +85,11 @@ def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
 
 
 def history(fits: Sequence[Fit], current: int = -1) -> Comparison:
-    """The same for a whole session: the error of every model, in order."""
+    """Compare all models of a session in the order tried; see `compare`."""
     return compare(list(fits), current)
 
 
 def _entry(i: int, fit: Fit) -> dict[str, Any]:
-    """One model; `settings` tells in words what was fixed, tied or known of it beside the library."""
+    """Entry of one model; `settings` lists what was fixed, tied or given a prior."""
     named = {"name": f"{i}_{'+'.join(fit.model.names)}", "model": fit.model.names, "settings": fit.model.settings}
     return named | {"errors": fit.errors}

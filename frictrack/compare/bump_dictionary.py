@@ -1,4 +1,4 @@
-"""Every local force that a search looks at: Gaussian bumps at all times of each run and at all places of the course."""
+"""Build the dictionary of local forces: Gaussian bumps at all times of each run and all places of the course."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare.global_significance import Chance, arc
+from frictrack.compare.global_significance import GlobalSignificance, curve_length
 from frictrack.fit.least_squares import (
     ModelProjection,
     PieceResponse,
@@ -21,18 +21,31 @@ from frictrack.fit.measured_friction import MeasuredFrictionPiece
 from frictrack.motion.noise import CORRELATION_COST
 from frictrack.records import Array
 
-SHORTEST = 2.0  # frames: no narrower bump can be told from it
-LONGEST = 1 / 12  # of a piece's duration: more is no moment
-NARROWEST, BROADEST = 1 / 120, 1 / 8  # of the way: places on a course
-STEPS = 2.5  # from one width of the search to the next
-FINEST = 250  # centres along a piece or along the course
-NEAREST = 4.0  # frames between two centres: a kink in a displacement is no sharper
-SEEN = 1e-3  # of a trace that must be left beside the law to count
+MIN_WIDTH_FRAMES = 2.0  # frames: no narrower bump can be told from it
+MAX_WIDTH_DURATION_SHARE = 1 / 12  # of a piece's duration: more is no moment
+MIN_WIDTH_COURSE_SHARE, MAX_WIDTH_COURSE_SHARE = 1 / 120, 1 / 8  # of the way: places on a course
+WIDTH_RATIO = 2.5  # from one width of the search to the next
+MAX_CENTRES = 250  # centres along a piece or along the course
+MIN_SPACING_FRAMES = 4.0  # frames between two centres: a kink in a displacement is no sharper
+MIN_VISIBLE_SHARE = 1e-3  # of a trace that must be left beside the law to count
 
 
 @dataclass(frozen=True)
 class Bump:
-    """A Gaussian force: at a time of one piece (s, since release), or at a place of the course (piece None, m)."""
+    """A Gaussian force in time or in place.
+
+    Parameters
+    ----------
+    piece
+        Index of its piece for a bump in time; None for a bump at a place, common to all runs.
+    centre, width
+        Centre and standard deviation: s since release, or m.
+    size
+        Peak force, N; for a place at the reference load.
+    z
+        Size in units of its standard deviation.
+
+    """
 
     piece: int | None
     centre: float
@@ -42,40 +55,63 @@ class Bump:
 
     @property
     def at_place(self) -> bool:
-        """Whether it belongs to the course."""
+        """Whether it is a bump at a place of the course."""
         return self.piece is None
 
     def shape(self, axis: Array) -> Array:
-        """Its height, one at the centre, along an axis (n,)."""
+        """Its shape along an axis (n,), one at the centre."""
         return np.exp(-(((axis - self.centre) / self.width) ** 2) / 2)
 
 
 @dataclass(frozen=True)
-class Nodes:
-    """Where one piece is at its nodes: t s, x m, v m/s, and by what a dry force of 1 N counts there, all (3 p,)."""
+class NodeMotion:
+    """Motion of one piece at its integration nodes, all (3 p,).
+
+    Parameters
+    ----------
+    t, x, v
+        Time since release s, position m, velocity m/s.
+    dry_factor
+        Force of a dry friction of 1 N at the reference load: load ratio times direction of motion.
+
+    """
 
     t: Array
     x: Array
     v: Array
-    dry: Array
+    dry_factor: Array
 
     def axis(self, bump: Bump) -> Array:
-        """The axis along which a bump stands."""
+        """Times or positions, whichever the bump depends on."""
         return self.x if bump.at_place else self.t
 
     def force(self, bump: Bump) -> Array:
-        """Force of a bump of size one."""
-        return bump.shape(self.axis(bump)) * (self.dry if bump.at_place else 1.0)
+        """Force of a bump of size one, (3 p,)."""
+        return bump.shape(self.axis(bump)) * (self.dry_factor if bump.at_place else 1.0)
 
-    def moved(self, bump: Bump) -> Array:
-        """The same and its derivatives in centre and in the logarithm of the width, (3 p, 3)."""
+    def force_derivatives(self, bump: Bump) -> Array:
+        """Force of a bump of size one, with its derivatives by centre and by log width, (3 p, 3)."""
         u = (self.axis(bump) - bump.centre) / bump.width
         f = self.force(bump)
         return np.stack([f, f * u / bump.width, f * u**2], axis=1)
 
 
-def nodes(solution: Solution, response: PieceResponse) -> Nodes:
-    """Nodes of one piece along its solved motion."""
+def motion_at_nodes(solution: Solution, response: PieceResponse) -> NodeMotion:
+    """Motion of one piece at its integration nodes.
+
+    Parameters
+    ----------
+    solution
+        A fit.
+    response
+        One of its pieces.
+
+    Returns
+    -------
+    NodeMotion
+        The motion as the fit solved it; for measured friction the measured motion.
+
+    """
     piece = response.piece
     _, level = solution.problem.layout.values(solution.p, piece.run)
     x, v = (
@@ -84,125 +120,189 @@ def nodes(solution: Solution, response: PieceResponse) -> Nodes:
         else (response.motion.x, response.motion.v)
     )
     path = piece.path_at_nodes(x, v, level)
-    return Nodes(piece.panels.t, path.x, path.v, path.load * path.s)
+    return NodeMotion(piece.panels.t, path.x, path.v, path.load * path.s)
 
 
 @dataclass(frozen=True)
-class Looks:
-    """All bumps of a search and their traces: `own[i]` (n_i, k_i) at the times of piece i, `common[i]` (n_i, k)."""
+class BumpDictionary:
+    """All bumps of a search and their traces in the displacement.
 
-    own: list[Array]
-    own_bumps: list[list[Bump]]
-    common: list[Array]
-    common_bumps: list[Bump]
+    Parameters
+    ----------
+    time_columns
+        Traces of the bumps in time, (n_i, k_i) for piece i.
+    time_bumps
+        Those bumps.
+    place_columns
+        Traces of the bumps in place in every piece, (n_i, k).
+    place_bumps
+        Those bumps.
+
+    """
+
+    time_columns: list[Array]
+    time_bumps: list[list[Bump]]
+    place_columns: list[Array]
+    place_bumps: list[Bump]
 
     @cached_property
-    def own_squares(self) -> list[Array]:
-        """Squared traces of the moments of every piece, (k_i,)."""
-        return [np.einsum("nk,nk->k", c, c) for c in self.own]
+    def time_squares(self) -> list[Array]:
+        """Squared norms of the traces in time, (k_i,) per piece."""
+        return [np.einsum("nk,nk->k", c, c) for c in self.time_columns]
 
     @cached_property
-    def common_squares(self) -> Array:
-        """Squared traces of the places, (k,)."""
-        return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.common], axis=0))
+    def place_squares(self) -> Array:
+        """Squared norms of the traces in place over all pieces, (k,)."""
+        return np.asarray(np.sum([np.einsum("nk,nk->k", c, c) for c in self.place_columns], axis=0))
 
 
-def looks_of(law: ModelProjection, at: Sequence[Nodes]) -> Looks:
-    """All bumps of the search, and what each would leave in the runs."""
-    own_bumps = [_times(i, r) for i, r in enumerate(law.responses)]
-    common_bumps = _places(law.responses)
-    own = [
+def build_dictionary(law: ModelProjection, at: Sequence[NodeMotion]) -> BumpDictionary:
+    """Build all bumps of the search with their traces.
+
+    Parameters
+    ----------
+    law
+        Residual and directions of the model.
+    at
+        Motion of every piece at its nodes.
+
+    Returns
+    -------
+    BumpDictionary
+
+    """
+    time_bumps = [_bumps_in_time(i, r) for i, r in enumerate(law.responses)]
+    place_bumps = _bumps_in_place(law.responses)
+    time_columns = [
         displacement_response(r, np.stack([n.force(b) for b in bumps], axis=1))
-        for r, n, bumps in zip(law.responses, at, own_bumps, strict=True)
+        for r, n, bumps in zip(law.responses, at, time_bumps, strict=True)
     ]
-    common = [
-        displacement_response(r, np.stack([n.force(b) for b in common_bumps], axis=1))
+    place_columns = [
+        displacement_response(r, np.stack([n.force(b) for b in place_bumps], axis=1))
         for r, n in zip(law.responses, at, strict=True)
     ]
-    return Looks(own, own_bumps, common, common_bumps)
+    return BumpDictionary(time_columns, time_bumps, place_columns, place_bumps)
 
 
 def _widths(shortest: float, widest: float) -> Array:
-    count = max(1, 1 + int(np.floor(np.log(max(widest / shortest, 1.0)) / np.log(STEPS))))
-    return np.asarray(shortest * STEPS ** np.arange(count), dtype=np.float64)
+    count = max(1, 1 + int(np.floor(np.log(max(widest / shortest, 1.0)) / np.log(WIDTH_RATIO))))
+    return np.asarray(shortest * WIDTH_RATIO ** np.arange(count), dtype=np.float64)
 
 
-def _times(i: int, response: PieceResponse) -> list[Bump]:
+def _bumps_in_time(i: int, response: PieceResponse) -> list[Bump]:
+    """Bumps at all times of piece `i`, at several widths."""
     t = response.piece.t
     step, length = float(np.median(np.diff(t))), float(t[-1] - t[0])
     out = []
-    for width in _widths(SHORTEST * step, LONGEST * length):
-        apart = max(width, NEAREST * step, length / FINEST)
-        inside = t[0] + NEAREST * step, t[-1] - NEAREST * step
+    for width in _widths(MIN_WIDTH_FRAMES * step, MAX_WIDTH_DURATION_SHARE * length):
+        apart = max(width, MIN_SPACING_FRAMES * step, length / MAX_CENTRES)
+        inside = t[0] + MIN_SPACING_FRAMES * step, t[-1] - MIN_SPACING_FRAMES * step
         out += [Bump(i, float(c), float(width)) for c in np.arange(*inside, apart)]
-    return out or [Bump(i, float(t[0] + t[-1]) / 2, SHORTEST * step)]  # a piece of a few frames
+    return out or [Bump(i, float(t[0] + t[-1]) / 2, MIN_WIDTH_FRAMES * step)]  # a piece of a few frames
 
 
-def _places(responses: Sequence[PieceResponse]) -> list[Bump]:
-    low, high = course(responses)
+def _bumps_in_place(responses: Sequence[PieceResponse]) -> list[Bump]:
+    """Bumps at all places of the course, at several widths."""
+    low, high = course_ends(responses)
     out = []
-    for width in _widths(NARROWEST * (high - low), BROADEST * (high - low)):
-        apart = max(width, (high - low) / FINEST)
+    for width in _widths(MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low)):
+        apart = max(width, (high - low) / MAX_CENTRES)
         out += [Bump(None, float(c), float(width)) for c in np.arange(low, high, apart)]
     return out
 
 
-def course(responses: Sequence[PieceResponse]) -> tuple[float, float]:
-    """Where the runs begin and end, m."""
+def course_ends(responses: Sequence[PieceResponse]) -> tuple[float, float]:
+    """Extent of the course.
+
+    Parameters
+    ----------
+    responses
+        Pieces of all runs.
+
+    Returns
+    -------
+    tuple of float
+        Smallest and largest position, m.
+
+    """
     ends = [(float(x.min()), float(x.max())) for x, _ in map(position_and_velocity, responses)]
     return min(low for low, _ in ends), max(high for _, high in ends)
 
 
-def limits(responses: Sequence[PieceResponse], bump: Bump) -> tuple[float, float]:
-    """Narrowest and widest that a bump may become."""
+def width_limits(responses: Sequence[PieceResponse], bump: Bump) -> tuple[float, float]:
+    """Smallest and largest width to which a bump may be refined."""
     if bump.piece is None:
-        low, high = course(responses)
-        return NARROWEST * (high - low), BROADEST * (high - low)
+        low, high = course_ends(responses)
+        return MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low)
     t = responses[bump.piece].piece.t
-    return SHORTEST * float(np.median(np.diff(t))), 2 * LONGEST * float(t[-1] - t[0])
+    return MIN_WIDTH_FRAMES * float(np.median(np.diff(t))), 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0])
 
 
-def norms(law: ModelProjection, looks: Looks) -> tuple[list[Array], Array]:
-    """Norms of all traces beside the law; 0 where the law takes up nearly all of one."""
-    own = [_norm(full, law.u[rows].T @ c) for rows, c, full in zip(law.rows, looks.own, looks.own_squares, strict=True)]
-    on_common = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, looks.common, strict=True)], axis=0)
-    return own, _norm(looks.common_squares, on_common)
+def column_norms(law: ModelProjection, dictionary: BumpDictionary) -> tuple[list[Array], Array]:
+    """Norms of all traces after projection off the model.
+
+    Parameters
+    ----------
+    law
+        Residual and directions of the model.
+    dictionary
+        The bumps.
+
+    Returns
+    -------
+    time_norms : list of ndarray
+        Norms (k_i,) of the bumps in time of every piece; 0 where the model absorbs nearly all of a trace.
+    place_norms : ndarray, shape (k,)
+        The same of the bumps in place.
+
+    """
+    time_norms = [
+        _norm(full, law.u[rows].T @ c)
+        for rows, c, full in zip(law.rows, dictionary.time_columns, dictionary.time_squares, strict=True)
+    ]
+    on_place = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, dictionary.place_columns, strict=True)], axis=0)
+    return time_norms, _norm(dictionary.place_squares, on_place)
 
 
 def _norm(squares: Array, on_law: Array) -> Array:
-    """Norms (k,) of traces of these squares beside the law on which they have components (P', k)."""
+    """Norms (k,) of columns with these squares after removing their components (P', k) on the model."""
     left = squares - np.sum(on_law**2, axis=0)
-    return np.where(left > SEEN * squares, np.sqrt(np.maximum(left, 0)), 0.0)
+    return np.where(left > MIN_VISIBLE_SHARE * squares, np.sqrt(np.maximum(left, 0)), 0.0)
 
 
-def chances(law: ModelProjection, looks: Looks) -> tuple[Chance, list[Chance]]:
-    """The chance of the whole search, and of that in every piece alone."""
-    own_norms, common_norms = norms(law, looks)
+def search_significance(
+    law: ModelProjection, dictionary: BumpDictionary
+) -> tuple[GlobalSignificance, list[GlobalSignificance]]:
+    """Global significance of the whole search, and of the search in each piece alone."""
+    time_norms, place_norms = column_norms(law, dictionary)
     frames = float(np.mean([len(r.r) for r in law.responses]))
-    freedom = max(frames / CORRELATION_COST, 3.0)
+    dof = max(frames / CORRELATION_COST, 3.0)
     own = []
     for i, rows in enumerate(law.rows):
-        on = law.u[rows].T @ looks.own[i]
-        parts = [(looks.own[i], 1.0), (on, -1.0)]
-        own.append(_summed(parts, own_norms[i], looks.own_bumps[i], freedom))
-    on = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, looks.common, strict=True)], axis=0)
-    parts = [*((c, 1.0) for c in looks.common), (on, -1.0)]
-    every = [*own, _summed(parts, common_norms, looks.common_bumps, freedom)]
-    return Chance(sum(c.length for c in every), sum(c.families for c in every), freedom), own
+        on = law.u[rows].T @ dictionary.time_columns[i]
+        parts = [(dictionary.time_columns[i], 1.0), (on, -1.0)]
+        own.append(_combine_significance(parts, time_norms[i], dictionary.time_bumps[i], dof))
+    on = np.sum([law.u[rows].T @ c for rows, c in zip(law.rows, dictionary.place_columns, strict=True)], axis=0)
+    parts = [*((c, 1.0) for c in dictionary.place_columns), (on, -1.0)]
+    every = [*own, _combine_significance(parts, place_norms, dictionary.place_bumps, dof)]
+    return GlobalSignificance(sum(c.length for c in every), sum(c.families for c in every), dof), own
 
 
-def _summed(parts: Sequence[tuple[Array, float]], norms: Array, bumps: Sequence[Bump], freedom: float) -> Chance:
+def _combine_significance(
+    parts: Sequence[tuple[Array, float]], norms: Array, bumps: Sequence[Bump], dof: float
+) -> GlobalSignificance:
+    """Significance of a search over bumps whose inner products are a signed sum of parts."""
     stretches = families(bumps)
-    length = sum(arc([(p[:, s], sign) for p, sign in parts], norms[s]) for s in stretches)
-    return Chance(length, len(stretches), freedom)
+    length = sum(curve_length([(p[:, s], sign) for p, sign in parts], norms[s]) for s in stretches)
+    return GlobalSignificance(length, len(stretches), dof)
 
 
 def families(bumps: Sequence[Bump]) -> list[slice]:
-    """Stretches of one width."""
+    """Slices of consecutive bumps of equal width."""
     cuts = [0, *(k for k in range(1, len(bumps)) if bumps[k].width != bumps[k - 1].width), len(bumps)]
     return [slice(a, b) for a, b in itertools.pairwise(cuts) if b > a]
 
 
-def over(dots: Array, norms: Array) -> Array:
-    """Quotients (k,), 0 where a norm is."""
+def quotients(dots: Array, norms: Array) -> Array:
+    """Quotients (k,); 0 where the norm is 0."""
     return np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0)

@@ -1,9 +1,15 @@
-"""How high the best of many overlapping looks at white noise rises by chance.
+"""Bound the p-value of the best of many overlapping tests in white noise (look-elsewhere effect).
 
-Looks along a continuous setting, such as the place of a local force, form a smooth random process. Its chance of
-passing a level u is bounded by its chance to begin above it plus the expected number of upcrossings: u's Gaussian times
-the length of the curve that the normalised looks draw on the sphere, over pi (Hotelling 1939; Knowles & Siegmund 1989,
-Int. Statist. Rev. 57). Families of looks add up (Bonferroni). A noise that is itself estimated makes it Student's.
+Tests along a continuous setting, such as the place of a local force, form a smooth random process. The probability
+that it exceeds a level u is at most the probability that it starts above u, plus the expected number of upcrossings.
+The latter is the Gaussian tail factor of u times the length of the curve that the normalised columns draw on the unit
+sphere, over pi. Families of tests add up (Bonferroni). An estimated noise level makes the tail that of Student's t.
+
+References
+----------
+Hotelling (1939), Am. J. Math. 61, 440-460.
+Knowles & Siegmund (1989), Int. Statist. Rev. 57, 205-220.
+
 """
 
 from __future__ import annotations
@@ -18,31 +24,64 @@ from frictrack.records import Array
 
 
 @dataclass(frozen=True)
-class Chance:
-    """Chance of a whole search: length of all families' curves, their number, and degrees of freedom of the noise."""
+class GlobalSignificance:
+    """Significance of a whole search.
+
+    Parameters
+    ----------
+    length
+        Total length of the curves that the normalised columns of all families draw on the unit sphere.
+    families
+        Number of families.
+    dof
+        Degrees of freedom of the noise estimate.
+
+    Examples
+    --------
+    >>> single = GlobalSignificance(length=0.0, families=1, dof=1e6)
+    >>> round(single(3.0), 4)
+    0.0027
+
+    """
 
     length: float
     families: int
-    freedom: float
+    dof: float
 
     def __call__(self, z: Array | float) -> float:
-        """Bound on the chance that noise alone reaches |z| standard deviations anywhere."""
+        """Return an upper bound on the probability that noise alone reaches |z| standard deviations anywhere."""
         u = float(np.max(np.abs(z)))
-        rising = self.length / np.pi * float(np.exp(-(self.freedom - 1) / 2 * np.log1p(u**2 / self.freedom)))
-        begun = 2 * self.families * float(student.sf(u, self.freedom))
+        rising = self.length / np.pi * float(np.exp(-(self.dof - 1) / 2 * np.log1p(u**2 / self.dof)))
+        begun = 2 * self.families * float(student.sf(u, self.dof))
         return float(min(1.0, max(rising + begun, np.finfo(float).tiny)))
 
 
-def arc(parts: Sequence[tuple[Array, float]], kept: Array) -> float:
-    """Length on the unit sphere of a curve through columns of norms `kept` (k,); one of norm 0 is left out.
+def curve_length(parts: Sequence[tuple[Array, float]], kept: Array) -> float:
+    """Length of the curve that normalised columns draw on the unit sphere.
 
-    The columns are given as parts (n_i, k), each with the sign of what it adds to inner products.
+    Parameters
+    ----------
+    parts
+        Blocks (n_i, k) of the columns, each with the sign with which it enters the inner products.
+    kept
+        Norms (k,) of the columns; a column of norm 0 is left out.
+
+    Returns
+    -------
+    float
+        Sum of the angles between neighbouring columns, rad.
+
+    Examples
+    --------
+    >>> round(curve_length([(np.eye(2), 1.0)], np.ones(2)), 4)
+    1.5708
+
     """
-    seen = np.flatnonzero(kept > 0)
-    if len(seen) < 2:
+    nonzero = np.flatnonzero(kept > 0)
+    if len(nonzero) < 2:
         return 0.0
-    inner = np.zeros(len(seen) - 1)
+    inner = np.zeros(len(nonzero) - 1)
     for part, sign in parts:
-        unit = part[:, seen] / kept[seen]
+        unit = part[:, nonzero] / kept[nonzero]
         inner += sign * np.einsum("nk,nk->k", unit[:, 1:], unit[:, :-1])
     return float(np.sum(np.arccos(np.clip(inner, -1.0, 1.0))))

@@ -1,10 +1,14 @@
-"""Local forces that a fitted law lacks: where, how wide, and how sure, solved jointly with the law itself.
+"""Find local forces that a fitted model lacks: their place or time, width, size and significance.
 
-A force that acts for a moment or at one place is a bump. Bumps are looked for at every time of every run, and at every
-place of the course with one size for all runs, beside the linearised law, so that the law's bending is undone. What
-stands out most is taken, all bumps taken so far are moved and widened together until they fit best, and the search goes
-on in what is left (sliding Frank-Wolfe: Denoyelle, Duval, Peyre & Soubies 2020, Inverse Problems 36). The noise is
-white in the displacement, so all of this happens there.
+A local force is a Gaussian bump at one time of one run, or at one place of the course with one size for all runs.
+The search is a sliding Frank-Wolfe algorithm beside the linearised model. It adds the most significant bump, refines
+centres and widths of all bumps together, and continues in the residual. It works on the displacement, where the noise
+is white.
+
+References
+----------
+Denoyelle, Duval, Peyre & Soubies (2020), Inverse Problems 36, 014001.
+
 """
 
 from __future__ import annotations
@@ -16,17 +20,17 @@ import numpy as np
 
 from frictrack.compare.bump_dictionary import (
     Bump,
-    Looks,
-    Nodes,
-    chances,
+    BumpDictionary,
+    NodeMotion,
+    build_dictionary,
+    column_norms,
     families,
-    limits,
-    looks_of,
-    nodes,
-    norms,
-    over,
+    motion_at_nodes,
+    quotients,
+    search_significance,
+    width_limits,
 )
-from frictrack.compare.global_significance import Chance
+from frictrack.compare.global_significance import GlobalSignificance
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -40,87 +44,122 @@ from frictrack.fit.segments import Piece
 from frictrack.records import Array
 
 ALPHA = 0.01  # of the whole search for local forces
-ROUNDS = 4
-STRONG = 1.5  # reduced chi-squared from which a law is fitted again beside what it misses
-REFITS, REFIT_STEPS = 2, 6
-SHARE = 0.02  # of what all bumps explain that each must carry
-PREFERRED = 10.0  # of chi-squared by which one place for all runs must gain more than a moment of one run
-BRIEFER = 6.6  # of chi-squared that a longer moment must gain over a briefer one
-LIKEWISE = 0.2  # chance in a run of its own below which one more moment is believed where other runs show theirs
+MAX_ROUNDS = 4
+MIN_REDUCED_CHI2_REFITTED = 1.5  # reduced chi-squared from which a law is fitted again beside what it misses
+MAX_REFITS, MAX_REFIT_STEPS = 2, 6
+MIN_SHARE_PER_BUMP = 0.02  # of what all bumps explain that each must carry
+MIN_CHI2_GAIN_PLACE = 10.0  # of chi-squared by which one place for all runs must gain more than a moment of one run
+MIN_CHI2_GAIN_LONGER = 6.6  # of chi-squared that a longer moment must gain over a briefer one
+ALPHA_PIECE = 0.2  # chance in a run of its own below which one more moment is believed where other runs show theirs
 
 
 @dataclass(frozen=True)
-class Local:
-    """What local forces explain: the bumps, the law beside them, and the chance of the whole search."""
+class LocalForces:
+    """State of a search for local forces: the bumps found, the model with and without them, and their significance.
+
+    Parameters
+    ----------
+    bumps
+        Bumps found so far.
+    law
+        The model's residual and directions, without the bumps.
+    residual
+        The same with the bumps.
+    nodes
+        Motion of every piece at its integration nodes.
+    dictionary
+        All bumps that may be added.
+    significance, piece_significance
+        Significance of the whole search, and of the search in each piece alone.
+    p_remaining
+        p-value of the most significant bump that remains.
+
+    """
 
     bumps: list[Bump]
     law: ModelProjection  # without the bumps
-    left: ModelProjection  # with them
-    nodes: list[Nodes]
-    looks: Looks
-    chance: Chance
-    own: list[Chance]  # of the search in every piece alone
-    rest: float = 1.0  # p of what still stands out most
+    residual: ModelProjection  # with them
+    nodes: list[NodeMotion]
+    dictionary: BumpDictionary
+    significance: GlobalSignificance
+    piece_significance: list[GlobalSignificance]  # of the search in every piece alone
+    p_remaining: float = 1.0  # p of what still stands out most
 
     def p(self, bump: Bump) -> float:
-        """Chance of a bump: of the whole search, or of that in its own piece alone, see `believes`."""
-        whole = self.chance(bump.z)
-        if bump.piece is None or whole < ALPHA or not self.believes(bump):
+        """p-value of a bump: in the whole search, or in its piece alone where that suffices (see `is_credible`)."""
+        whole = self.significance(bump.z)
+        if bump.piece is None or whole < ALPHA or not self.is_credible(bump):
             return whole
-        return min(whole, self.own[bump.piece](bump.z))
+        return min(whole, self.piece_significance[bump.piece](bump.z))
 
-    def believes(self, bump: Bump) -> bool:
-        """Whether noise alone rarely shows a bump.
+    def is_credible(self, bump: Bump) -> bool:
+        """Whether noise alone rarely shows such a bump.
 
-        Where other pieces show a moment of their own, one more is believed by the search in its own piece alone.
+        Where other pieces have a bump in time too, one more is judged by the search in its own piece.
         """
-        if self.chance(bump.z) < ALPHA:
+        if self.significance(bump.z) < ALPHA:
             return True
         others = {b.piece for b in self.bumps if not b.at_place} - {bump.piece}
         mine = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
-        return bump.piece is not None and bool(others) and not mine and self.own[bump.piece](bump.z) < LIKEWISE
+        return (
+            bump.piece is not None
+            and bool(others)
+            and not mine
+            and self.piece_significance[bump.piece](bump.z) < ALPHA_PIECE
+        )
 
     @property
     def complete(self) -> bool:
-        """Whether these bumps leave nothing local behind."""
-        return self.rest >= ALPHA
+        """Whether no significant bump remains."""
+        return self.p_remaining >= ALPHA
 
 
-def opened(law: ModelProjection) -> Local:
-    """The search for local forces before anything is found."""
-    at = [nodes(law.solution, r) for r in law.responses]
-    looks = looks_of(law, at)
-    return Local([], law, law, at, looks, *chances(law, looks))
+def start_search(law: ModelProjection) -> LocalForces:
+    """Prepare a search for local forces."""
+    at = [motion_at_nodes(law.solution, r) for r in law.responses]
+    dictionary = build_dictionary(law, at)
+    return LocalForces([], law, law, at, dictionary, *search_significance(law, dictionary))
 
 
-def local_forces(solution: Solution) -> Local:
-    """Search a fitted law's residual for local forces.
+def find_local_forces(solution: Solution) -> LocalForces:
+    """Find the local forces in the residual of a fit.
 
-    Where a law misses much it has bent too far to be linear: it is fitted again beside the forces found, once or twice.
+    A model with a large misfit is far from its linearisation: it is refitted once or twice beside the forces found.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+
+    Returns
+    -------
+    LocalForces
+        The finished search.
+
     """
-    found = searched(opened(model_projection(solution)))
-    for _ in range(REFITS):
-        much = float(found.law.r @ found.law.r) > STRONG * len(found.law.r)
+    found = continue_search(start_search(model_projection(solution)))
+    for _ in range(MAX_REFITS):
+        much = float(found.law.r @ found.law.r) > MIN_REDUCED_CHI2_REFITTED * len(found.law.r)
         if not (much and found.bumps and all(type(p) is Piece for p in solution.problem.pieces)):
             break
-        found = searched(_refitted(found, solution.problem))
+        found = continue_search(_refit(found, solution.problem))
     return found
 
 
-def searched(found: Local) -> Local:
-    """The same search carried on as long as something stands out."""
-    for _ in range(ROUNDS):
-        starts, rest = _stand_out(found)
-        found = replace(found, rest=rest)
+def continue_search(found: LocalForces) -> LocalForces:
+    """Add bumps while significant ones remain."""
+    for _ in range(MAX_ROUNDS):
+        starts, p_remaining = _strongest_bumps(found)
+        found = replace(found, p_remaining=p_remaining)
         if not starts:
             return found
-        tried = [_fitted(replace(found, bumps=[*found.bumps, *more])) for more in starts]
-        found = _pruned(min(tried, key=lambda f: float(f.left.r @ f.left.r)))
-    return replace(found, rest=_stand_out(found)[1])
+        tried = [_fit_bumps(replace(found, bumps=[*found.bumps, *more])) for more in starts]
+        found = _prune(min(tried, key=lambda f: float(f.residual.r @ f.residual.r)))
+    return replace(found, p_remaining=_strongest_bumps(found)[1])
 
 
-def _refitted(found: Local, bare: LeastSquaresProblem) -> Local:
-    """The same bumps beside the law as it is when it knows them; what they leave is put back into its residual."""
+def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
+    """Refit the model beside the bumps found, then put their traces back into the residual."""
     solution = found.law.solution
     pieces = []
     for i, (piece, at) in enumerate(zip(bare.pieces, found.nodes, strict=True)):
@@ -129,125 +168,157 @@ def _refitted(found: Local, bare: LeastSquaresProblem) -> Local:
     problem = bare.over(bare.layout, pieces)
     try:
         law = model_projection(
-            refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=REFIT_STEPS)
+            refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_REFIT_STEPS)
         )
     except FrictrackError:  # a law so wild that its motion cannot be integrated
         return found
-    fresh = opened(law)
-    trace = bump_columns(fresh, found.bumps, moved=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
+    fresh = start_search(law)
+    trace = bump_columns(fresh, found.bumps, derivatives=False)[:, :, 0] @ np.array([b.size for b in found.bumps])
     law = replace(law, r=law.r + trace - law.u @ (law.u.T @ trace))
-    return _pruned(_fitted(replace(fresh, law=law, left=law, bumps=found.bumps)))
+    return _prune(_fit_bumps(replace(fresh, law=law, residual=law, bumps=found.bumps)))
 
 
-def _stand_out(found: Local) -> tuple[list[list[Bump]], float]:
-    """What stands out in what is left, as sets of bumps to start from, and the p of what stands out most.
+def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
+    """Return the most significant bumps as sets to start from, and the p-value of the most significant one.
 
-    One place for all runs, at its best in every width; or moments, at most one per piece, taken one by one, each beside
-    those before it, since the law bends in all runs for what one of them lacks.
+    The sets hold one place for all runs, at the best centre of every width, or bumps in time, at most one per piece.
+    Bumps in time are added one by one, because the model's error in one run affects all runs.
     """
-    left, taken, rest = found.left, list[Bump](), 1.0
+    residual, moments, p_remaining = found.residual, list[Bump](), 1.0
     while True:
-        here = replace(found, left=left, bumps=[*found.bumps, *taken])
-        moment = _moment(here, {b.piece for b in taken})
-        places = [] if taken or len(left.rows) < 2 else _in_places(here)
+        present = replace(found, residual=residual, bumps=[*found.bumps, *moments])
+        moment = _strongest_moment(present, {b.piece for b in moments})
+        places = [] if moments or len(residual.rows) < 2 else _strongest_places(present)
         best = max(places, key=lambda b: b.z, default=moment)
-        if places and found.chance(best.z) < ALPHA and best.z**2 > moment.z**2 + PREFERRED:
-            return [[b] for b in places if found.chance(b.z) < ALPHA], found.chance(best.z)
-        rest = min(rest, here.chance(moment.z))
-        if not here.believes(moment):
-            return [taken] if taken else [], rest
-        taken.append(moment)
-        left = left.with_columns(bump_columns(found, [moment])[:, :, 0])
+        if places and found.significance(best.z) < ALPHA and best.z**2 > moment.z**2 + MIN_CHI2_GAIN_PLACE:
+            return [[b] for b in places if found.significance(b.z) < ALPHA], found.significance(best.z)
+        p_remaining = min(p_remaining, present.significance(moment.z))
+        if not present.is_credible(moment):
+            return [moments] if moments else [], p_remaining
+        moments.append(moment)
+        residual = residual.with_columns(bump_columns(found, [moment])[:, :, 0])
 
 
-def _moment(found: Local, done: set[int | None]) -> Bump:
-    """The moment of one piece that stands out most; the briefest of those that do so about as much."""
-    own, _ = norms(found.left, found.looks)
+def _strongest_moment(found: LocalForces, done: set[int | None]) -> Bump:
+    """The most significant bump in time over the pieces not yet done; the shortest of about equal ones."""
+    time_norms, _ = column_norms(found.residual, found.dictionary)
     best = [Bump(0, 0.0, 1.0)]
-    for i, rows in enumerate(found.left.rows):
+    for i, rows in enumerate(found.residual.rows):
         if i not in done:
-            z = np.abs(over(found.looks.own[i].T @ found.left.r[rows], own[i]))
-            k = int(np.argmax(z**2 >= np.max(z) ** 2 - BRIEFER))
-            best.append(replace(found.looks.own_bumps[i][k], z=float(z[k])))
+            z = np.abs(quotients(found.dictionary.time_columns[i].T @ found.residual.r[rows], time_norms[i]))
+            k = int(np.argmax(z**2 >= np.max(z) ** 2 - MIN_CHI2_GAIN_LONGER))
+            best.append(replace(found.dictionary.time_bumps[i][k], z=float(z[k])))
     return max(best, key=lambda b: b.z)
 
 
-def _in_places(found: Local) -> list[Bump]:
-    """The place that stands out most, for every width."""
-    left, looks = found.left, found.looks
-    _, common = norms(left, looks)
-    dots = np.sum([c.T @ left.r[rows] for rows, c in zip(left.rows, looks.common, strict=True)], axis=0)
-    z = np.abs(over(dots, common))
-    best = [s.start + int(np.argmax(z[s])) for s in families(looks.common_bumps)]
-    return [replace(looks.common_bumps[k], z=float(z[k])) for k in best]
+def _strongest_places(found: LocalForces) -> list[Bump]:
+    """The most significant place for every width."""
+    residual, dictionary = found.residual, found.dictionary
+    _, common = column_norms(residual, dictionary)
+    dots = np.sum(
+        [c.T @ residual.r[rows] for rows, c in zip(residual.rows, dictionary.place_columns, strict=True)], axis=0
+    )
+    z = np.abs(quotients(dots, common))
+    best = [s.start + int(np.argmax(z[s])) for s in families(dictionary.place_bumps)]
+    return [replace(dictionary.place_bumps[k], z=float(z[k])) for k in best]
 
 
-def bump_columns(found: Local, bumps: Sequence[Bump], *, moved: bool = True) -> Array:
-    """Traces of bumps and, where asked, of their changes with centre and width over all frames, (N + m, K, 1 or 3)."""
+def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool = True) -> Array:
+    """Traces of bumps in the displacement.
+
+    Parameters
+    ----------
+    found
+        The search.
+    bumps
+        Its K bumps, or others.
+    derivatives
+        Whether to add derivatives by centre and by log width.
+
+    Returns
+    -------
+    ndarray, shape (N + m, K, 1) or (N + m, K, 3)
+        Traces per unit of size over all frames.
+
+    """
     law = found.law
-    out = np.zeros((len(law.r), len(bumps), 3 if moved else 1))
+    out = np.zeros((len(law.r), len(bumps), 3 if derivatives else 1))
     for i, (rows, response, at) in enumerate(zip(law.rows, law.responses, found.nodes, strict=True)):
-        here = [k for k, b in enumerate(bumps) if b.piece in (None, i)]
-        if here:
-            force = [at.moved(bumps[k]) if moved else at.force(bumps[k])[:, None] for k in here]
-            out[rows, here] = displacement_response(response, np.concatenate(force, axis=1)).reshape(
-                -1, len(here), out.shape[2]
+        present = [k for k, b in enumerate(bumps) if b.piece in (None, i)]
+        if present:
+            force = [at.force_derivatives(bumps[k]) if derivatives else at.force(bumps[k])[:, None] for k in present]
+            out[rows, present] = displacement_response(response, np.concatenate(force, axis=1)).reshape(
+                -1, len(present), out.shape[2]
             )
     return out
 
 
-def _fitted(found: Local, steps: int = 6) -> Local:
-    """All bumps moved and widened together until they fit best, beside the law (Levenberg-Marquardt)."""
+def _fit_bumps(found: LocalForces, steps: int = 6) -> LocalForces:
+    """Refine sizes, centres and widths of all bumps together beside the model (Levenberg-Marquardt)."""
     bumps = found.bumps
     columns = bump_columns(found, bumps)
-    sizes, chi2 = solved(found.law, columns[:, :, 0])
+    sizes, chi2 = solve_sizes(found.law, columns[:, :, 0])
     damping = 1e-2
     for _ in range(steps):
-        moved = _stepped(found, bumps, columns, sizes, damping)
-        tried = bump_columns(found, moved)
-        new_sizes, new = solved(found.law, tried[:, :, 0])
+        candidate = _damped_step(found, bumps, columns, sizes, damping)
+        tried = bump_columns(found, candidate)
+        new_sizes, new = solve_sizes(found.law, tried[:, :, 0])
         if new < chi2:
             gained, damping = chi2 - new, damping / 10
-            bumps, columns, sizes, chi2 = moved, tried, new_sizes, new
+            bumps, columns, sizes, chi2 = candidate, tried, new_sizes, new
             if gained < 0.1:
                 break
         else:
             damping *= 30
-    left = found.law.with_columns(columns[:, :, 0])
-    return replace(found, bumps=_weighed(found.law, columns[:, :, 0], bumps, sizes), left=left)
+    residual = found.law.with_columns(columns[:, :, 0])
+    return replace(found, bumps=_with_sizes(found.law, columns[:, :, 0], bumps, sizes), residual=residual)
 
 
-def solved(law: ModelProjection, columns: Array) -> tuple[Array, float]:
-    """Best sizes (K,) beside the law, and chi-squared."""
+def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
+    """Fit sizes of columns beside the model by least squares.
+
+    Parameters
+    ----------
+    law
+        Residual and directions of the model.
+    columns
+        Traces, (N + m, K).
+
+    Returns
+    -------
+    sizes : ndarray, shape (K,)
+    chi2 : float
+
+    """
     clean = columns - law.u @ (law.u.T @ columns)
     sizes, *_ = np.linalg.lstsq(clean, law.r, rcond=1e-10)
-    left = law.r - clean @ sizes
-    return np.asarray(sizes, dtype=np.float64), float(left @ left)
+    residual = law.r - clean @ sizes
+    return np.asarray(sizes, dtype=np.float64), float(residual @ residual)
 
 
-def _stepped(found: Local, bumps: Sequence[Bump], columns: Array, sizes: Array, damping: float) -> list[Bump]:
-    """One damped step of sizes, centres and widths."""
+def _damped_step(found: LocalForces, bumps: Sequence[Bump], columns: Array, sizes: Array, damping: float) -> list[Bump]:
+    """Return the bumps after one damped step of sizes, centres and widths."""
     law, k = found.law, len(bumps)
     scale = np.array([b.width for b in bumps])
     jac = np.concatenate([columns[:, :, 0], columns[:, :, 1] * sizes * scale, columns[:, :, 2] * sizes], axis=1)
     jac -= law.u @ (law.u.T @ jac)
-    left = law.r - jac[:, :k] @ sizes
+    residual = law.r - jac[:, :k] @ sizes
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
     hold = np.concatenate([np.zeros(k), np.full(k, np.sqrt(damping)), np.full(k, np.sqrt(damping))])
     unit = np.vstack([jac / norm, np.diag(hold), np.diag(np.concatenate([np.zeros(2 * k), np.ones(k)]) / norm)])
-    step = np.linalg.lstsq(unit, np.concatenate([left, np.zeros(6 * k)]), rcond=1e-12)[0] / norm
+    step = np.linalg.lstsq(unit, np.concatenate([residual, np.zeros(6 * k)]), rcond=1e-12)[0] / norm
     out = []
     for j, b in enumerate(bumps):
-        low, high = limits(found.law.responses, b)
+        low, high = width_limits(found.law.responses, b)
         centre = b.centre + b.width * float(np.clip(step[k + j], -3, 3))
         width = b.width * float(np.exp(np.clip(step[2 * k + j], -0.7, 0.7)))
         out.append(replace(b, centre=centre, width=float(np.clip(width, low, high))))
     return out
 
 
-def _weighed(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
-    """Bumps with their sizes, and by how many standard deviations each stands out beside all others."""
+def _with_sizes(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes: Array) -> list[Bump]:
+    """Return the bumps with their sizes and their significance beside all others."""
     clean = columns - law.u @ (law.u.T @ columns)
     inverse = np.linalg.pinv(clean.T @ clean)
     deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
@@ -255,19 +326,33 @@ def _weighed(law: ModelProjection, columns: Array, bumps: Sequence[Bump], sizes:
     return [replace(b, size=float(s), z=float(q)) for b, s, q in zip(bumps, sizes, z, strict=True)]
 
 
-def _pruned(found: Local) -> Local:
-    """Without bumps that others made needless, or that carry next to nothing of the misfit."""
+def _prune(found: LocalForces) -> LocalForces:
+    """Remove bumps that are no longer significant, or that carry almost none of the misfit."""
     if not found.bumps:
         return found
-    total = float(found.law.r @ found.law.r - found.left.r @ found.left.r)
-    kept = [b for b in found.bumps if found.believes(b) and b.z**2 > SHARE * total]
+    total = float(found.law.r @ found.law.r - found.residual.r @ found.residual.r)
+    kept = [b for b in found.bumps if found.is_credible(b) and b.z**2 > MIN_SHARE_PER_BUMP * total]
     if len(kept) == len(found.bumps) or not kept:
         return found
-    return _pruned(_fitted(replace(found, bumps=kept), steps=3))
+    return _prune(_fit_bumps(replace(found, bumps=kept), steps=3))
 
 
-def uncertain(found: Local) -> tuple[list[Array], list[Array]]:
-    """Force of all bumps at the frames of every piece (n,), N, and its variance by size, centre and width."""
+def bump_forces(found: LocalForces) -> tuple[list[Array], list[Array]]:
+    """Force of all bumps, and its variance.
+
+    Parameters
+    ----------
+    found
+        A finished search.
+
+    Returns
+    -------
+    forces : list of ndarray
+        Force at the frames of every piece, N, (n,).
+    variances : list of ndarray
+        Its variance from size, centre and width, N^2, (n,).
+
+    """
     bumps, law, k = found.bumps, found.law, len(found.bumps)
     if not bumps:
         still = [np.zeros(len(r.piece.t)) for r in law.responses]
@@ -281,9 +366,9 @@ def uncertain(found: Local) -> tuple[list[Array], list[Array]]:
     covariance = np.linalg.pinv(clean.T @ clean + np.diag(known), hermitian=True)
     forces, variances = [], []
     for i, (response, at) in enumerate(zip(law.responses, found.nodes, strict=True)):
-        here = np.array([b.piece in (None, i) for b in bumps])
-        moved = np.stack([at.moved(b) for b in bumps], axis=1) * here[:, None] * scale
-        flat = np.stack([np.interp(response.piece.t, at.t, q) for q in moved.reshape(len(at.t), -1).T], axis=1)
+        present = np.array([b.piece in (None, i) for b in bumps])
+        derivatives = np.stack([at.force_derivatives(b) for b in bumps], axis=1) * present[:, None] * scale
+        flat = np.stack([np.interp(response.piece.t, at.t, q) for q in derivatives.reshape(len(at.t), -1).T], axis=1)
         forces.append(flat[:, ::3] @ sizes)
         variances.append(np.einsum("nj,jk,nk->n", flat, covariance, flat))
     return forces, variances

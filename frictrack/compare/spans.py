@@ -1,4 +1,4 @@
-"""Where a fitted law fails: spans in time, place, velocity and run, each with its share of the misfit and its p."""
+"""Find where a fitted model fails: spans in time, place, velocity and run, with share of the misfit and p-value."""
 
 from __future__ import annotations
 
@@ -10,9 +10,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from frictrack.compare.bump_dictionary import Bump, limits
-from frictrack.compare.local_forces import ALPHA, LIKEWISE, Local, bump_columns, local_forces, opened, searched, solved
-from frictrack.compare.residual import effect_force, nodes_force
+from frictrack.compare.bump_dictionary import Bump, width_limits
+from frictrack.compare.effect_forces import effect_force, effect_force_at_nodes
+from frictrack.compare.local_forces import (
+    ALPHA,
+    ALPHA_PIECE,
+    LocalForces,
+    bump_columns,
+    continue_search,
+    find_local_forces,
+    solve_sizes,
+    start_search,
+)
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import (
     ModelProjection,
@@ -26,21 +35,21 @@ from frictrack.fit.measured_friction import MeasuredFrictionPiece, keep_compared
 from frictrack.fit.segments import Rows
 from frictrack.records import Array, Mask, Run, stretches
 
-REACH = 2.0  # widths on either side that a Gaussian force spans
-TAIL = float(np.exp(-(REACH**2) / 2))  # of a force's largest value, the same for any shape
-RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the shortest to count as resolved
-STANDS_OUT = 3.0  # standard deviations of a measured force beyond which a frame fails
-FOOT = 0.35  # of the largest residual: less is the law bending to make up for the failure elsewhere
-GAP = 12  # frames between two stretches that are one
-WIDTHS, CENTRES = 25, 15  # tried for the span of a local force
-CLOSER = 2  # times that they are looked for more finely where they are likely
-LIKELY = 16.0  # of chi-squared, by which a width and a place may fit worse and still count
-LOCAL = ("patch", "collision")  # effects that are bumps
+SPAN_HALF_WIDTHS = 2.0  # widths on either side that a Gaussian force spans
+TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # of a force's largest value, the same for any shape
+MIN_CHI2_RESOLVED = 6.6  # rise of chi-squared by which a moment must be longer than the shortest to count as resolved
+MIN_SIGMAS = 3.0  # standard deviations of a measured force beyond which a frame fails
+MIN_SHARE_OF_PEAK = 0.35  # of the largest residual: less is the law bending to make up for the failure elsewhere
+MAX_GAP_FRAMES = 12  # frames between two stretches that are one
+N_WIDTHS, N_CENTRES = 25, 15  # tried for the span of a local force
+N_REFINEMENTS = 2  # times that they are looked for more finely where they are likely
+MAX_CHI2_DIFFERENCE = 16.0  # of chi-squared, by which a width and a place may fit worse and still count
+LOCAL_EFFECTS = ("patch", "collision")  # effects that are bumps
 
 
 @dataclass(frozen=True)
-class Span:
-    """A stretch of one piece, rows of its frames, and what it carries."""
+class FailingSpan:
+    """A span of one piece: rows of its frames, share of the misfit and p-value."""
 
     piece: int
     rows: Rows
@@ -49,121 +58,138 @@ class Span:
 
 
 def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None = None) -> list[dict[str, Any]]:
-    """Stretches of the runs that carry the misfit, worst first; none where noise alone does as much (1 %).
+    """Find the spans of the runs that carry the misfit, largest share first.
 
-    With `missing`, the failure is that of the model without this force effect of the solution, whose force then says
-    where. `t` is recording time (s), `x` (m), `v` (m/s); `share_of_error` is the part of the misfit, chi-squared beyond
-    its noise, that goes with what the span lacks; `p` is for the whole search over spans. A blow too short to be
-    resolved reaches as far as the run's own low-pass smears it.
+    Parameters
+    ----------
+    solution
+        The fit.
+    runs
+        Its runs.
+    missing
+        Name of a force effect of the model. If given, the spans are those where the model without this effect fails.
+
+    Returns
+    -------
+    list of dict
+        `run`; `t`, `x`, `v`: range of recording time s, position m and velocity m/s; `share_of_error`: part of the
+        misfit (chi-squared above its expectation); `p`: p-value of the whole search. Empty if noise alone would do as
+        much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
+
     """
     solution = keep_compared_frames(solution)
-    found = _found(solution, runs) if missing is None else _named(solution, runs, missing)
-    told = [_told(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
-    return sorted(told, key=lambda s: -s["share_of_error"])
+    found = _spans_of_residual(solution, runs) if missing is None else _spans_of_effect(solution, runs, missing)
+    spans = [_to_dict(solution.responses[s.piece], runs, s) for s in found if len(s.rows) > 1]
+    return sorted(spans, key=lambda s: -s["share_of_error"])
 
 
-def _found(solution: Solution, runs: Sequence[Run]) -> list[Span]:
-    """Spans of the local forces that the bare law's residual shows."""
-    found = local_forces(solution)
+def _spans_of_residual(solution: Solution, runs: Sequence[Run]) -> list[FailingSpan]:
+    """Spans of the local forces in the residual."""
+    found = find_local_forces(solution)
     if not found.bumps:
         return []
     if not found.complete and isinstance(solution.problem.pieces[0], MeasuredFrictionPiece):
-        return _plain_to_see(found)
-    return _reaching(found, runs)
+        return _spans_of_measured_friction(found)
+    return _spans_of_bumps(found, runs)
 
 
-def _reaching(found: Local, runs: Sequence[Run]) -> list[Span]:
-    """How far the bumps of a search reach in every piece."""
+def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
+    """Extent of the bumps of a search in every piece."""
     made = bump_columns(found, found.bumps)[:, :, 0]
-    sizes, _ = solved(found.law, made)
-    total = misfit(found.law)
+    sizes, _ = solve_sizes(found.law, made)
+    total = excess_chi2(found.law)
     spans = []
-    for k, (bump, brief) in enumerate(zip(_overlapping(found, made), _brief(found, made), strict=True)):
+    for k, (bump, unresolved) in enumerate(
+        zip(_consensus_bumps(found, made), _are_unresolved(found, made), strict=True)
+    ):
         for i, rows in enumerate(found.law.rows):
             if bump.piece in (None, i):
                 share = float(sizes[k] * (made[rows, k] @ found.law.r[rows])) / total
-                inside = _inside(found, bump, i, _smear(runs, found.law.responses[i]) if brief else 0.0)
-                spans.append(Span(i, np.flatnonzero(inside), share, found.p(found.bumps[k])))
-    return _joined(spans)
+                inside = _inside(
+                    found, bump, i, _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
+                )
+                spans.append(FailingSpan(i, np.flatnonzero(inside), share, found.p(found.bumps[k])))
+    return _merge_overlapping(spans)
 
 
-def _plain_to_see(found: Local) -> list[Span]:
-    """Where friction itself was measured and fails all over: stretches in which the residual stands out as it is."""
+def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
+    """Spans where the residual of a measured friction force itself is significant, if the model fails everywhere."""
     spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
     for i, response in enumerate(found.law.responses):
         size = np.abs(response.r)
-        for s in stretches(_bridged(size > max(STANDS_OUT, FOOT * float(size.max())))):
+        for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
             p = min(1.0, 2 * len(size) * float(norm.sf(size[s].max())))
             if p < ALPHA:
-                spans.append(Span(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
+                spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
     return spans
 
 
-def _joined(spans: Sequence[Span]) -> list[Span]:
-    """Spans of one piece that overlap as one."""
-    out: list[Span] = []
+def _merge_overlapping(spans: Sequence[FailingSpan]) -> list[FailingSpan]:
+    """Merge overlapping spans of one piece."""
+    out: list[FailingSpan] = []
     for s in sorted((s for s in spans if len(s.rows)), key=lambda s: (s.piece, s.rows[0])):
         last = out[-1] if out else None
         if last is not None and last.piece == s.piece and s.rows[0] <= last.rows[-1]:
-            out[-1] = Span(s.piece, np.union1d(last.rows, s.rows), last.share + s.share, min(last.p, s.p))
+            out[-1] = FailingSpan(s.piece, np.union1d(last.rows, s.rows), last.share + s.share, min(last.p, s.p))
         else:
             out.append(s)
     return out
 
 
-def misfit(law: ModelProjection) -> float:
-    """What the law leaves beyond the noise, of chi-squared; at least what noise makes uncertain of it."""
-    freedom = max(len(law.r) - law.u.shape[1], 1)
-    return max(float(law.r @ law.r) - freedom, float(np.sqrt(2 * freedom)))
+def excess_chi2(law: ModelProjection) -> float:
+    """Chi-squared of the residual above its expectation, at least its standard deviation."""
+    dof = max(len(law.r) - law.u.shape[1], 1)
+    return max(float(law.r @ law.r) - dof, float(np.sqrt(2 * dof)))
 
 
-def _inside(found: Local, bump: Bump, i: int, smear: float) -> Mask:
+def _inside(found: LocalForces, bump: Bump, i: int, half_width: float) -> Mask:
+    """Frames of a piece that lie within a bump."""
     piece = found.law.responses[i].piece
     if not bump.at_place:
-        reach = REACH * (limits(found.law.responses, bump)[0] if smear else bump.width)
-        return np.asarray(np.abs(piece.t - bump.centre) <= reach + smear)
+        reach = SPAN_HALF_WIDTHS * (width_limits(found.law.responses, bump)[0] if half_width else bump.width)
+        return np.asarray(np.abs(piece.t - bump.centre) <= reach + half_width)
     x, _ = position_and_velocity(found.law.responses[i])
-    return np.asarray(np.abs(x - bump.centre) <= REACH * bump.width)
+    return np.asarray(np.abs(x - bump.centre) <= SPAN_HALF_WIDTHS * bump.width)
 
 
-def _smear(runs: Sequence[Run], response: PieceResponse) -> float:
-    """Half width of the run's own low-pass, s; nothing where none is known or friction itself was measured."""
+def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
+    """Half width of the run's low-pass, s; 0 if unknown or if friction itself was measured."""
     cutoff = runs[response.piece.run].motion.cutoff
     known = np.isfinite(cutoff) and cutoff > 0 and not isinstance(response.piece, MeasuredFrictionPiece)
     return 0.5 / float(cutoff) if known else 0.0
 
 
-def _brief(found: Local, made: Array) -> list[bool]:
-    """Which bumps are moments that cannot be told from the shortest."""
-    _, best = solved(found.law, made)
+def _are_unresolved(found: LocalForces, made: Array) -> list[bool]:
+    """Whether each bump in time is as short as the shortest that the frames resolve."""
+    _, best = solve_sizes(found.law, made)
     out = []
     for k, bump in enumerate(found.bumps):
         shortest = made.copy()
-        shortest[:, k] = bump_columns(found, [replace(bump, width=limits(found.law.responses, bump)[0])])[:, 0, 0]
-        out.append(not bump.at_place and solved(found.law, shortest)[1] - best < RESOLVED)
+        shortest[:, k] = bump_columns(found, [replace(bump, width=width_limits(found.law.responses, bump)[0])])[:, 0, 0]
+        out.append(not bump.at_place and solve_sizes(found.law, shortest)[1] - best < MIN_CHI2_RESOLVED)
     return out
 
 
-def _overlapping(found: Local, made: Array) -> list[Bump]:
-    """The bumps, each where its span overlaps best with those of all that fit, weighed by how well they do.
+def _consensus_bumps(found: LocalForces, made: Array) -> list[Bump]:
+    """Replace each bump by the one whose span overlaps best with those of all that fit, weighted by likelihood.
 
-    A narrow bump leaves nearly the trace of an impulse, whatever its width: the best fit alone would name any.
+    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
     """
-    return [_span_of_all(found, bump, np.delete(made, k, axis=1)) for k, bump in enumerate(found.bumps)]
+    return [_consensus_bump(found, bump, np.delete(made, k, axis=1)) for k, bump in enumerate(found.bumps)]
 
 
-def _span_of_all(found: Local, bump: Bump, others: Array) -> Bump:
-    """The bump whose frames overlap best with those of every centre and width, weighed by the likelihood of each."""
+def _consensus_bump(found: LocalForces, bump: Bump, others: Array) -> Bump:
+    """The bump whose frames overlap best with those of all centres and widths, weighted by their likelihood."""
     law = found.law.with_columns(others)
-    reach = 3 * _astray(found, law, bump)
-    centres = np.linspace(bump.centre - reach, bump.centre + reach, CENTRES)
-    widths = np.geomspace(*limits(found.law.responses, bump), WIDTHS)
-    for _ in range(CLOSER):
-        likely = np.flatnonzero(_likelihood(found, law, _grid(bump, centres, widths)))
-        centres = np.linspace(*_ends(centres, likely // WIDTHS), CENTRES)
-        widths = np.geomspace(*_ends(widths, likely % WIDTHS), WIDTHS)
+    reach = 3 * _centre_std(found, law, bump)
+    centres = np.linspace(bump.centre - reach, bump.centre + reach, N_CENTRES)
+    widths = np.geomspace(*width_limits(found.law.responses, bump), N_WIDTHS)
+    for _ in range(N_REFINEMENTS):
+        likely = np.flatnonzero(_relative_likelihood(found, law, _grid(bump, centres, widths)))
+        centres = np.linspace(*_ends(centres, likely // N_WIDTHS), N_CENTRES)
+        widths = np.geomspace(*_ends(widths, likely % N_WIDTHS), N_WIDTHS)
     tried = _grid(bump, centres, widths)
-    weight = _likelihood(found, law, tried)
+    weight = _relative_likelihood(found, law, tried)
     at = np.flatnonzero(weight)
     inside = np.stack([_frames(found, tried[k]) for k in at]).astype(np.float32)
     count = inside.sum(axis=1)
@@ -181,69 +207,68 @@ def _ends(grid: Array, rows: Rows) -> tuple[float, float]:
     return float(grid[max(rows.min() - 1, 0)]), float(grid[min(rows.max() + 1, len(grid) - 1)])
 
 
-def _likelihood(found: Local, law: ModelProjection, bumps: Sequence[Bump]) -> Array:
-    """Likelihood of every bump over that of the best, (k,), each of its best size; 0 where it is next to nothing."""
-    columns = bump_columns(found, bumps, moved=False)[:, :, 0]
+def _relative_likelihood(found: LocalForces, law: ModelProjection, bumps: Sequence[Bump]) -> Array:
+    """Likelihood of every bump relative to the best, (k,), each at its best size; 0 where negligible."""
+    columns = bump_columns(found, bumps, derivatives=False)[:, :, 0]
     clean = columns - law.u @ (law.u.T @ columns)
     gain = (clean.T @ law.r) ** 2 / np.maximum(np.sum(clean**2, axis=0), 1e-300)
-    return np.asarray(np.where(gain > gain.max() - LIKELY, np.exp((gain - gain.max()) / 2), 0.0))
+    return np.asarray(np.where(gain > gain.max() - MAX_CHI2_DIFFERENCE, np.exp((gain - gain.max()) / 2), 0.0))
 
 
-def _astray(found: Local, law: ModelProjection, bump: Bump) -> float:
-    """Standard deviation of the centre of a bump beside its size and width, of which no more is known than a factor."""
-    bent = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
-    bent -= law.u @ (law.u.T @ bent)
-    known = np.diag([0.0, bump.width**-2, 1.0])
-    return float(np.sqrt(np.linalg.pinv(bent.T @ bent + known, hermitian=True)[1, 1]))
+def _centre_std(found: LocalForces, law: ModelProjection, bump: Bump) -> float:
+    """Standard deviation of a bump's centre, with size and width free (width within a factor of e)."""
+    derivatives = bump_columns(found, [bump])[:, 0] * np.array([1.0, bump.size, bump.size])
+    derivatives -= law.u @ (law.u.T @ derivatives)
+    prior = np.diag([0.0, bump.width**-2, 1.0])
+    return float(np.sqrt(np.linalg.pinv(derivatives.T @ derivatives + prior, hermitian=True)[1, 1]))
 
 
-def _frames(found: Local, bump: Bump) -> Mask:
-    """Frames of all pieces, end to end, that a bump reaches."""
+def _frames(found: LocalForces, bump: Bump) -> Mask:
+    """Frames of all pieces, concatenated, that a bump covers."""
     pieces = [i for i in range(len(found.law.rows)) if bump.piece in (None, i)]
     return np.concatenate([_inside(found, bump, i, 0.0) for i in pieces])
 
 
-def _named(solution: Solution, runs: Sequence[Run], missing: str) -> list[Span]:
-    """Spans in which the force of an effect acts: where it exceeds what a Gaussian has at two widths.
+def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
+    """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
-    A local one is looked for afresh beside the law that knows it: all widths that may be have a say, and a moment that
-    was fitted to the wrong place is no matter.
+    A local effect is searched again beside the model that contains it, over all widths; its fitted place may be wrong.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
-    law = _without(solution, effect)
-    search = opened(law)
-    if effect.kind in LOCAL and (found := searched(search)).bumps:
-        return _reaching(found, runs)
+    law = _model_without(solution, effect)
+    search = start_search(law)
+    if effect.kind in LOCAL_EFFECTS and (found := continue_search(search)).bumps:
+        return _spans_of_bumps(found, runs)
     forces = [effect_force(solution, r, missing) for r in solution.responses]
-    sizes = _sizes(solution, effect, forces)
+    sizes = _expected_peaks(solution, effect, forces)
     places = []
     for i, (force, size) in enumerate(zip(forces, sizes, strict=True)):
-        acts = np.abs(force) > TAIL * size
-        places += [(i, np.arange(s.start, s.stop)) for s in stretches(_bridged(acts))]
+        acts = np.abs(force) > TAIL_RATIO * size
+        places += [(i, np.arange(s.start, s.stop)) for s in stretches(_close_gaps(acts))]
     if not places:
         return []
-    made = np.stack([_part(law, i, rows, solution, missing) for i, rows in places], axis=1)
+    made = np.stack([_partial_trace(law, i, rows, solution, missing) for i, rows in places], axis=1)
     whole = made.sum(axis=1)
-    total = max(misfit(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
+    total = max(excess_chi2(law), float(np.sum((whole - law.u @ (law.u.T @ whole)) ** 2)))
     # what the runs share acts in all of them or in none
-    group = np.array([solution.responses[i].piece.run if _own(effect) else 0 for i, _ in places])
+    group = np.array([solution.responses[i].piece.run if _has_size_per_run(effect) else 0 for i, _ in places])
     names, of = np.unique(group, return_inverse=True)
-    z = _stand_out(law, np.stack([made[:, group == g].sum(axis=1) for g in names], axis=1))[of]
-    p = [_p(search, i, float(s)) for (i, _), s in zip(places, z, strict=True)]
-    spans = [Span(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, made.T, p, strict=True)]
-    return [s for s in spans if s.p < LIKEWISE]
+    z = _joint_significance(law, np.stack([made[:, group == g].sum(axis=1) for g in names], axis=1))[of]
+    p = [_p_value(search, i, float(s)) for (i, _), s in zip(places, z, strict=True)]
+    spans = [FailingSpan(i, at, float(c @ law.r) / total, q) for (i, at), c, q in zip(places, made.T, p, strict=True)]
+    return [s for s in spans if s.p < ALPHA_PIECE]
 
 
-def _p(search: Local, piece: int, z: float) -> float:
-    """Chance of a span: of the whole search, or, where that is too much to ask, of the search in its own piece."""
-    whole = search.chance(z)
-    return whole if whole < ALPHA else min(whole, search.own[piece](z))
+def _p_value(search: LocalForces, piece: int, z: float) -> float:
+    """p-value of a span in the whole search, or in its piece if that search is not significant."""
+    whole = search.significance(z)
+    return whole if whole < ALPHA else min(whole, search.piece_significance[piece](z))
 
 
-def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
-    """Largest force of an effect to be expected in every piece, whatever part of it the piece passes, N."""
+def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
+    """Largest expected force of an effect in every piece, N, whatever part of it the piece passes."""
     own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
-    if _own(effect):
+    if _has_size_per_run(effect):
         return own
     scales = []
     for r in solution.responses:
@@ -254,53 +279,53 @@ def _sizes(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[
     return [largest * s for s in scales]
 
 
-def _own(effect: Effect) -> bool:
-    """Whether every run has a size of its own."""
+def _has_size_per_run(effect: Effect) -> bool:
+    """Whether every run has its own size of the effect."""
     return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
 
 
-def _without(solution: Solution, effect: Effect) -> ModelProjection:
-    """The law without one of its effects, and the residual that it would leave."""
+def _model_without(solution: Solution, effect: Effect) -> ModelProjection:
+    """The model without one of its effects, and the residual that this leaves."""
     slots = solution.problem.layout.slots
     kept = [i for i, s in enumerate(slots) if s.effect != effect.name]
     whole = model_projection(solution, kept)
     trace = np.zeros_like(whole.r)
     for rows, response in zip(whole.rows, solution.responses, strict=True):
-        at = nodes_force(solution, response, effect.name)
+        at = effect_force_at_nodes(solution, response, effect.name)
         trace[rows] = displacement_response(response, at[:, None])[:, 0]
     return replace(whole, r=whole.r + trace - whole.u @ (whole.u.T @ trace))
 
 
-def _part(law: ModelProjection, i: int, rows: Rows, solution: Solution, name: str) -> Array:
+def _partial_trace(law: ModelProjection, i: int, rows: Rows, solution: Solution, name: str) -> Array:
     """Trace of an effect's force over some frames of one piece, over all frames (N + m,)."""
     response = solution.responses[i]
     t, nodes = response.piece.t, response.piece.panels.t
     inside = (nodes >= t[rows[0]]) & (nodes <= t[rows[-1]])
     out = np.zeros_like(law.r)
-    force = np.where(inside, nodes_force(solution, response, name), 0.0)
+    force = np.where(inside, effect_force_at_nodes(solution, response, name), 0.0)
     out[law.rows[i]] = displacement_response(response, force[:, None])[:, 0]
     return out
 
 
-def _stand_out(law: ModelProjection, made: Array) -> Array:
-    """By how many standard deviations each of the columns (N + m, k) stands out beside the law and all others."""
+def _joint_significance(law: ModelProjection, made: Array) -> Array:
+    """Significance of each column (N + m, k) beside the model and all other columns, in standard deviations."""
     clean = made - law.u @ (law.u.T @ made)
     inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
     deviation = np.sqrt(np.diag(inverse))
     return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
 
 
-def _bridged(acts: Mask) -> Mask:
-    """The same with gaps of a few frames closed."""
+def _close_gaps(acts: Mask) -> Mask:
+    """Close gaps of a few frames in a mask."""
     rows = np.flatnonzero(acts)
     out = np.array(acts)
     for a, b in itertools.pairwise(rows):
-        if b - a <= GAP:
+        if b - a <= MAX_GAP_FRAMES:
             out[a:b] = True
     return out
 
 
-def _told(response: PieceResponse, runs: Sequence[Run], span: Span) -> dict[str, Any]:
+def _to_dict(response: PieceResponse, runs: Sequence[Run], span: FailingSpan) -> dict[str, Any]:
     """JSON of one span."""
     run, at = runs[response.piece.run], span.rows
     x, v = position_and_velocity(response)

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from frictrack.compare.bump_dictionary import Nodes, course, nodes
-from frictrack.compare.spectral_lines import wave_traces
+from frictrack.compare import NodeMotion, course_ends, motion_at_nodes, wave_traces
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.repeatability.axis_result import AxisRepeatability, describe_axes, sort_axes
 from frictrack.diagnose.repeatability.common_frequency import (
@@ -92,7 +91,7 @@ class _Runs:
     """
 
     law: ModelProjection
-    at: list[Nodes]
+    at: list[NodeMotion]
     run: list[int]
     own: list[Array]
     shared: list[Array]
@@ -102,7 +101,7 @@ class _Runs:
     def count(self) -> int:
         return max(self.run) + 1
 
-    def seen(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+    def normal_equations(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """Gram matrices and data of columns (n_i, k) with the shared law beside them, run by run."""
         k = columns[0].shape[1] + self.shared[0].shape[1]
         gram, data = np.zeros((self.count, k, k)), np.zeros((self.count, k, self.series[0].shape[1]))
@@ -176,13 +175,13 @@ def _apart(law: ModelProjection, runs: Sequence[int], series: Array) -> _Runs:
         left.append(series[rows] - q @ (q.T @ series[rows]))
     norm = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in shared], axis=0))
     shared = [c / np.where(norm > 0, norm, 1.0) for c in shared]
-    at = [nodes(law.solution, r) for r in law.responses]
+    at = [motion_at_nodes(law.solution, r) for r in law.responses]
     return _Runs(law, at, [runs.index(r.piece.run) for r in law.responses], own, shared, left)
 
 
 def _excess(apart: _Runs) -> Array:
     """Misfit of every run beyond its noise under the law of the other runs, at least its uncertainty, (R, D)."""
-    gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
+    gram, data = apart.normal_equations([np.zeros((len(c), 0)) for c in apart.shared])
     fold = _Fold(np.empty(0), gram, data)
     left, frames = np.zeros((apart.count, data.shape[2])), np.zeros((apart.count, 1))
     for run, series, own in zip(apart.run, apart.series, apart.own, strict=True):
@@ -208,7 +207,7 @@ def _drawn(law: ModelProjection, rng: np.random.Generator, draws: int) -> Array:
 
 def _knots(apart: _Runs, axis: str) -> Array:
     if axis == "x":
-        low, high = course(apart.law.responses)
+        low, high = course_ends(apart.law.responses)
     elif axis == "t":
         low, high = min(float(n.t[0]) for n in apart.at), max(float(n.t[-1]) for n in apart.at)
     else:
@@ -223,9 +222,9 @@ def _fold(apart: _Runs, axis: str, dry: bool) -> _Fold:
     made = []
     for response, n in zip(apart.law.responses, apart.at, strict=True):
         along = {"x": n.x, "t": n.t, "v": np.abs(n.v)}[axis]
-        carried = n.dry if dry else np.sign(n.dry) if axis == "v" else np.ones_like(n.dry)
+        carried = n.dry_factor if dry else np.sign(n.dry_factor) if axis == "v" else np.ones_like(n.dry_factor)
         made.append(displacement_response(response, linear_interpolation_matrix(along, knots) * carried[:, None]))
-    return _Fold(knots, *apart.seen(made))
+    return _Fold(knots, *apart.normal_equations(made))
 
 
 def _held(fold: _Fold) -> Array:
@@ -275,30 +274,30 @@ def _wave(apart: _Runs) -> tuple[Array, float]:
     And the evidence for such a wave in all of them.
     """
     f = 1 / periods(apart.law.solution.problem.layout.span)
-    made = [wave_traces(r, n.x, f, n.dry) for r, n in zip(apart.law.responses, apart.at, strict=True)]
+    made = [wave_traces(r, n.x, f, n.dry_factor) for r, n in zip(apart.law.responses, apart.at, strict=True)]
     runs = apart.waved(made)
-    gram, data = apart.seen([np.zeros((len(c), 0)) for c in apart.shared])
+    gram, data = apart.normal_equations([np.zeros((len(c), 0)) for c in apart.shared])
     whole = _Waved(runs.pairs.sum(axis=0), runs.cross.sum(axis=0), runs.data.sum(axis=0))
     held, out = _held(_Fold(np.empty(0), gram, data)), np.zeros((apart.count, data.shape[2]))
     for run in range(apart.count):
-        law, seen = gram.sum(axis=0) - gram[run] + held, data.sum(axis=0) - data[run]
+        law, normal_equations = gram.sum(axis=0) - gram[run] + held, data.sum(axis=0) - data[run]
         cross = whole.cross - runs.cross[run]
         inverse = np.linalg.pinv(law, rcond=1e-10, hermitian=True)
         bent = np.einsum("st,git->sgi", inverse, cross)  # what the law takes up of every column, (S, G, 2)
         pairs = whole.pairs - runs.pairs[run] - np.einsum("gis,sgj->gij", cross, bent)
-        left = whole.data - runs.data[run] - np.einsum("sgi,sd->gid", bent, seen)
+        left = whole.data - runs.data[run] - np.einsum("sgi,sd->gid", bent, normal_equations)
         size = np.linalg.pinv(pairs, rcond=1e-6, hermitian=True) @ left
         best = np.argmax(np.sum(size * left, axis=1), axis=0)
         mine = _Waved(runs.pairs[run], runs.cross[run], runs.data[run])
-        out[run] = _told_by(mine, (gram[run], data[run]), (inverse @ seen, bent), size, best)
+        out[run] = _told_by(mine, (gram[run], data[run]), (inverse @ normal_equations, bent), size, best)
     return out, restricted_likelihood_gain(_best_wave(whole, gram.sum(axis=0) + held, data.sum(axis=0)), 2, len(f))
 
 
-def _best_wave(whole: _Waved, law: Array, seen: Array) -> float:
+def _best_wave(whole: _Waved, law: Array, normal_equations: Array) -> float:
     """Fall of chi-squared with the best of all waves beside the law (S, S), for the data alone."""
     bent = np.einsum("st,git->sgi", np.linalg.pinv(law, rcond=1e-10, hermitian=True), whole.cross)
     pairs = whole.pairs - np.einsum("gis,sgj->gij", whole.cross, bent)
-    left = whole.data[:, :, 0] - np.einsum("sgi,s->gi", bent, seen[:, 0])
+    left = whole.data[:, :, 0] - np.einsum("sgi,s->gi", bent, normal_equations[:, 0])
     return float(np.max(np.einsum("gi,gij,gj->g", left, np.linalg.pinv(pairs, rcond=1e-6, hermitian=True), left)))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.compare.spectral_lines import scanned, seen
+from frictrack.compare import scan_frequencies, time_wave_traces
 from frictrack.fit.least_squares import ModelProjection
 from frictrack.records import Array
 
@@ -43,7 +43,7 @@ def assess_common_frequency(
 
     Foretold are the odd frames; they stand for all. For chance every run is given another frequency.
     """
-    f, excess = scanned(law), _beyond(law, runs)
+    f, excess = scan_frequencies(law), _beyond(law, runs)
     told = np.array([_told(*_halves(law, run, f)) for run in runs])
     gains, free = _waved(told)
     best = int(np.argmax(free))
@@ -79,7 +79,7 @@ def _halves(law: ModelProjection, run: int, f: Array) -> _Halves:
     ]
     for rows, response in zip(law.rows, law.responses, strict=True):
         if response.piece.run == run:
-            made = seen(response, f)
+            made = time_wave_traces(response, f)
             made -= law.u[rows] @ (law.u[rows].T @ made)
             cube = made.reshape(len(made), len(f), 2)
             for k in (0, 1):
@@ -99,8 +99,8 @@ def _told(even: Array, odd: Array, b_even: Array, b_odd: Array) -> Array:
     gain, noise = np.sum(wave * (b_even + b_odd), axis=1), np.einsum("fii->f", inverse)
     way = np.einsum("fij,fj->fi", np.linalg.pinv(even, rcond=1e-6, hermitian=True), b_even)
     way /= np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
-    seen = np.sum(way * b_odd, axis=1), np.einsum("fi,fij,fj->f", way, odd, way)
-    return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, *seen])
+    time_wave_traces = np.sum(way * b_odd, axis=1), np.einsum("fi,fij,fj->f", way, odd, way)
+    return np.array([gain, np.sum(wave**2, axis=1) - noise, noise, *time_wave_traces])
 
 
 def _waved(told: Array) -> tuple[Array, Array]:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frictrack.axes import AXES
-from frictrack.compare.deconvolve import Deconvolved, deconvolved
-from frictrack.compare.spectral_lines import Line
+from frictrack.compare import DeconvolvedForce, SpectralLine, deconvolve_force
 from frictrack.diagnose.repeatability.common_curves import Repeatability, assess_repeatability
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.measured_friction import keep_compared_frames
@@ -30,11 +29,11 @@ class FailurePattern:
 def find_failure_pattern(solution: Solution, rng: np.random.Generator) -> FailurePattern:
     """What the failure of a fitted law has in common from run to run, in words, numbers and curves."""
     solution = keep_compared_frames(solution)
-    pieces, line = deconvolved(solution)
+    pieces, line = deconvolve_force(solution)
     return FailurePattern(assess_repeatability(solution, rng), residual_figures(pieces, line))
 
 
-def residual_figures(pieces: list[Deconvolved], line: Line | None) -> dict[str, dict[str, Array]]:
+def residual_figures(pieces: list[DeconvolvedForce], line: SpectralLine | None) -> dict[str, dict[str, Array]]:
     """Curves for plots and files.
 
     `residual_force`: run (its number among the fitted ones), t, x, phase (cycles), v and a (along the motion, so v is
@@ -52,7 +51,7 @@ def residual_figures(pieces: list[Deconvolved], line: Line | None) -> dict[str, 
     return out
 
 
-def _along(piece: Deconvolved, line: Line | None) -> dict[str, Array]:
+def _along(piece: DeconvolvedForce, line: SpectralLine | None) -> dict[str, Array]:
     against = np.where(piece.v < 0, -1.0, 1.0)
     out = {"run": np.full(len(piece.t), float(piece.run)), "t": piece.t, "x": piece.x}
     out |= {"v": against * piece.v, "a": against * piece.a}
