@@ -15,7 +15,7 @@ from frictrack.fit import fit
 from frictrack.fit.least_squares import (
     displacement_response,
     fit_with_scatter,
-    promised_objective,
+    predicted_objective,
     refine,
     refine_further,
     refit_with_scatter,
@@ -79,7 +79,7 @@ def test_a_law_continued_is_the_law_refined_again(slide):
 
 def test_a_step_promises_what_it_brings_where_the_law_is_linear(slide):
     off = slide.p * 1.01
-    promised, state = promised_objective(slide.problem, off, slide.starts, tau=slide.tau)
+    promised, state = predicted_objective(slide.problem, off, slide.starts, tau=slide.tau)
     taken = refine(slide.problem, off, slide.starts, tau=slide.tau, max_steps=1)
     assert promised < state.objective
     assert promised == pytest.approx(taken.objective, abs=0.02 * (state.objective - taken.objective))

@@ -19,11 +19,11 @@ import frictrack as ft
 from frictrack import models, plots
 from frictrack.cli.commands import app
 from frictrack.errors import FrictrackError
-from frictrack.fit import certainty, fit, with_certainty
-from frictrack.fit.uncertainty import held as held_module
-from frictrack.fit.uncertainty import merge_certainty
-from frictrack.fit.uncertainty.profile import ProfileSearch
-from frictrack.fit.uncertainty.quoted import parse_quantity
+from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
+from frictrack.fit.uncertainty import merge_uncertainty
+from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem
+from frictrack.fit.uncertainty.profile_likelihood import ProfileSearch
+from frictrack.fit.uncertainty.reported_values import parse_quantity
 from frictrack.report import tables, verdict_text
 from frictrack.results import ModelResults
 
@@ -132,7 +132,9 @@ def test_what_is_quoted_is_profiled_whichever_unknown_follows(monkeypatch):
     found = ft.profile(fitted, "stribeck.F_s")
     layout = fitted.solution.problem.layout
     for slot in (layout.index("stribeck", "F_s"), layout.index("coulomb", "F_c")):
-        monkeypatch.setattr(sys.modules["frictrack.fit.uncertainty.profile"], "pivot_of", lambda *_, slot=slot: slot)
+        monkeypatch.setattr(
+            sys.modules["frictrack.fit.uncertainty.profile_likelihood"], "pivot_of", lambda *_, slot=slot: slot
+        )
         walk = ProfileSearch(
             fitted.solution, parse_quantity(layout, "stribeck.F_s"), fitted.estimates.covariance
         ).profile()
@@ -213,10 +215,10 @@ def test_a_pivot_keeps_off_its_bounds_and_a_law_outside_is_refused():
     fitted = fit("tustin", runs)
     layout = fitted.solution.problem.layout
     asked = parse_quantity(layout, "stribeck.F_s")
-    inside = held_module.Held(fitted.solution.problem, asked, 15.0, layout.index("coulomb", "F_c"))
+    inside = FixedQuantityProblem(fitted.solution.problem, asked, 15.0, layout.index("coulomb", "F_c"))
     law = inside.law(fitted.solution.p)
     assert law[layout.index("coulomb", "F_c")] + law[layout.index("stribeck", "F_s")] == pytest.approx(15.0)
-    outside = held_module.Held(fitted.solution.problem, asked, 1.0, layout.index("coulomb", "F_c"))
+    outside = FixedQuantityProblem(fitted.solution.problem, asked, 1.0, layout.index("coulomb", "F_c"))
     with pytest.raises(FrictrackError, match=r"no law within the bounds has stribeck\.F_s = 1"):
         outside.law(fitted.solution.p)
 
@@ -315,7 +317,7 @@ def test_draws_from_scratch_agree():
 
 def test_failed_draws_are_counted_and_said(monkeypatch):
     fitted = fit("coulomb", [slide()])
-    module = sys.modules["frictrack.fit.uncertainty.bootstrap"]
+    module = sys.modules["frictrack.fit.uncertainty.parametric_bootstrap"]
     real, calls = module.settle_scatter, iter(range(1000))
 
     def sometimes(*args, **kwargs):
@@ -399,8 +401,8 @@ def test_atm2_as_printed_is_said_to_be_nearly_unidentifiable_by_its_profile():
 def sure():
     runs, _ = study(specs=ONE_SLIDE, sigma=5e-5, rng=np.random.default_rng(3))
     plain = fit("tustin", runs)
-    found = certainty(plain, draws=20)
-    return plain, found, with_certainty(plain, found)
+    found = analyse_uncertainty(plain, draws=20)
+    return plain, found, with_uncertainty(plain, found)
 
 
 def test_json_gains_intervals_where_they_were_asked_for(sure):
@@ -411,7 +413,9 @@ def test_json_gains_intervals_where_they_were_asked_for(sure):
     assert list(speed) == ["value", "std", "unit", "at_bound", "reason", "interval"]
     assert speed["interval"] == [summary["profiles"]["stribeck.v_s"][end] for end in ("low", "high")]
     assert summary["bootstrap"]["draws"] == 20
-    assert json.loads(json.dumps(merge_certainty(plain.summary(), found.summary()))) == json.loads(json.dumps(summary))
+    assert json.loads(json.dumps(merge_uncertainty(plain.summary(), found.summary()))) == json.loads(
+        json.dumps(summary)
+    )
 
 
 def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):
@@ -442,7 +446,7 @@ def test_profiles_of_a_rejected_model_carry_the_wider_deviation_with_its_mark(su
 def test_an_open_profile_is_drawn_and_said():
     runs, _ = study(specs=NEVER_SLOW, sigma=5e-5, rng=np.random.default_rng(1))
     fitted = fit("tustin", runs)
-    summary = with_certainty(fitted, certainty(fitted)).summary()
+    summary = with_uncertainty(fitted, analyse_uncertainty(fitted)).summary()
     figure = plots.profiles(summary)
     assert figure.get_suptitle().startswith("Not bounded on both sides: ")
     assert "stribeck.v_s" in figure.get_suptitle()

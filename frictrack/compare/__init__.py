@@ -11,8 +11,7 @@ from frictrack.compare.deconvolve import DeconvolvedForce, deconvolve_force
 from frictrack.compare.spans import failing_spans
 from frictrack.compare.spectral_lines import SpectralLine, scan_frequencies, time_wave_traces, wave_traces
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit
-from frictrack.fit.groups import GroupFits
+from frictrack.fit import Fit, GroupFits
 from frictrack.threads import one_thread
 
 __all__ = [

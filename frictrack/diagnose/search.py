@@ -38,11 +38,10 @@ from frictrack.diagnose.unsegmented import join_segments
 from frictrack.diagnose.verdict import Candidate, Diagnosis, Importance
 from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit, measured_friction
-from frictrack.fit.groups import GroupFits
+from frictrack.fit import Fit, GroupFits, measured_friction
 from frictrack.fit.least_squares import Solution, heldout_rms
 from frictrack.fit.stepwise import refine_to_end
-from frictrack.fit.uncertainty import Estimates, estimates, linear_estimates
+from frictrack.fit.uncertainty import Estimates, estimate_parameters, linear_estimates
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -407,7 +406,7 @@ def _parameter_estimates(solution: Solution) -> Estimates:
     """Return parameters with standard deviations; those of measured friction come from blocks of the residual."""
     if measured_friction.is_measured_friction(solution.problem):
         return linear_estimates(solution, measured_friction.block_covariance(solution))
-    return estimates(solution, profile=False)
+    return estimate_parameters(solution, profile=False)
 
 
 def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from frictrack import models
 from frictrack.effects.settings import check_ties
 from frictrack.errors import FrictrackError
 from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import Callback, unfitted_problem
+from frictrack.fit.global_search import MAX_SEARCH_GENERATIONS, Callback, unfitted_problem
 from frictrack.fit.groups import GroupFits, by_group
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.measured_friction import (
@@ -35,7 +35,7 @@ from frictrack.fit.parameters import (
     without_mass,
 )
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.result import Fit, with_certainty
+from frictrack.fit.result import Fit, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, check_route, fit_by_search, fit_in_force_domain, outcome_at
 from frictrack.fit.segments import (
     Piece,
@@ -49,28 +49,28 @@ from frictrack.fit.segments import (
     spans_of,
 )
 from frictrack.fit.stepwise import add_effect, remove_effect
-from frictrack.fit.uncertainty import Bootstrap, Certainty, Profile, bootstrap, certainty, profile
+from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.models import Model
 from frictrack.records import Array, Run
 from frictrack.threads import one_thread
 
 __all__ = [
+    "MAX_SEARCH_GENERATIONS",
     "Bootstrap",
-    "Certainty",
     "Fit",
     "GroupFits",
     "Profile",
+    "UncertaintyAnalysis",
     "add_effect",
+    "analyse_uncertainty",
     "bootstrap",
-    "certainty",
     "fit",
     "profile",
     "remove_effect",
     "restore",
-    "with_certainty",
+    "state",
+    "with_uncertainty",
 ]
-
-Progress = Callable[[int, int, str], None]
 
 
 @one_thread()
@@ -113,9 +113,9 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     _names_differ(fitted)
     reference = reference_of(fitted, reference_mass)
-    sought = is_mass_unknown(fitted)
+    mass_unknown = is_mass_unknown(fitted)
     sections = sections_of(fitted, reference, through_reversals=law.turns)
-    if sought:
+    if mass_unknown:
         law, mass = with_mass(law), guess_mass([p for own in sections for p in own])
         sections = [[in_mass_units(p, mass) for p in own] for own in sections]
     lengths = tuple(segment_frames(law, own, run) for own, run in zip(sections, fitted, strict=True))

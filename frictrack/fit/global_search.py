@@ -28,8 +28,8 @@ from frictrack.records import Array
 from frictrack.search import minimise
 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
-MAX_GENERATIONS = 1000  # of the first paper
-MAX_EVALUATIONS = 36 * MAX_GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
+MAX_SEARCH_GENERATIONS = 1000  # of the first paper
+MAX_EVALUATIONS = 36 * MAX_SEARCH_GENERATIONS  # evaluations: its population of 40 with the common gap of 0.9
 FORCE_RANGE_FACTOR = 1.5  # times the largest friction measured: how far a force is searched
 MAX_SHIFT_SHARE = 0.01  # of the travelled span: how far the picture may be shifted
 

@@ -19,16 +19,16 @@ from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, with_fitted_mass, wit
 from frictrack.fit.routes import FitOutcome, Route
 from frictrack.fit.segments import Reference
 from frictrack.fit.uncertainty import (
-    Certainty,
     Estimate,
     Estimates,
     Misfit,
-    estimates,
+    UncertaintyAnalysis,
+    estimate_parameters,
     linear_estimates,
     misfit_of,
     with_misfit,
 )
-from frictrack.fit.uncertainty import quoted_by_address as quoted
+from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.models import Model
 from frictrack.records import Array, Curve, Modelled, Run
 
@@ -44,7 +44,7 @@ class Fit:
     reference: Reference = field(default=Reference(1.0, 1.0))
     route: Route = field(default=Route())
     lengths: tuple[int, ...] = ()  # frames per segment of every run, 0 where its stretches are whole
-    certainty: Certainty = field(default=Certainty())
+    uncertainty: UncertaintyAnalysis = field(default=UncertaintyAnalysis())
 
     @property
     def solution(self) -> Solution:
@@ -89,7 +89,7 @@ class Fit:
     @property
     def equation(self) -> str:
         """The law with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
-        return self.model.equation({name: replace(e, std=e.honest_std) for name, e in self.parameters.items()})
+        return self.model.equation({name: replace(e, std=e.reported_std) for name, e in self.parameters.items()})
 
     @property
     def weighed(self) -> tuple[Run, ...]:
@@ -99,7 +99,7 @@ class Fit:
     @cached_property
     def estimates(self) -> Estimates:
         """Parameters with deviations, those of a rejected law beside the ideal ones, and intervals where asked for."""
-        found = self._deviations.with_intervals(self.certainty.intervals)
+        found = self._deviations.with_intervals(self.uncertainty.intervals)
         return found if self.misfit is None else with_misfit(found, self.solution, self.misfit.covariance)
 
     @cached_property
@@ -113,7 +113,11 @@ class Fit:
     def _deviations(self) -> Estimates:
         if self.measured:
             return linear_estimates(self.solution, measured_friction.block_covariance(self.solution))
-        return estimates(self.solution) if self.route.plain else linear_estimates(self.found.force or self.solution)
+        return (
+            estimate_parameters(self.solution)
+            if self.route.plain
+            else linear_estimates(self.found.force or self.solution)
+        )
 
     @property
     def covariance(self) -> Array:
@@ -152,10 +156,12 @@ class Fit:
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
         """Measurement beside model, run by run, validation runs last."""
-        told = measured_friction.curves if self.measured else _curves
-        fitted = told(self.solution, self.runs, "fit")
+        make_curves = measured_friction.curves if self.measured else _curves
+        fitted = make_curves(self.solution, self.runs, "fit")
         return fitted + tuple(
-            c for s, run in zip(self.predictions, self.validation, strict=True) for c in told(s, [run], "validation")
+            c
+            for s, run in zip(self.predictions, self.validation, strict=True)
+            for c in make_curves(s, [run], "validation")
         )
 
     @cached_property
@@ -227,7 +233,7 @@ class Fit:
                 "collisions": self.collisions,
             }
             | ({"optima": self._optima()} if len(self.found.optima) else {})
-            | self.certainty.summary()
+            | self.uncertainty.summary()
         )
 
     def _mu(self, address: str, found: Estimate) -> dict[str, Any]:
@@ -239,7 +245,7 @@ class Fit:
             return {}
         if not made.parameter(parameter).loaded:
             return {}
-        std = found.honest_std
+        std = found.reported_std
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self) -> list[dict[str, Any]]:
@@ -260,8 +266,8 @@ class Fit:
             _row(s, 0, with_fitted_mass(run, self.reference.mass), "validation", self.curves)
             for s, run in zip(self.predictions, self.validation, strict=True)
         ]
-        told = zip(rows, self.motion, self.runs + self.validation, strict=True)
-        return [self._freely(row) | {"motion": band_summary(motion, run)} for row, motion, run in told]
+        described = zip(rows, self.motion, self.runs + self.validation, strict=True)
+        return [self._freely(row) | {"motion": band_summary(motion, run)} for row, motion, run in described]
 
     def _freely(self, row: dict[str, Any]) -> dict[str, Any]:
         """A row of `per_run` with the error of its free run, where there is one."""
@@ -270,9 +276,9 @@ class Fit:
         return row | {"errors": row["errors"] | free_errors([self.free_runs[row["run"]]])}
 
 
-def with_certainty(result: Fit, found: Certainty) -> Fit:
+def with_uncertainty(result: Fit, found: UncertaintyAnalysis) -> Fit:
     """The same fit, its parameters with intervals, its summary with profiles and bootstrap."""
-    return replace(result, certainty=found)
+    return replace(result, uncertainty=found)
 
 
 def _row(solution: Solution, index: int, run: Run, role: str, curves: Sequence[Curve]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.files import working
-from frictrack.fit import certainty
+from frictrack.fit import analyse_uncertainty
 from frictrack.flow import changes
 from frictrack.flow.doubts import doubted
 from frictrack.flow.films import overlaid
@@ -176,7 +176,7 @@ class Session:
         def make() -> dict[str, Any]:
             known = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
             asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
-            found = certainty(fitted, **asked, progress=self.progress)
+            found = analyse_uncertainty(fitted, **asked, progress=self.progress)
             return {"summary": json.dumps(known | plain(found.summary()))}
 
         key = digest(["certainty", profiles, draws, seed, self.tried.key(self.tried.spec(group))])

@@ -12,9 +12,8 @@ from typing import Any
 from frictrack import effects, models, store
 from frictrack.effects import Effect
 from frictrack.effects.settings import Settings, check_ties, definitions
-from frictrack.fit import fit, restore, state
-from frictrack.fit.global_search import MAX_GENERATIONS
-from frictrack.fit.uncertainty import merge_certainty
+from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state
+from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.flow.ledger import Ledger
 from frictrack.flow.stages import Progress, RunWork, digest
 from frictrack.models import Model
@@ -258,14 +257,16 @@ class Tried:
         if self.study.mass is not None:
             how["reference_mass"] = self.study.mass[0]
         fitted = fit(spec.model(self.study.effects), self.runs, callback=self._told(spec.search), **how)
-        self.progress(MAX_GENERATIONS, MAX_GENERATIONS, spec.search)
+        self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, spec.search)
         return fitted
 
     def _told(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
         """Progress of a global search, generation by generation."""
 
         def told(generation: int, best: Mapping[str, float], misfit: float) -> None:
-            self.progress(min(generation, MAX_GENERATIONS - 1), MAX_GENERATIONS, f"{search}: misfit {misfit:.4g}")
+            self.progress(
+                min(generation, MAX_SEARCH_GENERATIONS - 1), MAX_SEARCH_GENERATIONS, f"{search}: misfit {misfit:.4g}"
+            )
 
         return told
 
@@ -305,7 +306,7 @@ def model_results(path: Path, group: str) -> ModelResults:
         return ModelResults(
             name=group,
             equation=held["equation"],
-            summary=merge_certainty(
+            summary=merge_uncertainty(
                 json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))
             ),
             curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),

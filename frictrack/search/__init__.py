@@ -8,4 +8,11 @@ from frictrack.search.driver import METHODS, SearchMethod, minimise
 from frictrack.search.evaluator import SearchResult
 from frictrack.search.mga import code_length, code_length_as_printed
 
-__all__ = ["METHODS", "SearchMethod", "SearchResult", "code_length", "code_length_as_printed", "minimise"]
+__all__ = [
+    "METHODS",
+    "SearchMethod",
+    "SearchResult",
+    "code_length",
+    "code_length_as_printed",
+    "minimise",
+]

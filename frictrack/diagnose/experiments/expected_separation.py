@@ -18,7 +18,7 @@ from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
     Solution,
-    promised_objective,
+    predicted_objective,
     refine,
     refine_further,
 )
@@ -223,7 +223,7 @@ def _placed(
     tried = []
     for trial in _trials(rival, layout, p, piece):
         with suppress(FrictrackError):  # a start too wild to be integrated
-            tried.append(promised_objective(problem, trial, [start], tau=tau, free=own))
+            tried.append(predicted_objective(problem, trial, [start], tau=tau, free=own))
     tried.sort(key=lambda t: t[0])
     found = [refine_further(s, tau, free=own, max_steps=MAX_STEPS_OWN) for _, s in tried[:N_STARTS_REFINED]]
     best = min(found, key=lambda s: s.objective, default=None)

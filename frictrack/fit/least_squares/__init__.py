@@ -11,7 +11,7 @@ from frictrack.fit.least_squares.covariance import (
 from frictrack.fit.least_squares.gauss_newton import (
     Solution,
     fit_with_scatter,
-    promised_objective,
+    predicted_objective,
     refine,
     refine_further,
     refit_with_scatter,
@@ -42,7 +42,7 @@ __all__ = [
     "is_predictable",
     "model_projection",
     "position_and_velocity",
-    "promised_objective",
+    "predicted_objective",
     "refine",
     "refine_further",
     "refit_with_scatter",

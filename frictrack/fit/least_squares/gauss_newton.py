@@ -152,7 +152,7 @@ def refine_further(
     return _refined(_refinement(solution.problem, solution.p, tau, free), state, max_steps, enough)
 
 
-def promised_objective(
+def predicted_objective(
     problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
 ) -> tuple[float, Solution]:
     """The objective that the first step from p (P,) promises, and the law at p; one simulation of each piece."""

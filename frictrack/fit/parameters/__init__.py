@@ -1,6 +1,6 @@
 """The parameter vector: its layout, constraints between parameters, friction levels of the runs, an unknown mass."""
 
-from frictrack.fit.parameters.constraints import MASS, apply_constraints, quoted_value
+from frictrack.fit.parameters.constraints import MASS, apply_constraints, reported_value
 from frictrack.fit.parameters.layout import (
     LEVEL,
     MIN_RUNS_FOR_SCATTER,
@@ -49,7 +49,7 @@ __all__ = [
     "prior_jacobian",
     "prior_misfit",
     "prior_residual",
-    "quoted_value",
+    "reported_value",
     "rescale_to_mass",
     "with_fitted_mass",
     "with_mass",

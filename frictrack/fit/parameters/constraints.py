@@ -64,7 +64,7 @@ def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values:
     for constraint in constraints:
         known = constraint.value
         wanted = (
-            known.factor * quoted_value(model, values, known.effect, known.parameter)
+            known.factor * reported_value(model, values, known.effect, known.parameter)
             if isinstance(known, Tie)
             else known
         )
@@ -76,7 +76,7 @@ def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values:
         )
 
 
-def quoted_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
+def reported_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
     """The value of a parameter as it is quoted."""
     of = next(e for e in model.effects if e.name == effect)
     if parameter in of.quoted and of.quote is not None:

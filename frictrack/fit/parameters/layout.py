@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.effects.settings import Tie
-from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, quoted_value
+from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
 from frictrack.models import Model
 from frictrack.records import Array, Mask
 
@@ -178,7 +178,7 @@ class ParameterLayout:
         curved = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
         each = [self.values(p, run)[0] for run in range(len(self.run_names))] if curved else []
         for e, r in curved:
-            found = [quoted_value(self.model, values, e.name, r.name) for values in each]
+            found = [reported_value(self.model, values, e.name, r.name) for values in each]
             if self.own(e, r):
                 there = [run for run in self._runs_of(e, True) if run is not None]
                 out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in there}

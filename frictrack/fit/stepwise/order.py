@@ -11,7 +11,7 @@ from frictrack.effects import Effect, Parameter
 from frictrack.effects.base import Within
 from frictrack.effects.settings import Tie
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.parameters import quoted_value
+from frictrack.fit.parameters import reported_value
 from frictrack.models import Model
 
 PRIOR_HALF_WIDTH_STD = 4.0  # standard deviations of a prior, beyond which nothing is looked for
@@ -45,7 +45,7 @@ def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
     for p in effect.nonlinear:
         tie = Tie.read(p.tie) if p.tie else None
         if tie is not None and tie.effect != effect.name:
-            there = tie.factor * float(quoted_value(solution.problem.model, values, tie.effect, tie.parameter))
+            there = tie.factor * float(reported_value(solution.problem.model, values, tie.effect, tie.parameter))
             changes[p.name] = {"fixed": there, "tie": None, "per_run": False}
         elif p.fixed is not None and p.per_run:
             changes[p.name] = {"per_run": False}
@@ -80,7 +80,7 @@ def model_without(solution: Solution, name: str) -> Model:
     out = []
     for e in (model - name).effects:
         lost = [p for p in e.parameters if p.tie and Tie.read(p.tie).effect == name]
-        there = {p.name: {"tie": None, "fixed": float(quoted_value(model, values, e.name, p.name))} for p in lost}
+        there = {p.name: {"tie": None, "fixed": float(reported_value(model, values, e.name, p.name))} for p in lost}
         out.append(e.adjusted(**there) if there else e)
     return Model(tuple(out))
 

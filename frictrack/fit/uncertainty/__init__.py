@@ -1,28 +1,28 @@
 """Parameter uncertainty: estimates with deviations, model misfit, profile likelihood, bootstrap."""
 
-from frictrack.fit.uncertainty.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.uncertainty.certainty import Certainty, certainty, merge_certainty
-from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimates, with_misfit
+from frictrack.fit.uncertainty.analysis import UncertaintyAnalysis, analyse_uncertainty, merge_uncertainty
+from frictrack.fit.uncertainty.estimates import Estimate, Estimates, estimate_parameters, with_misfit
 from frictrack.fit.uncertainty.linear import linear_estimates
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
-from frictrack.fit.uncertainty.profile import Profile, profile
-from frictrack.fit.uncertainty.quoted import quoted_by_address
+from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
+from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
+from frictrack.fit.uncertainty.reported_values import reported_by_address
 
 __all__ = [
     "Bootstrap",
-    "Certainty",
     "Estimate",
     "Estimates",
     "Misfit",
     "Profile",
+    "UncertaintyAnalysis",
+    "analyse_uncertainty",
     "bootstrap",
-    "certainty",
     "dispersion",
-    "estimates",
+    "estimate_parameters",
     "linear_estimates",
-    "merge_certainty",
+    "merge_uncertainty",
     "misfit_of",
     "profile",
-    "quoted_by_address",
+    "reported_by_address",
     "with_misfit",
 ]

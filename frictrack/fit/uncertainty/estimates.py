@@ -11,7 +11,7 @@ import numpy as np
 from frictrack.fit.least_squares import Solution, covariance_of
 from frictrack.fit.parameters import MASS
 from frictrack.fit.uncertainty.identifiability import correlated_partners, identifiability_remarks, undetermined_reasons
-from frictrack.fit.uncertainty.quoted import quoted_gradient, quoted_slots, quoted_with_jacobian
+from frictrack.fit.uncertainty.reported_values import reported_gradient, reported_slots, reported_values_and_jacobian
 from frictrack.records import Array
 
 NEGATIVE_STD = 3.0  # standard deviations below zero from which a coefficient is clearly negative
@@ -34,13 +34,13 @@ class Estimate:
     std_misfit: float | None = None  # with the force that a rejected law misses; None where it misses none
 
     @property
-    def honest_std(self) -> float | None:
+    def reported_std(self) -> float | None:
         """The deviation to quote alone: with what the law misses, where it misses anything."""
         return self.std if self.std_misfit is None else self.std_misfit
 
     def is_significant(self, times: float) -> bool:
         """Whether the value exceeds so many of its own standard deviations."""
-        std = self.honest_std
+        std = self.reported_std
         return self.value is not None and std is not None and abs(self.value) > times * std
 
     def json(self) -> dict[str, Any]:
@@ -74,10 +74,10 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
     are.
     """
     layout = solution.problem.layout
-    _, jacobian = quoted_with_jacobian(solution.problem, solution.p)
+    _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
     more = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
     parameters = dict(found.parameters)
-    for i, added in zip(quoted_slots(layout), more, strict=True):
+    for i, added in zip(reported_slots(layout), more, strict=True):
         old = parameters[layout.names[i]]
         if old.std is not None:
             std = float(np.sqrt(old.std**2 + max(added, 0.0)))
@@ -85,7 +85,7 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
     return replace(found, parameters=parameters)
 
 
-def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
+def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimates:
     """Parameters with deviations; what the data do not determine is null with a reason.
 
     `profile` also looks whether the profiles of the non-linear parameters are bounded, which takes further fits.
@@ -98,13 +98,13 @@ def estimates(solution: Solution, *, profile: bool = True) -> Estimates:
 def estimates_from_covariance(solution: Solution, covariance: Array, reasons: dict[str, str]) -> Estimates:
     """Parameters as they are quoted, with the deviations of a covariance (P, P); null where there is a reason."""
     layout, names, p = solution.problem.layout, solution.problem.layout.names, solution.p
-    values, jacobian = quoted_with_jacobian(solution.problem, p)
+    values, jacobian = reported_values_and_jacobian(solution.problem, p)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
     low, high = layout.bounds
     near = 1e-6 * np.maximum(1.0, np.abs(p))
     at_bound = (p <= low + near) | (p >= high - near)
     out: dict[str, Estimate] = {}
-    for i, value, deviation in zip(quoted_slots(layout), values, std, strict=True):
+    for i, value, deviation in zip(reported_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
         number, spread = (None, None) if reason else (float(value), float(deviation))
         out[names[i]] = Estimate(number, spread, layout.slots[i].unit, bool(at_bound[i]), reason)
@@ -112,7 +112,7 @@ def estimates_from_covariance(solution: Solution, covariance: Array, reasons: di
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied(solution, covariance, out)
-    alike = correlations(names, quoted_slots(layout), covariance)
+    alike = correlations(names, reported_slots(layout), covariance)
     said = identifiability_remarks(solution, alike, list(reasons))
     return Estimates(
         out, covariance, alike, [*said, *negative_force_remark(solution, out), *correlated_noise_remark(solution)]
@@ -151,7 +151,7 @@ def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> 
     layout = solution.problem.layout
     out: dict[str, Estimate] = {}
     for address, tie, unit in layout.tied():
-        value, gradient = quoted_gradient(solution.problem, solution.p, address)
+        value, gradient = reported_gradient(solution.problem, solution.p, address)
         leader = known.get(f"{tie.effect}.{tie.parameter}")
         lost = leader is not None and leader.value is None
         std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
@@ -166,10 +166,10 @@ def _absorbed(solution: Solution, unseen: Array) -> dict[str, str]:
     massless = MASS in layout.model and unseen[layout.index(MASS, "m")]
     out = {
         names[i]: "these runs do not determine the mass, and no force without it"
-        for i in quoted_slots(layout)
+        for i in reported_slots(layout)
         if massless and layout.slots[i].linear
     }
-    return out | {names[i]: correlated_partners(solution, i) for i in quoted_slots(layout) if unseen[i]}
+    return out | {names[i]: correlated_partners(solution, i) for i in reported_slots(layout) if unseen[i]}
 
 
 def correlations(names: list[str], at: list[int], covariance: Array) -> list[tuple[str, str, float]]:

@@ -10,8 +10,8 @@ from frictrack.effects import Effect
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import LEVEL, MASS, Slot
-from frictrack.fit.uncertainty.profile import ProfileSearch
-from frictrack.fit.uncertainty.quoted import parse_quantity, quoted_slots
+from frictrack.fit.uncertainty.profile_likelihood import ProfileSearch
+from frictrack.fit.uncertainty.reported_values import parse_quantity, reported_slots
 from frictrack.models import Model
 from frictrack.records import Array
 
@@ -163,7 +163,7 @@ def _listed_few(names: Sequence[str]) -> str:
 
 def inflation(solution: Solution) -> float:
     """By how much the worst unknown is known less because the others are not known either; levels as they are."""
-    jac = solution.jac[:, quoted_slots(solution.problem.layout)]
+    jac = solution.jac[:, reported_slots(solution.problem.layout)]
     covariance, _ = inverse_normal_matrix(jac)
     return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
 

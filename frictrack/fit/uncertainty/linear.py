@@ -6,7 +6,7 @@ import numpy as np
 
 from frictrack.fit.force_domain import ForceProblem, sandwich_covariance
 from frictrack.fit.least_squares import Solution
-from frictrack.fit.uncertainty.estimates import Estimates, estimates, estimates_from_covariance
+from frictrack.fit.uncertainty.estimates import Estimates, estimate_parameters, estimates_from_covariance
 from frictrack.records import Array
 
 MIN_STD = 1.96  # standard deviations by which F_s - F_c, and twice by which v_s, must differ from zero
@@ -17,7 +17,7 @@ def linear_estimates(solution: Solution, covariance: Array | None = None) -> Est
 
     `covariance` (P, P) replaces the one that goes with the domain.
     """
-    plain = estimates(solution, profile=False)
+    plain = estimate_parameters(solution, profile=False)
     if covariance is None:
         covariance = sandwich_covariance(solution) if isinstance(solution.problem, ForceProblem) else plain.covariance
     absent = {name: e.reason for name, e in plain.parameters.items() if e.value is None and e.reason}

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
 import frictrack as ft
-from frictrack.fit.uncertainty import quoted_by_address as quoted
+from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.records import Run
 
 from .scenes import Scene

@@ -19,9 +19,9 @@ from scipy.stats import norm
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine, white_noise_covariance
-from frictrack.fit.uncertainty.fitted import FittedModel
-from frictrack.fit.uncertainty.held import HeldQuantityProblem, pivot_of
-from frictrack.fit.uncertainty.quoted import Quantity, parse_quantity
+from frictrack.fit.uncertainty.fitted_model import FittedModel
+from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem, pivot_of
+from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -149,7 +149,7 @@ class ProfileSearch:
         Raises FrictrackError where there is none.
         """
         s = self.solution
-        held = HeldQuantityProblem(s.problem, self.quantity, c, self.pivot)
+        held = FixedQuantityProblem(s.problem, self.quantity, c, self.pivot)
         p, starts = self._predicted(c)
         low, high = s.problem.layout.bounds
         p = held.law(np.clip(p, low, high))

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
-from frictrack.fit.uncertainty.quoted import Quantity
+from frictrack.fit.uncertainty.reported_values import Quantity
 from frictrack.records import Array, Mask
 
 MAX_NEWTON_STEPS = 12  # steps for the pivot at most; one where the quantity is linear in it
@@ -18,7 +18,7 @@ MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest at which the derivative is t
 MIN_ROOM_STD = 20.0  # standard deviations to its bounds that make an unknown a good pivot
 
 
-class HeldQuantityProblem(LeastSquaresProblem):
+class FixedQuantityProblem(LeastSquaresProblem):
     """The same problem, one unknown (the pivot) following from the others so that a quantity has a given value.
 
     Its unknowns are those of `inner`; what stands in the pivot's place is not read. Without a pivot the quantity is an

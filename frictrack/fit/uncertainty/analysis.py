@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from frictrack.errors import FrictrackError
-from frictrack.fit.uncertainty.bootstrap import Bootstrap, bootstrap
-from frictrack.fit.uncertainty.fitted import FittedModel
-from frictrack.fit.uncertainty.profile import Profile, profile
+from frictrack.fit.uncertainty.fitted_model import FittedModel
+from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, bootstrap
+from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.threads import one_thread
 
 Progress = Callable[[int, int, str], None]
@@ -17,7 +17,7 @@ Interval = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
-class Certainty:
+class UncertaintyAnalysis:
     """Profiles and a bootstrap of one fit, where they were asked for."""
 
     profiles: tuple[Profile, ...] = ()
@@ -40,14 +40,14 @@ class Certainty:
 
 
 @one_thread()
-def certainty(
+def analyse_uncertainty(
     result: FittedModel,
     *,
     profiles: bool = True,
     draws: int = 0,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Certainty:
+) -> UncertaintyAnalysis:
     """Profiles of all shared parameters of a fit, and a bootstrap of so many draws.
 
     Raises FrictrackError (usage) for fits of groups.
@@ -62,10 +62,10 @@ def certainty(
         if progress is not None:
             progress(k + 1, len(addresses), "profiles")
     drawn = bootstrap(result, draws, seed=seed, progress=progress) if draws else None
-    return Certainty(tuple(made), drawn)
+    return UncertaintyAnalysis(tuple(made), drawn)
 
 
-def merge_certainty(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+def merge_uncertainty(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON of a fit with that of its `Certainty`: every parameter gets its interval."""
     drawn = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
     ends = drawn | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}

@@ -27,8 +27,8 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
-from frictrack.fit.uncertainty.fitted import FittedModel
-from frictrack.fit.uncertainty.quoted import quoted_slots, quoted_with_jacobian
+from frictrack.fit.uncertainty.fitted_model import FittedModel
+from frictrack.fit.uncertainty.reported_values import reported_slots, reported_values_and_jacobian
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
@@ -156,7 +156,7 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
         solution.problem.layout.run_names[r.piece.run] for r, b in zip(solution.responses, blocks, strict=True) if b
     ]
     return Bootstrap(
-        names=[names[i] for i in quoted_slots(solution.problem.layout)],
+        names=[names[i] for i in reported_slots(solution.problem.layout)],
         fitted=fitted,
         std_fitted=std,
         values=values,
@@ -171,7 +171,7 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
 
 def _quoted_with_std(solution: Solution) -> tuple[Array, Array, float]:
     """Quoted parameters (A,) of a law, their deviations (A,), and the spread of the levels."""
-    values, jacobian = quoted_with_jacobian(solution.problem, solution.p)
+    values, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
     covariance, _ = white_noise_covariance(solution)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
     return values, std, solution.tau

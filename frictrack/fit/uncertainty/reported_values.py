@@ -12,34 +12,34 @@ from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import LEVEL, ParameterLayout, mass_ratio
 from frictrack.records import Array
 
-DIFFERENCE_SIGN = " - "  # of two addresses: their difference
+DIFFERENCE_SEPARATOR = " - "  # of two addresses: their difference
 
 
-def quoted_slots(layout: ParameterLayout) -> list[int]:
+def reported_slots(layout: ParameterLayout) -> list[int]:
     """Positions of the unknowns that are quoted: all but the friction levels."""
     return [i for i, s in enumerate(layout.slots) if s.effect != LEVEL]
 
 
-def quoted_values(problem: LeastSquaresProblem, p: Array) -> Array:
+def reported_values(problem: LeastSquaresProblem, p: Array) -> Array:
     """The quoted unknowns of a law p (P,), (A,), in the order of `quoted_slots`."""
     layout = problem.layout
     known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / mass_ratio(layout, p)}
-    return np.array([known[layout.names[i]] for i in quoted_slots(layout)])
+    return np.array([known[layout.names[i]] for i in reported_slots(layout)])
 
 
-def quoted_with_jacobian(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
+def reported_values_and_jacobian(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
     """The quoted unknowns (A,), and their derivatives in the unknowns, (A, P)."""
-    base = quoted_values(problem, p)
+    base = reported_values(problem, p)
     jacobian = np.zeros((len(base), len(p)))
     for j in range(len(p)):
         step = 1e-6 * max(abs(p[j]), 1e-3)
         moved = p.copy()
         moved[j] += step
-        jacobian[:, j] = (quoted_values(problem, moved) - base) / step
+        jacobian[:, j] = (reported_values(problem, moved) - base) / step
     return base, jacobian
 
 
-def quoted_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tuple[float, Array]:
+def reported_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tuple[float, Array]:
     """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
     base = problem.layout.quoted(p)[address]
     gradient = np.zeros(len(p))
@@ -51,10 +51,10 @@ def quoted_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tup
     return base, gradient
 
 
-def quoted_by_address(solution: Solution, p: Array) -> dict[str, float]:
+def reported_by_address(solution: Solution, p: Array) -> dict[str, float]:
     """Unknowns p (P,) of a law as they are quoted, by address; friction levels left out."""
-    values = quoted_values(solution.problem, p)
-    names = [solution.problem.layout.names[i] for i in quoted_slots(solution.problem.layout)]
+    values = reported_values(solution.problem, p)
+    names = [solution.problem.layout.names[i] for i in reported_slots(solution.problem.layout)]
     return dict(zip(names, map(float, values), strict=True))
 
 
@@ -69,11 +69,11 @@ class Quantity:
 
     def value(self, problem: LeastSquaresProblem, p: Array) -> float:
         """Its value for unknowns p (P,)."""
-        return float(self.weights @ quoted_values(problem, p))
+        return float(self.weights @ reported_values(problem, p))
 
     def gradient(self, problem: LeastSquaresProblem, p: Array) -> Array:
         """Its derivative in every unknown, (P,)."""
-        return np.asarray(self.weights @ quoted_with_jacobian(problem, p)[1])
+        return np.asarray(self.weights @ reported_values_and_jacobian(problem, p)[1])
 
 
 def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
@@ -81,9 +81,9 @@ def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
 
     Raises FrictrackError (usage) for an address that is not an unknown of this law.
     """
-    at = quoted_slots(layout)
+    at = reported_slots(layout)
     names = [layout.names[i] for i in at]
-    parts: Sequence[str] = [part.strip() for part in address.split(DIFFERENCE_SIGN)]
+    parts: Sequence[str] = [part.strip() for part in address.split(DIFFERENCE_SEPARATOR)]
     unknown = [part for part in parts if part not in names]
     if unknown or len(parts) > 2:
         fixed = [f"{e}.{p}" for e, p in layout.fixed]
