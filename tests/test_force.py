@@ -196,14 +196,14 @@ class TestSearch:
         assert all(e["reason"] or e["std"] > 0 for e in summary["parameters"].values())
 
     def test_seed_decides(self, monkeypatch):
-        monkeypatch.setattr(global_search, "BUDGET", 4000)
+        monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
         run = one_slide()
         first, same, other = (fit("tustin", [run], domain="force", search="ga", seed=s).solution.p for s in (1, 1, 2))
         assert np.array_equal(first, same)
         assert not np.array_equal(first, other)
 
     def test_non_linear_parameters_alone_reach_what_all_at_once_reach(self, monkeypatch):
-        monkeypatch.setattr(global_search, "BUDGET", 400)
+        monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 400)
         run, told = one_slide(), []
         best = fit("tustin", [run], domain="force").found.force.chi2
         result = fit("tustin", [run], domain="force", search="ga", over="nonlinear",
@@ -223,7 +223,7 @@ class TestSearch:
             fit("tustin", [one_slide()], over="nonlinear")
 
     def test_search_comes_back_from_its_state_without_polish(self, monkeypatch):
-        monkeypatch.setattr(global_search, "BUDGET", 4000)
+        monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
         result = fit("tustin", [one_slide()], search="ga", domain="force")
         again = restore(result.runs, state(result))
         assert np.array_equal(again.solution.p, result.solution.p)

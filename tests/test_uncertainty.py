@@ -318,20 +318,20 @@ def test_draws_from_scratch_agree():
 def test_failed_draws_are_counted_and_said(monkeypatch):
     fitted = fit("coulomb", [slide()])
     module = sys.modules["frictrack.fit.uncertainty.parametric_bootstrap"]
-    real, calls = module.settle_scatter, iter(range(1000))
+    real, calls = module.fit_with_scatter, iter(range(1000))
 
     def sometimes(*args, **kwargs):
         if next(calls) % 5 == 0:
             raise FrictrackError("the motion cannot be integrated")
         return real(*args, **kwargs)
 
-    monkeypatch.setattr(module, "settle_scatter", sometimes)
+    monkeypatch.setattr(module, "fit_with_scatter", sometimes)
     seen = []
     found = ft.bootstrap(fitted, 40, progress=lambda done, total, what: seen.append((done, total, what)))
     assert (len(found.values), found.failed) == (32, 8)
     assert found.reasons == ["the motion cannot be integrated"]
     assert seen[-1] == (40, 40, "draws")
-    monkeypatch.setattr(module, "settle_scatter", lambda *a, **k: (_ for _ in ()).throw(FrictrackError("no law")))
+    monkeypatch.setattr(module, "fit_with_scatter", lambda *a, **k: (_ for _ in ()).throw(FrictrackError("no law")))
     with pytest.raises(FrictrackError, match="only 0 of 40 draws gave a law; the first failed because no law"):
         ft.bootstrap(fitted, 40)
     with pytest.raises(FrictrackError, match="expected at least 20 draws for a deviation but got 3"):
