@@ -14,7 +14,7 @@ from film import Film, block_film, expose, speckle
 
 from frictrack.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
-from frictrack.tracking.finding.find import locate
+from frictrack.tracking.detection.moving_bodies import locate_target
 
 
 def error(result, x):
@@ -151,14 +151,14 @@ def with_post(i, scene, paste):
 )
 def test_one_body_is_one_target(draw, x, y, size):
     scene, paste = pasted()
-    rect, frame = locate(shown(lambda i: draw(i, scene, paste)))
+    rect, frame = locate_target(shown(lambda i: draw(i, scene, paste)))
     assert holds(rect, x[frame], y, size), (rect, frame, x[frame])
 
 
 @pytest.mark.parametrize("n", [3, 5])
 def test_a_short_film(n):
     x = 70 + 60 * np.arange(n) if n < 5 else 60 + 21.3 * np.arange(n)
-    rect, frame = locate(a_film(x))
+    rect, frame = locate_target(a_film(x))
     assert holds(rect, x[frame], 31.5, SIZE), (rect, frame)
 
 
@@ -166,13 +166,13 @@ def test_a_short_move_in_a_long_rest():
     """A camera that waits for its trigger: one frame in twenty shows motion."""
     x = 60 + np.clip(np.arange(1200) - 900, 0, 60) * 1.7
     source = block_film(x, size=SIZE, shape=SHAPE)
-    rect, frame = locate(source)
+    rect, frame = locate_target(source)
     assert holds(rect, x[frame], 31.5, SIZE), (rect, frame)
 
 
 def test_a_camera_that_shakes():
     shake, recording = shaking()
-    rect, frame = locate(recording)
+    rect, frame = locate_target(recording)
     assert holds(rect, SLIDE[frame] + shake[frame, 0], 31.5 + shake[frame, 1], SIZE), (rect, frame)
 
 
@@ -192,7 +192,7 @@ def test_a_body_that_never_clears_its_place_on_a_plain_wall():
         paste(picture, 60 + 14.3 * i, 30, SIZE, 1)
         return picture
 
-    rect, frame = locate(shown(draw, 8))
+    rect, frame = locate_target(shown(draw, 8))
     left, top, w, h = rect
     x = 60 + 14.3 * frame
     assert abs(left - (x - 24)) < 6
@@ -211,6 +211,6 @@ def test_noise_is_no_foreground_where_the_sensor_is_full_elsewhere():
         paste(picture, SLIDE[i], 26, (36, 48), 1)
         return picture
 
-    rect, frame = locate(shown(draw))
+    rect, frame = locate_target(shown(draw))
     assert abs(rect[0] + rect[2] / 2 - SLIDE[frame]) < 4
     assert rect[1] + rect[3] < 52

@@ -11,7 +11,7 @@ import pytest
 from frictrack.flow.quality import lost_note
 from frictrack.flow.rotation import turning_note
 from frictrack.records import Track
-from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
+from frictrack.tracking.checks.self_tests import forward_backward, key_frame_notes, peak_locking, scores, self_test
 
 N, SIGMA = 600, 0.002
 K = np.arange(N, dtype=float)
@@ -39,13 +39,13 @@ def key_frame_data(jump, period=15, n=600):
 
 
 def test_key_frames_that_move_the_target():
-    (note,) = key_frames(*key_frame_data(0.1))
+    (note,) = key_frame_notes(*key_frame_data(0.1))
     assert note.startswith("positions jump by 0.1")
     assert note.endswith("px every 15th frame (key frames of the codec)")
 
 
 def test_key_frames_that_do_not_move_it():
-    (note,) = key_frames(*key_frame_data(0.0))
+    (note,) = key_frame_notes(*key_frame_data(0.0))
     assert note.startswith(
         "the picture jumps every 15th frame (key frames of the codec); positions jump with it by less"
     )
@@ -56,7 +56,7 @@ def test_no_key_frames_are_seen_in_noise_or_flicker(flicker):
     rng = np.random.default_rng(9)
     i = np.arange(600)
     change = 2 + 0.3 * rng.random(600) + flicker * np.abs(np.sin(np.pi * i / 15))
-    assert key_frames(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
+    assert key_frame_notes(change, 0.02 * rng.standard_normal(600), 0.02 * rng.standard_normal(600)) == ()
 
 
 # ---- a target that turns
@@ -189,10 +189,10 @@ def test_forward_and_backward():
     result = forward_backward(forward, backward)
     assert result.rms == pytest.approx(2 * SIGMA, rel=0.1)  # two coordinates, two tracks
     assert result.in_sigma == pytest.approx(np.sqrt(2), rel=0.1)
-    assert result.words.endswith("they depend on where the search came from")
+    assert result.summary.endswith("they depend on where the search came from")
     same = forward_backward(forward, forward)
     assert same.in_sigma == 0
-    assert same.words == "tracked backward, positions differ by 0 px rms (0 standard deviations)"
+    assert same.summary == "tracked backward, positions differ by 0 px rms (0 standard deviations)"
 
 
 def test_a_doubled_frame_is_noted():

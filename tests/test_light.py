@@ -68,7 +68,7 @@ def test_a_target_that_is_gone_is_not_followed_as_turning(monkeypatch: pytest.Mo
             fallen[14:58, 100:134] = np.rot90(plain.frame(0)[19:53, 28:72])
         return np.asarray(fallen)
 
-    monkeypatch.setattr(driver, "follow_turning", never)
+    monkeypatch.setattr(driver, "track_rotating", never)
     result = track(Film(draw, N, SHAPE), [30, 20, *SIZE[::-1]])
     assert result.found[:60].all()
     assert not result.found[63:].any()

@@ -7,7 +7,7 @@ import pytest
 from film import moved, speckle
 
 from frictrack.records import Track
-from frictrack.tracking.register import aligned, offset
+from frictrack.tracking.registration import aligned, target_offset
 
 TEXTURE = 128 + speckle((100, 140), np.random.default_rng(0))
 H, W = 53, 83
@@ -27,7 +27,7 @@ def test_two_pictures_of_one_body(dx, dy):
     """The first shows the body from further right: its centre must go back by as much."""
     errors = []
     for seed in range(6):
-        found = offset(0.8 * cut(dx, dy, seed=seed) + 12, cut(seed=seed + 100))
+        found = target_offset(0.8 * cut(dx, dy, seed=seed) + 12, cut(seed=seed + 100))
         errors += [(found.dx + dx) / found.sigma_x, (found.dy + dy) / found.sigma_y]
         assert found.sigma_x < 0.02
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
@@ -35,16 +35,16 @@ def test_two_pictures_of_one_body(dx, dy):
 
 
 def test_rectangles_of_different_size():
-    found = offset(cut(3.0, 1.0, size=(45, 71)), cut(size=(53, 83)))
+    found = target_offset(cut(3.0, 1.0, size=(45, 71)), cut(size=(53, 83)))
     assert found.dx == pytest.approx(-3, abs=0.03)
     assert found.dy == pytest.approx(-1, abs=0.03)
 
 
 def test_another_body_is_not_the_same():
     other = 128 + speckle((H, W), np.random.default_rng(5))
-    assert offset(cut(), other) is None
-    assert offset(cut(), None) is None
-    assert offset(cut(size=(20, 20)), cut()) is None
+    assert target_offset(cut(), other) is None
+    assert target_offset(cut(), None) is None
+    assert target_offset(cut(size=(20, 20)), cut()) is None
 
 
 def a_track(picture):

@@ -15,10 +15,10 @@ from frictrack.diagnose.null_distribution import peak_locking_errors, slow_error
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track
-from frictrack.tracking.learn import first_look, learn
-from frictrack.tracking.refine import Fine
-from frictrack.tracking.sharp import drawn_to_pixels, smoothed
-from frictrack.tracking.waves import BAND, FINER
+from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND
+from frictrack.tracking.subpixel_fit import SubpixelFit
+from frictrack.tracking.super_resolution import peak_locking_correction, smooth_path
+from frictrack.tracking.template_learning import learn_template, template_from_frame
 
 FINE = 16  # cells of the drawing per pixel
 SIZE = 40, 48  # px
@@ -87,10 +87,10 @@ def test_noise_is_not_learnt_as_fine_structure() -> None:
     shifts = rng.uniform(-0.5, 0.5, 200)
     cuts = np.stack([picture(p) + 5 * rng.standard_normal((h, w)) for p in shifts])
     one, zero = np.ones(200), np.zeros(200)
-    places = Fine(np.stack([shifts, zero], 1), zero, np.ones((200, 2)), one, one, 100 * one, one, one > 0)
-    plain = replace(first_look(picture(0.0)), level=100.0)
-    found = learn(cuts, places, plain.widened((BAND, FINER)))
-    slopes = (found.columns(np.zeros((1, 2)))[0, 2] @ found.pictures).reshape(h, w)[4:-4, 4:-4]
+    places = SubpixelFit(np.stack([shifts, zero], 1), zero, np.ones((200, 2)), one, one, 100 * one, one, one > 0)
+    plain = replace(template_from_frame(picture(0.0)), level=100.0)
+    found = learn_template(cuts, places, plain.widened((BAND_LIMIT, SUPER_RESOLUTION_BAND)))
+    slopes = (found.design(np.zeros((1, 2)))[0, 2] @ found.basis_images).reshape(h, w)[4:-4, 4:-4]
     true = (picture(1e-4) - picture(-1e-4))[4:-4, 4:-4] / 2e-4
     assert np.mean(slopes**2) == pytest.approx(np.mean(true**2), rel=0.02)  # 1.09 times that if noise had slopes
     assert np.mean(1 / found.weight) == pytest.approx(25.0, rel=0.02)
@@ -100,11 +100,11 @@ def test_a_smooth_path_is_kept_and_what_repeats_from_pixel_to_pixel_is_not() -> 
     frames = np.arange(200)
     true = np.stack([10 + 1.3 * frames + 2e-4 * frames**2, np.full(200, 5.0)], axis=1)
     drawn = true + 0.05 * np.sin(2 * np.pi * true)
-    path = smoothed(frames, drawn, frames)
-    known = np.isfinite(path.at[:, 0])
+    path = smooth_path(frames, drawn, frames)
+    known = np.isfinite(path.position[:, 0])
     assert known.mean() > 0.8
-    assert not np.isfinite(path.at[:, 1]).any()
-    assert np.max(np.abs(path.at[known, 0] - true[known, 0])) < 0.01
+    assert not np.isfinite(path.position[:, 1]).any()
+    assert np.max(np.abs(path.position[known, 0] - true[known, 0])) < 0.01
     assert list(path.axes) == [True, False]
 
 
@@ -113,12 +113,12 @@ def test_what_repeats_from_pixel_to_pixel_is_told_and_the_motion_is_kept() -> No
     true = np.stack([10 + 1.3 * frames - 4e-4 * frames**2, np.full(400, 5.2)], axis=1)
     true[:, 0] += 0.2 * np.sin(2 * np.pi * frames / 90)  # the mass shakes
     seen = true + 0.003 * rng.standard_normal(true.shape)
-    off, size = drawn_to_pixels(frames, seen + 0.02 * np.sin(2 * np.pi * seen + 0.4))
+    off, size = peak_locking_correction(frames, seen + 0.02 * np.sin(2 * np.pi * seen + 0.4))
     wanted = 0.02 * np.sin(2 * np.pi * true[:, 0] + 0.4)
     assert np.max(np.abs(off[:, 0] - wanted)) < 0.002
     assert abs(size[0] - 0.02) < 0.001
     assert not off[:, 1].any()
-    assert np.max(np.abs(drawn_to_pixels(frames, seen)[0])) < 0.002
+    assert np.max(np.abs(peak_locking_correction(frames, seen)[0])) < 0.002
 
 
 def test_a_shake_is_not_taken_for_what_draws_places_to_the_pixels() -> None:
@@ -126,8 +126,8 @@ def test_a_shake_is_not_taken_for_what_draws_places_to_the_pixels() -> None:
     true = 280 - 2.26 * frames + 6e-4 * frames**2
     shaken = true + 0.17 * np.sin(2 * np.pi * 283 * frames / 4000 + 1.0) + 0.005 * rng.standard_normal(156)
     places = np.stack([shaken, np.full(156, 30.0)], axis=1)
-    assert not drawn_to_pixels(frames, places)[0].any()  # 0.03 px, where the shake keeps step with the pixels
-    assert not smoothed(frames, places, frames).axes.any()
+    assert not peak_locking_correction(frames, places)[0].any()  # 0.03 px, where the shake keeps step with the pixels
+    assert not smooth_path(frames, places, frames).axes.any()
 
 
 def test_what_stays_off_slowly_is_as_large_in_every_octave_and_goes_with_the_pitch() -> None:

@@ -11,7 +11,7 @@ from film import Film, expose, moved, speckle
 from frictrack.records import Array
 from frictrack.tracking import find_reference, track
 from frictrack.tracking.checks import moves_with
-from frictrack.tracking.finding import resolve
+from frictrack.tracking.detection import resolve_target
 
 SHAPE, N = (96, 144), 60
 K = np.arange(N)
@@ -54,7 +54,7 @@ def on_body(rectangle: tuple[int, int, int, int]) -> float:
 @pytest.mark.parametrize("size", [0.01, 0.03, 0.1, 0.3, 1.0])
 def test_what_moves_by_less_than_a_pixel_is_found_and_followed(size: float) -> None:
     recording, x, y = body_film(size)
-    rectangle, frame = resolve(recording)
+    rectangle, frame = resolve_target(recording)
     assert on_body(rectangle) > 0.9, rectangle
     result = track(recording, rectangle, template=frame)
     assert result.found.all()
@@ -86,7 +86,7 @@ def test_a_film_at_rest_is_followed_and_said_to_rest() -> None:
 
 def test_a_small_motion_is_found_in_a_picture_that_shakes_as_little() -> None:
     recording, _, _ = body_film(0.1, shake=0.1)
-    assert on_body(resolve(recording)[0]) > 0.9
+    assert on_body(resolve_target(recording)[0]) > 0.9
 
 
 @pytest.mark.parametrize("size", [0.03, 0.3])

@@ -9,8 +9,8 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking.finding.reference import find_reference
-from frictrack.tracking.finding.target import resolve
+from frictrack.tracking.detection.reference_patch import find_reference
+from frictrack.tracking.detection.resolve_target import resolve_target
 
 
 def a_track(x, y=31.5, size=SIZE):
@@ -23,7 +23,7 @@ def a_track(x, y=31.5, size=SIZE):
 
 @pytest.mark.parametrize(("frame", "dx", "dy"), [(0, 0, 0), (40, 15, -10), (79, -20, 12)])
 def test_a_click_on_the_moving_body(frame, dx, dy):
-    rect, at = resolve(a_film(SLIDE), [SLIDE[frame] + dx, 31.5 + dy], frame)
+    rect, at = resolve_target(a_film(SLIDE), [SLIDE[frame] + dx, 31.5 + dy], frame)
     assert at == frame
     assert holds(rect, SLIDE[frame], 31.5, SIZE), rect
 
@@ -38,8 +38,8 @@ def test_a_click_chooses_between_two():
         return picture
 
     recording = shown(draw)
-    assert holds(resolve(recording, [40, 20])[0], 40, 20, (26, 40))
-    assert holds(resolve(recording, [200, 48])[0], 200, 48, (22, 36))
+    assert holds(resolve_target(recording, [40, 20])[0], 40, 20, (26, 40))
+    assert holds(resolve_target(recording, [200, 48])[0], 200, 48, (22, 36))
 
 
 def test_a_click_on_what_rests():
@@ -55,7 +55,7 @@ def test_a_click_on_what_rests():
         frame[33:, 232:] = 110
         return frame
 
-    (x, y, w, h), at = resolve(a_film(60 + 0.8 * np.arange(N), spoil), [218, 48])
+    (x, y, w, h), at = resolve_target(a_film(60 + 0.8 * np.arange(N), spoil), [218, 48])
     assert at == 0
     assert 200 <= x <= 209
     assert 30 <= y <= 37
@@ -70,7 +70,7 @@ def test_a_picture_of_the_target(tmp_path):
     picture = other.frame(50)[20:44, left : left + 36]
     assert cv2.imwrite(str(tmp_path / "block.png"), picture)
     for target in (picture, tmp_path / "block.png", str(tmp_path / "block.png")):
-        (x, y, w, h), at = resolve(a_film(SLIDE, seed=0), target)
+        (x, y, w, h), at = resolve_target(a_film(SLIDE, seed=0), target)
         assert (w, h) == (36, 24)
         assert abs(x - (SLIDE[at] - 18)) < 1.5
         assert abs(y - 20) < 1.5
@@ -79,7 +79,7 @@ def test_a_picture_of_the_target(tmp_path):
 def test_a_picture_that_fits_late():
     x = np.where(np.arange(N) < 77, -80.0, 100.0)
     film = a_film(x)
-    (left, _, _, _), at = resolve(film, film.frame(78)[20:44, 80:116].copy())
+    (left, _, _, _), at = resolve_target(film, film.frame(78)[20:44, 80:116].copy())
     assert at >= 77
     assert left == 80
 
@@ -103,7 +103,7 @@ def test_a_picture_that_fits_late():
 )
 def test_what_is_no_target_is_said(target, said):
     with pytest.raises(FrictrackError, match=said):
-        resolve(a_film(SLIDE[::8]), target)
+        resolve_target(a_film(SLIDE[::8]), target)
 
 
 # ---- the fixed reference

@@ -8,12 +8,12 @@ from film import FULL_WELL, READ_NOISE, Film, block_film, expose, moved, speckle
 
 from frictrack.errors import FrictrackError
 from frictrack.tracking import learn_target, track
-from frictrack.tracking.learn import first_look, learn
-from frictrack.tracking.measure import Lesson, measure, residual, without_what_does_not_fit
-from frictrack.tracking.refine import products, refine
-from frictrack.tracking.trust import inflation, slow_error
-from frictrack.tracking.view import Sums, view_of
-from frictrack.tracking.waves import RANGE, shifts
+from frictrack.tracking.cosine_basis import MAX_SHIFT_PX, shift_expansion
+from frictrack.tracking.fixed_pattern import PatternSums, fit_fixed_pattern
+from frictrack.tracking.measure import TargetModel, measure_frames, refine_robust, residual_images
+from frictrack.tracking.position_errors import sigma_inflation, systematic_covariance
+from frictrack.tracking.subpixel_fit import refine_positions, template_products
+from frictrack.tracking.template_learning import learn_template, template_from_frame
 
 SHAPE = (40, 56)
 INSIDE = (slice(20, 60), slice(20, 76))  # of a texture of 80 x 96 px
@@ -36,22 +36,24 @@ def spread(n, seed=5):
 
 def taught(shift, rounds=3, cuts=None, **given):
     cuts = frames(shift, **given) if cuts is None else cuts
-    template = first_look(cuts[0])
-    fine = refine(products(cuts, template), np.zeros((len(cuts), 2)), template)
+    template = template_from_frame(cuts[0])
+    fit = refine_positions(template_products(cuts, template), np.zeros((len(cuts), 2)), template)
     for _ in range(rounds):
-        template = learn(cuts, fine, template)
-        fine = refine(products(cuts, template), fine.at, template)
-    return cuts, fine, template
+        template = learn_template(cuts, fit, template)
+        fit = refine_positions(template_products(cuts, template), fit.position, template)
+    return cuts, fit, template
 
 
 # ---- waves: every shift of a band-limited picture
 
 
 def test_adjoint_is_the_transpose():
-    grid, rng = shifts(SHAPE), np.random.default_rng(1)
-    waves = rng.standard_normal(grid.n_waves)
+    grid, rng = shift_expansion(SHAPE), np.random.default_rng(1)
+    waves = rng.standard_normal(grid.n_coefficients)
     pictures = rng.standard_normal((len(grid.order), *SHAPE))
-    assert np.sum(grid.pictures(waves) * pictures) == pytest.approx(np.sum(waves * grid.adjoint(pictures)), rel=1e-10)
+    assert np.sum(grid.basis_images(waves) * pictures) == pytest.approx(
+        np.sum(waves * grid.adjoint(pictures)), rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("wave", [(0.05, 0.11), (0.3, 0.2), (0.35, 0.0)])
@@ -62,24 +64,24 @@ def test_shifts_of_a_wave_are_exact(wave):
     def at(dx, dy):
         return np.sin(2 * np.pi * (wave[0] * (x - dx) + wave[1] * (y - dy)) + 0.3)
 
-    template = first_look(at(0, 0) * 100)
+    template = template_from_frame(at(0, 0) * 100)
     inner = (slice(6, -6), slice(6, -6))
-    for shift in ([0.5, 0.0], [-0.3, 0.45], [RANGE, -RANGE]):
-        weights = template.shifts.design(np.array([shift]))[0]
-        picture = (weights @ template.pictures[: weights.shape[1]]).reshape(SHAPE) + template.level
+    for shift in ([0.5, 0.0], [-0.3, 0.45], [MAX_SHIFT_PX, -MAX_SHIFT_PX]):
+        weights = template.shift_expansion.design(np.array([shift]))[0]
+        picture = (weights @ template.basis_images[: weights.shape[1]]).reshape(SHAPE) + template.level
         np.testing.assert_allclose(picture[inner], 100 * at(*shift)[inner], atol=1.5)
 
 
 def test_slopes_and_turn_are_derivatives():
-    template = first_look(texture()[INSIDE])
-    k, step, shift = len(template.shifts.order), 1e-5, np.array([[0.21, -0.34]])
-    picture, along, across, turn = template.shifts.design(shift)
+    template = template_from_frame(texture()[INSIDE])
+    k, step, shift = len(template.shift_expansion.order), 1e-5, np.array([[0.21, -0.34]])
+    picture, along, across, turn = template.shift_expansion.design(shift)
     for axis, slope in ((0, along), (1, across)):
-        ahead, behind = (template.shifts.design(shift + s * np.eye(2)[axis])[0] for s in (step, -step))
+        ahead, behind = (template.shift_expansion.design(shift + s * np.eye(2)[axis])[0] for s in (step, -step))
         np.testing.assert_allclose((ahead - behind) / (2 * step), slope, atol=1e-6)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - (np.array(SHAPE)[:, None, None] - 1) / 2
-    turned = (turn @ template.pictures[k:-1]).reshape(SHAPE)
-    dx, dy = ((s @ template.pictures[:k]).reshape(SHAPE) for s in (along, across))
+    turned = (turn @ template.basis_images[k:-1]).reshape(SHAPE)
+    dx, dy = ((s @ template.basis_images[:k]).reshape(SHAPE) for s in (along, across))
     assert np.std(turned - (x * dy - y * dx)) < 0.05 * np.std(turned)  # of lower degree in the shift
     assert picture.shape == (1, k)
 
@@ -91,17 +93,19 @@ def test_shift_gain_and_offset_of_exact_pictures():
     truth = spread(12)
     cuts = np.stack([40 + 0.8 * moved(texture(), *s)[INSIDE] for s in truth])
     _, _, template = taught(spread(60, 9), noise=False)
-    fine = refine(products(cuts, template), np.zeros((12, 2)), template)
-    assert fine.settled.all()
-    np.testing.assert_allclose(fine.at - truth, np.broadcast_to((fine.at - truth).mean(axis=0), (12, 2)), atol=4e-4)
-    np.testing.assert_allclose(fine.gain / fine.gain.mean(), 1.0, rtol=2e-3)
-    np.testing.assert_allclose(fine.score, 1.0, atol=1e-3)
+    fit = refine_positions(template_products(cuts, template), np.zeros((12, 2)), template)
+    assert fit.converged.all()
+    np.testing.assert_allclose(
+        fit.position - truth, np.broadcast_to((fit.position - truth).mean(axis=0), (12, 2)), atol=4e-4
+    )
+    np.testing.assert_allclose(fit.gain / fit.gain.mean(), 1.0, rtol=2e-3)
+    np.testing.assert_allclose(fit.score, 1.0, atol=1e-3)
 
 
 def test_learnt_template_reaches_the_bound_and_says_so():
     truth = spread(400)
-    _, fine, template = taught(truth)
-    off = fine.at - truth
+    _, fit, template = taught(truth)
+    off = fit.position - truth
     off -= off.mean(axis=0)
     light = texture()[INSIDE]
     variance = (light / 255 * FULL_WELL + READ_NOISE**2) * (255 / FULL_WELL) ** 2 + 1 / 12
@@ -109,9 +113,9 @@ def test_learnt_template_reaches_the_bound_and_says_so():
     slope = np.fft.ifft(np.fft.fft(texture(), axis=1) * wave, axis=1).real[INSIDE]
     bound = 1 / np.sqrt(np.sum(slope**2 / variance))
     assert np.std(off[:, 0]) / bound == pytest.approx(1.0, abs=0.09)  # 400 errors scatter by 3.5 %
-    assert np.mean(fine.sigma[:, 0]) / bound == pytest.approx(1.0, abs=0.03)
+    assert np.mean(fit.sigma[:, 0]) / bound == pytest.approx(1.0, abs=0.03)
     assert np.median(1 / template.weight) == pytest.approx(np.median(variance), rel=0.08)
-    assert np.median(fine.misfit) == pytest.approx(1.0, abs=0.05)
+    assert np.median(fit.misfit) == pytest.approx(1.0, abs=0.05)
 
 
 def test_pixels_that_come_and_go_count_little():
@@ -129,11 +133,11 @@ def test_pixels_that_come_and_go_count_little():
 def pass_by(change, n=300):
     """Sums over frames of a random scene that passes each pixel, and the picture's `change` of it."""
     rng = np.random.default_rng(2)
-    sums, noise = Sums((30, 50)), 1.5
+    sums, noise = PatternSums((30, 50)), 1.5
     model = 40 * rng.standard_normal((n, 30, 50)).astype(np.float32)
     seen = change(model) + noise * rng.standard_normal(model.shape)
     sums.add(np.zeros((n, 2), np.int64), model, (seen - model).astype(np.float32), np.ones((30, 50)))
-    return view_of(sums, noise**2)
+    return fit_fixed_pattern(sums, noise**2)
 
 
 def test_nothing_in_the_way():
@@ -168,38 +172,40 @@ def test_rod_and_highlight_are_learnt():
 
 def test_half_covered_target_is_measured_by_its_other_half():
     truth = spread(40, 11)
-    cuts, fine, template = taught(np.concatenate([truth, spread(150, 12)]))
+    cuts, fit, template = taught(np.concatenate([truth, spread(150, 12)]))
     covered = cuts[:40].copy()
     covered[:, :, :22] = 60
-    plain = refine(products(covered, template), np.zeros((40, 2)), template)
-    better, _ = measure(covered, np.zeros((40, 2), np.int64), fine[slice(0, 40)], Lesson(template, usual=1.0))
-    level = (fine.at[40:] - spread(150, 12)).mean(axis=0)
-    assert np.std(plain.at - truth) > 0.02
-    assert np.std(better.at - truth - level) < 0.005
-    assert better.settled.all()
-    rated = (better.at - truth - level) / better.sigma[:, :2]
+    plain = refine_positions(template_products(covered, template), np.zeros((40, 2)), template)
+    better, _ = measure_frames(
+        covered, np.zeros((40, 2), np.int64), fit[slice(0, 40)], TargetModel(template, typical_misfit=1.0)
+    )
+    level = (fit.position[40:] - spread(150, 12)).mean(axis=0)
+    assert np.std(plain.position - truth) > 0.02
+    assert np.std(better.position - truth - level) < 0.005
+    assert better.converged.all()
+    rated = (better.position - truth - level) / better.sigma[:, :2]
     assert np.sqrt(np.mean(rated**2)) == pytest.approx(1.0, abs=0.35)
 
 
 def test_nothing_left_is_not_settled():
-    _, fine, template = taught(spread(60))
+    _, fit, template = taught(spread(60))
     other = frames(spread(3), seed=44)
-    got, _ = without_what_does_not_fit(other, fine[slice(0, 3)], template)
-    assert not np.any(got.settled & (got.score > 0.7) & (got.misfit < 4))
+    got, _ = refine_robust(other, fit[slice(0, 3)], template)
+    assert not np.any(got.converged & (got.score > 0.7) & (got.misfit < 4))
 
 
 def test_white_noise_is_trusted_and_blotches_are_not():
     truth = spread(200)
-    cuts, fine, template = taught(truth)
-    np.testing.assert_allclose(inflation(cuts, fine, template), 1.0, atol=0.03)
+    cuts, fit, template = taught(truth)
+    np.testing.assert_allclose(sigma_inflation(cuts, fit, template), 1.0, atol=0.03)
     rng = np.random.default_rng(8)
     blotched = np.stack([c + 4 * speckle(SHAPE, rng, fwhm=6.0, contrast=1.0) for c in cuts])
-    _, fine, template = taught(truth, cuts=blotched)
-    rms = np.std((fine.at - truth)[:, 0])
-    wider = inflation(blotched, fine, template)[0]
+    _, fit, template = taught(truth, cuts=blotched)
+    rms = np.std((fit.position - truth)[:, 0])
+    wider = sigma_inflation(blotched, fit, template)[0]
     assert wider > 1.5
-    assert rms / (np.mean(fine.sigma[:, 0]) * wider) == pytest.approx(1.0, abs=0.3)
-    assert np.all(np.isfinite(residual(blotched, fine, template)))
+    assert rms / (np.mean(fit.sigma[:, 0]) * wider) == pytest.approx(1.0, abs=0.3)
+    assert np.all(np.isfinite(residual_images(blotched, fit, template)))
 
 
 # ---- films of the same target
@@ -209,21 +215,21 @@ def test_a_known_target_needs_one_pass():
     x = 40 + 150 * (1 - np.exp(-np.arange(120) / 60))
     recording = block_film(x, size=(36, 48), shape=(64, 240))
     rect = [19, 17, 40, 30]
-    lesson = learn_target(recording, rect)
-    known, learnt = track(recording, rect, known=lesson), track(recording, rect)
+    model = learn_target(recording, rect)
+    known, learnt = track(recording, rect, known=model), track(recording, rect)
     assert known.found.all()
     assert np.std(known.x_px - learnt.x_px) < 2e-4
     np.testing.assert_allclose(known.sigma_px, learnt.sigma_px, rtol=0.02)
-    by_itself = track(block_film(x + 3.3, size=(36, 48), shape=(64, 240)), known=lesson)
+    by_itself = track(block_film(x + 3.3, size=(36, 48), shape=(64, 240)), known=model)
     assert np.std(by_itself.x_px - x) < 0.005
 
 
 def test_a_known_target_has_its_size():
     x = 40 + 1.5 * np.arange(60)
     recording = block_film(x, size=(36, 48), shape=(64, 240))
-    lesson = learn_target(recording, [19, 17, 40, 30])
+    model = learn_target(recording, [19, 17, 40, 30])
     with pytest.raises(FrictrackError, match="expected a target of the known 40x30 px but got 44x30 px"):
-        track(recording, [17, 17, 44, 30], known=lesson)
+        track(recording, [17, 17, 44, 30], known=model)
 
 
 def test_a_pattern_that_repeats_is_not_followed_one_period_off():
@@ -295,17 +301,17 @@ def test_slow_errors_of_a_changing_look_are_stated():
     actual, stated = [], []
     for seed in range(6):
         cuts, truth = changing(seed)
-        _, fine, template = taught(truth, cuts=cuts)
-        off = fine.at - truth
+        _, fit, template = taught(truth, cuts=cuts)
+        off = fit.position - truth
         actual.append([part.mean(axis=0) for part in np.array_split(off - off.mean(axis=0), 12)])
-        stated.append(np.diag(slow_error(cuts, fine, template)))
+        stated.append(np.diag(systematic_covariance(cuts, fit, template)))
     ratio = np.sqrt(np.mean(stated, axis=0) / np.mean(np.square(actual), axis=(0, 1)))
     assert np.all((ratio > 0.5) & (ratio < 1.5))
-    assert np.sqrt(np.mean(np.square(actual))) > 2.5 * np.median(fine.sigma[:, :2])
+    assert np.sqrt(np.mean(np.square(actual))) > 2.5 * np.median(fit.sigma[:, :2])
 
 
 def test_no_slow_error_where_the_look_does_not_change():
     for seed in range(3):
         truth = spread(160, seed)
-        cuts, fine, template = taught(truth, seed=seed)
-        assert not slow_error(cuts, fine, template).any()
+        cuts, fit, template = taught(truth, seed=seed)
+        assert not systematic_covariance(cuts, fit, template).any()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from frictrack.flow.stages import RunWork
     from frictrack.recording import Recording
     from frictrack.study import RunTable, Study
-    from frictrack.tracking.measure import Lesson
+    from frictrack.tracking import TargetModel
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
 COVERED = "the target passes over it"
@@ -54,15 +54,14 @@ def recorded(work: RunWork) -> Film:
 
 def tracked(work: RunWork, film: Film) -> Track:
     """The target's track; a calibration that cannot serve is said before the film is gone through."""
-    from frictrack.tracking import learn_target, track  # noqa: PLC0415 - loads OpenCV; tables do without
-    from frictrack.tracking.areas import Areas, is_polygon  # noqa: PLC0415
-    from frictrack.tracking.finding import resolve  # noqa: PLC0415
+    from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
+    from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
 
     early_plane(work)
     with work.filmed() as opened:
         work.progress(0, film.n_frames, "find the target")
         run = work.run
-        rectangle, frame = resolve(opened, run.target, run.template or 0)
+        rectangle, frame = resolve_target(opened, run.target, run.template or 0)
         where = run.target if is_polygon(run.target) else rectangle
         drawn = Areas(where, run.exclude, run.obstacles)
         work.lesson = learn_target(opened, drawn, template=frame, progress=work.progress)
@@ -139,7 +138,7 @@ def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Tra
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
     def followed() -> Track:
-        known: Lesson = work.lesson or _taught_again(opened, forward)
+        known: TargetModel = work.lesson or _taught_again(opened, forward)
         drawn = Areas(rectangle, obstacles=forward.obstacles)
         return track(opened, drawn, template=last, known=known, name=BACKWARD, progress=work.progress)
 
@@ -147,7 +146,7 @@ def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Tra
     return {} if made is None else {BACKWARD: replace(made, picture=None, notes=())}
 
 
-def _taught_again(opened: Recording, track: Track) -> Lesson:
+def _taught_again(opened: Recording, track: Track) -> TargetModel:
     """What a film teaches of the target of a track that was stored."""
     from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
 

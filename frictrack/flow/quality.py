@@ -15,7 +15,7 @@ from frictrack.records import MEASURED, Array, Track
 from frictrack.results import Film
 
 if TYPE_CHECKING:
-    from frictrack.tracking.checks.timing import Slip
+    from frictrack.samples import Slip
 
 Rows = NDArray[np.int64]
 OFTEN = 0.3  # share of the frames of a film that were put in: it was stretched
@@ -110,7 +110,7 @@ def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
     if backward is None:
         return ()
     both = forward_backward(forward, backward)
-    return (both.words,) if both.only_one or both.in_sigma > DEPENDS else ()
+    return (both.summary,) if both.only_one or both.in_sigma > DEPENDS else ()
 
 
 def rows_kept(n: int, slips: Sequence[Slip]) -> Rows:

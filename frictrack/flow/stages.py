@@ -43,7 +43,7 @@ from frictrack.version import __version__
 
 if TYPE_CHECKING:
     from frictrack.recording import Recording
-    from frictrack.tracking.measure import Lesson
+    from frictrack.tracking import TargetModel
 
 MASS_LAW = "coulomb,viscous"  # beside which the drive tells a mass before anything else is fitted
 Progress = Callable[[int, int, str], None]
@@ -77,7 +77,7 @@ class RunWork:
         self.path = study.output / f"{run.name}.h5"
         self.stages = FILM if run.video else TABLE
         self._progress = progress
-        self.lesson: Lesson | None = None  # what the film has taught of its target, while it is at hand
+        self.lesson: TargetModel | None = None  # what the film has taught of its target, while it is at hand
         self._film: Recording | None = None
         self._made: dict[str, Any] = {}
         self._keys: dict[str, str] = {}

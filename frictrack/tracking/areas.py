@@ -11,10 +11,10 @@ import numpy as np
 from frictrack.errors import FrictrackError
 from frictrack.polygons import Polygon, check_within, inside, polygon, polygons
 from frictrack.records import Mask
-from frictrack.tracking.match import Rectangle
-from frictrack.tracking.view import View
+from frictrack.tracking.correlation import Rectangle
+from frictrack.tracking.fixed_pattern import FixedPattern
 
-LEAST_PIXELS = 64  # of a target that its outline and exclusions must leave
+MIN_TARGET_PIXELS = 64  # of a target that its outline and exclusions must leave
 
 
 @dataclass(frozen=True)
@@ -59,31 +59,31 @@ class Areas:
         """Raise `FrictrackError` where a polygon leaves the picture (h, w)."""
         if self.outline:
             check_within(self.outline, shape, "a target")
-        for what, several in (("an area to exclude", self.exclude), ("an obstacle", self.obstacles)):
-            for one in several:
-                check_within(one, shape, what)
+        for what, areas in (("an area to exclude", self.exclude), ("an obstacle", self.obstacles)):
+            for area in areas:
+                check_within(area, shape, what)
 
-    def counts(self, rectangle: Rectangle) -> Mask | None:
+    def target_mask(self, rectangle: Rectangle) -> Mask | None:
         """Pixels (h, w) of the target's rectangle that belong to it; None where all do."""
         if not (self.outline or self.exclude):
             return None
         x, y, w, h = rectangle
-        belongs = inside(self.outline, (h, w), (x, y)) if self.outline else np.ones((h, w), np.bool_)
-        for one in self.exclude:
-            belongs &= ~inside(one, (h, w), (x, y))
-        left = int(np.count_nonzero(belongs))
-        if left < LEAST_PIXELS:
+        mask = inside(self.outline, (h, w), (x, y)) if self.outline else np.ones((h, w), np.bool_)
+        for area in self.exclude:
+            mask &= ~inside(area, (h, w), (x, y))
+        n_left = int(np.count_nonzero(mask))
+        if n_left < MIN_TARGET_PIXELS:
             raise FrictrackError(
-                f"expected a target of at least {LEAST_PIXELS} pixels but its outline and exclusions leave {left}; "
-                "draw the target larger or exclude less"
+                f"expected a target of at least {MIN_TARGET_PIXELS} pixels but its outline and exclusions leave "
+                f"{n_left}; draw the target larger or exclude less"
             )
-        return belongs
+        return mask
 
-    def blocked(self, shape: tuple[int, int]) -> Mask | None:
+    def obstacle_mask(self, shape: tuple[int, int]) -> Mask | None:
         """Pixels (H, W) of the picture before which an obstacle stands; None without any."""
         if not self.obstacles:
             return None
-        return np.any([inside(one, shape) for one in self.obstacles], axis=0)
+        return np.any([inside(area, shape) for area in self.obstacles], axis=0)
 
 
 def is_polygon(target: Any) -> bool:
@@ -93,18 +93,18 @@ def is_polygon(target: Any) -> bool:
     return isinstance(target, list | tuple) and len(target) > 0 and all(isinstance(c, list | tuple) for c in target)
 
 
-def bounds(outline: Polygon) -> tuple[int, int, int, int]:
+def bounding_rectangle(outline: Polygon) -> tuple[int, int, int, int]:
     """The rectangle (x, y, w, h) of the pixels whose centres can lie within an outline."""
     at = np.array(outline)
     low, high = np.ceil(at.min(axis=0)).astype(int), np.floor(at.max(axis=0)).astype(int)
     return int(low[0]), int(low[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
 
-def obstructed(view: View | None, blocked: Mask | None) -> View | None:
+def with_obstacles(pattern: FixedPattern | None, obstacle_mask: Mask | None) -> FixedPattern | None:
     """What stands still before the target, with the obstacles that were drawn."""
-    if blocked is None:
-        return view
-    free = (~blocked).astype(np.float32)
-    if view is None:
-        return View(np.ones_like(free), np.zeros_like(free), free)
-    return View(view.slope, view.level, np.minimum(view.share, free))
+    if obstacle_mask is None:
+        return pattern
+    free = (~obstacle_mask).astype(np.float32)
+    if pattern is None:
+        return FixedPattern(np.ones_like(free), np.zeros_like(free), free)
+    return FixedPattern(pattern.slope, pattern.level, np.minimum(pattern.share, free))

@@ -11,30 +11,31 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Recording, random_access
 from frictrack.records import Array, Mask, Track
-from frictrack.tracking.areas import Areas, obstructed
-from frictrack.tracking.checks import at_rest, key_frames
-from frictrack.tracking.finding import Target, resolve
-from frictrack.tracking.follow import LEAVES, UNREAD, UNSETTLED, Followed, Follower
-from frictrack.tracking.hidden import measure_hidden
-from frictrack.tracking.learn import first_look
-from frictrack.tracking.lesson import taught
-from frictrack.tracking.match import Rectangle, nearest_corner
-from frictrack.tracking.measure import Lesson, measure
-from frictrack.tracking.pose import TurnedPicture
-from frictrack.tracking.sharp import drawn_to_pixels
-from frictrack.tracking.turn_test import frames_to_beat
-from frictrack.tracking.turned import follow_known, follow_turning
+from frictrack.tracking.areas import Areas, with_obstacles
+from frictrack.tracking.batch_tracker import LEAVES, NOT_CONVERGED, UNREAD, BatchTracker, RawTrack
+from frictrack.tracking.checks import at_rest, key_frame_notes
+from frictrack.tracking.correlation import Rectangle, nearest_corner
+from frictrack.tracking.detection import Target, resolve_target
+from frictrack.tracking.learning_rounds import learn_target_model
+from frictrack.tracking.measure import measure_frames
+from frictrack.tracking.occlusion import remeasure_occluded
+from frictrack.tracking.pose import RotatableTemplate
+from frictrack.tracking.pose_tracker import track_known_rotating, track_rotating
+from frictrack.tracking.rotation_test import min_frames_if_rotating
+from frictrack.tracking.super_resolution import peak_locking_correction
+from frictrack.tracking.target_model import TargetModel
+from frictrack.tracking.template_learning import template_from_frame
 
 Progress = Callable[[int, int, str], None]
 
-LEAST_CONTRAST = 3  # grey values
-CHUNK = 256  # frames measured at once
-OFF_CENTRE = 0.55  # px from the corner of its cut-out, beyond which a target is measured on the next one
+MIN_CONTRAST = 3  # grey values
+CHUNK_FRAMES = 256  # frames measured at once
+MAX_OFF_CENTRE_PX = 0.55  # px from the corner of its cut-out, beyond which a target is measured on the next one
 # What places stay off slowly, rms: the noise of the picture that was learnt, and blur that changes with the speed. As
 # large as this on films of known truth, of sharp targets and blurred ones, at 0.001 to 0.005 px of noise.
-SLOW_SHARE, LEAST_SLOW = 0.12, 2e-4  # of a frame's standard deviation, and px
-TOLD = 0.01  # px by which places are drawn to the pixels that is worth a word
-SHARE = 0.7  # of the film's usual score that a trusted frame reaches
+SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4  # of a frame's standard deviation, and px
+MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # px by which places are drawn to the pixels that is worth a word
+MIN_SCORE_SHARE = 0.7  # of the film's usual score that a trusted frame reaches
 
 
 def track(
@@ -42,7 +43,7 @@ def track(
     target: Target | Areas = None,
     *,
     template: int = 0,
-    known: Lesson | None = None,
+    known: TargetModel | None = None,
     name: str = "target",
     progress: Progress | None = None,
 ) -> Track:
@@ -58,33 +59,33 @@ def track(
     texture.
     """
     drawn = target if isinstance(target, Areas) else Areas(target)
-    with random_access(recording, once=_once(drawn.target, template, known)) as film:
+    with random_access(recording, once=_single_pass(drawn.target, template, known)) as film:
         if known is None:
-            rectangle, template, followed, lesson = _studied(film, drawn, template, progress)
-            rows = np.flatnonzero(followed.found & ~lesson.turns)
+            rectangle, template, raw_track, target_model = _learn_and_track(film, drawn, template, progress)
+            rows = np.flatnonzero(raw_track.found & ~target_model.rotates)
         else:
-            rectangle, template = _placed(film, drawn.target, template, known)
+            rectangle, template = _locate_known(film, drawn.target, template, known)
             drawn.check(film.shape)
-            blocked = drawn.blocked(film.shape)
-            lesson = replace(known, view=obstructed(known.view, blocked))
-            followed = _followed(film, lesson, blocked, np.array(rectangle[:2]), template, progress)
-            rows = np.flatnonzero(followed.found & (lesson.view is not None) & ~lesson.turns)
-        measured = followed if lesson.turns else _measured(film, followed, rows, lesson, progress)
-        change = _change(film) if recording.interframe else None
-    result = _assembled(recording, measured, rectangle, name)
-    result = _with_slow_error(result, lesson)
+            blocked = drawn.obstacle_mask(film.shape)
+            target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
+            raw_track = _track_known(film, target_model, blocked, np.array(rectangle[:2]), template, progress)
+            rows = np.flatnonzero(raw_track.found & (target_model.pattern is not None) & ~target_model.rotates)
+        measured = raw_track if target_model.rotates else _measure_all(film, raw_track, rows, target_model, progress)
+        change = _frame_changes(film) if recording.interframe else None
+    result = _to_track(recording, measured, rectangle, name)
+    result = _with_systematic_error(result, target_model)
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
-    result = _with_own_noise(result, template)
-    coded = () if change is None else key_frames(change, result.x_px, result.y_px)
-    notes = (*result.notes, *coded, *at_rest(result))
+    result = _with_reference_sigma(result, template)
+    codec_notes = () if change is None else key_frame_notes(change, result.x_px, result.y_px)
+    notes = (*result.notes, *codec_notes, *at_rest(result))
     return replace(
         result,
         template=template,
-        picture=lesson.template.image,
+        picture=target_model.template.image,
         notes=notes,
         outline=drawn.outline,
         exclude=tuple(drawn.exclude),
@@ -98,136 +99,140 @@ def learn_target(
     *,
     template: int = 0,
     progress: Progress | None = None,
-) -> Lesson:
+) -> TargetModel:
     """What the film teaches of its target: its picture, the noise of the pixels, what stands still before it.
 
     Arguments and errors are those of `track`, which takes the result as `known` for further films of the target.
     """
     with random_access(recording) as film:
-        return _studied(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
+        return _learn_and_track(film, target if isinstance(target, Areas) else Areas(target), template, progress)[3]
 
 
-def _studied(
+def _learn_and_track(
     film: Recording, drawn: Areas, template: int, progress: Progress | None
-) -> tuple[Rectangle, int, Followed, Lesson]:
+) -> tuple[Rectangle, int, RawTrack, TargetModel]:
     """Rectangle and its frame, a first rough track, and what it has taught."""
     if progress:
         progress(0, film.n_frames, "find the target")
     drawn.check(film.shape)
-    rectangle, template = resolve(film, drawn.target, template)
+    rectangle, template = resolve_target(film, drawn.target, template)
     x, y, w, h = rectangle
-    blocked, belongs = drawn.blocked(film.shape), drawn.counts(rectangle)
+    blocked, mask = drawn.obstacle_mask(film.shape), drawn.target_mask(rectangle)
     cut = film.frame(template)[y : y + h, x : x + w]
-    if np.ptp(cut) < LEAST_CONTRAST:
+    if np.ptp(cut) < MIN_CONTRAST:
         raise FrictrackError(
             f"{film.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
             "choose a rectangle that shows texture or an outline"
         )
-    first = first_look(cut, belongs)
-    picture, start = TurnedPicture(first, blocked), np.array([x, y])
-    followed = Follower(film, first, obstructed(None, blocked)).follow(start, template, progress)
-    least = frames_to_beat(film, followed, picture, start, template)
-    if least is not None:
-        turned = follow_turning(film, picture, start, template, least, progress)
-        if turned is not None:
-            return rectangle, template, turned.as_followed(), Lesson(turned.template, turns=True)
-    return rectangle, template, followed, taught(film, followed, first, blocked)
+    template_frame_model = template_from_frame(cut, mask)
+    picture, start = RotatableTemplate(template_frame_model, blocked), np.array([x, y])
+    raw_track = BatchTracker(film, template_frame_model, with_obstacles(None, blocked)).follow(
+        start, template, progress
+    )
+    min_frames = min_frames_if_rotating(film, raw_track, picture, start, template)
+    if min_frames is not None:
+        pose_track = track_rotating(film, picture, start, template, min_frames, progress)
+        if pose_track is not None:
+            return rectangle, template, pose_track.to_raw_track(), TargetModel(pose_track.template, rotates=True)
+    return rectangle, template, raw_track, learn_target_model(film, raw_track, template_frame_model, blocked)
 
 
-def _followed(
-    film: Recording, known: Lesson, blocked: Mask | None, start: Array, template: int, progress: Progress | None
-) -> Followed:
+def _track_known(
+    film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, progress: Progress | None
+) -> RawTrack:
     """Track of a known target from its corner `start` (2,) in frame `template`."""
-    if known.turns:
-        return follow_known(film, TurnedPicture(known.template, blocked), start, template, progress)
-    return Follower(film, known.template, obstructed(None, blocked)).follow(start, template, progress)
+    if known.rotates:
+        return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, progress)
+    return BatchTracker(film, known.template, with_obstacles(None, blocked)).follow(start, template, progress)
 
 
-def _placed(film: Recording, target: Target, template: int, known: Lesson) -> tuple[Rectangle, int]:
+def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
     """Where a known target is in the film; its size is that of what is known."""
     h, w = known.template.weight.shape
-    rectangle, template = resolve(film, known.template.image if target is None else target, template)
+    rectangle, template = resolve_target(film, known.template.image if target is None else target, template)
     if rectangle[2:] != (w, h):
         raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
     return rectangle, template
 
 
-def _once(target: Target, template: int, known: Lesson | None) -> bool:
+def _single_pass(target: Target, template: int, known: TargetModel | None) -> bool:
     """Whether going through the film once, from its first frame, is enough."""
-    placed = isinstance(target, Sequence) and len(target) == 4 and template == 0
-    return placed and known is not None and known.view is None
+    is_rectangle = isinstance(target, Sequence) and len(target) == 4 and template == 0
+    return is_rectangle and known is not None and known.pattern is None
 
 
-def _measured(
-    film: Recording, followed: Followed, rows: NDArray[np.int64], lesson: Lesson, progress: Progress | None
-) -> Followed:
+def _measure_all(
+    film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel, progress: Progress | None
+) -> RawTrack:
     """The track with the frames `rows` measured by what the film has taught, and the reason where that fails."""
-    size = lesson.template.weight.shape
-    room = np.array(film.shape[::-1]) - np.array(size[::-1])
-    followed.fine.sigma[:] *= lesson.inflation
-    for at in range(0, len(rows), CHUNK):
-        part = rows[at : at + CHUNK]
-        _measure(film, followed, part, lesson)
-        again = part[followed.found[part] & np.any(np.abs(followed.fine.at[part]) > OFF_CENTRE, axis=1)]
-        if len(again):  # the learnt picture has the target nearer to another pixel than the first look had
-            _measure(film, followed, again, lesson)
+    size = target_model.template.weight.shape
+    max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
+    raw_track.fit.sigma[:] *= target_model.sigma_inflation
+    for at in range(0, len(rows), CHUNK_FRAMES):
+        chunk = rows[at : at + CHUNK_FRAMES]
+        _measure_chunk(film, raw_track, chunk, target_model)
+        off_centre = chunk[
+            raw_track.found[chunk] & np.any(np.abs(raw_track.fit.position[chunk]) > MAX_OFF_CENTRE_PX, axis=1)
+        ]
+        if len(off_centre):  # the learnt picture has the target nearer to another pixel than the first look had
+            _measure_chunk(film, raw_track, off_centre, target_model)
         if progress:
             progress(at, len(rows), "measure")
-    measure_hidden(film, followed, lesson)
-    found = np.flatnonzero(followed.found)
-    followed.reason[found] = _reasons(followed, found, room)
-    return followed
+    remeasure_occluded(film, raw_track, target_model)
+    found = np.flatnonzero(raw_track.found)
+    raw_track.reason[found] = _loss_reasons(raw_track, found, max_corner)
+    return raw_track
 
 
-def _measure(film: Recording, followed: Followed, rows: NDArray[np.int64], lesson: Lesson) -> None:
+def _measure_chunk(film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel) -> None:
     """Measure some frames (m,) on cut-outs that lie nearest to where the target was found last."""
-    size = lesson.template.weight.shape
-    corner = nearest_corner(followed.at[rows], film.shape, size)
-    guess = followed.fine[rows].moved(followed.corner[rows] - corner)
-    followed.fine.put(rows, measure(film.cut(rows, corner, size), corner, guess, lesson)[0])
-    followed.corner[rows] = corner
+    size = target_model.template.weight.shape
+    corner = nearest_corner(raw_track.position[rows], film.shape, size)
+    guess = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
+    raw_track.fit.put(rows, measure_frames(film.cut(rows, corner, size), corner, guess, target_model)[0])
+    raw_track.corner[rows] = corner
 
 
-def _reasons(result: Followed, rows: NDArray[np.int64], room: Array) -> list[str]:
+def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) -> list[str]:
     """Why each frame's position cannot be trusted; "" where it can."""
-    fine, at = result.fine[rows], result.at[rows]
-    out = np.any((at < -0.5) | (at > room + 0.5), axis=1)
-    least = SHARE * float(np.nanmedian(fine.score))
+    fit, at = result.fit[rows], result.position[rows]
+    out = np.any((at < -0.5) | (at > max_corner + 0.5), axis=1)
+    min_frames = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
     reasons = []
-    for outside, settled, score in zip(out, fine.settled, fine.score, strict=True):
+    for outside, converged, score in zip(out, fit.converged, fit.score, strict=True):
         if outside:
             reasons.append(LEAVES)
-        elif not score >= least:
-            reasons.append(f"match score {score:.2f} below {least:.2f}")
+        elif not score >= min_frames:
+            reasons.append(f"match score {score:.2f} below {min_frames:.2f}")
         else:
-            reasons.append("" if settled else UNSETTLED)
+            reasons.append("" if converged else NOT_CONVERGED)
     return reasons
 
 
-def _assembled(recording: Recording, measured: Followed, rectangle: Rectangle, name: str) -> Track:
+def _to_track(recording: Recording, measured: RawTrack, rectangle: Rectangle, name: str) -> Track:
     """One row per frame: the position where it can be trusted, else NaN and the reason."""
     _, _, w, h = rectangle
-    fine, at, found = measured.fine, measured.at, np.flatnonzero(measured.found)
-    kept = np.where(measured.found, 0.0, np.nan)
-    off, size = drawn_to_pixels(found, at[found])
-    at[found] -= off
+    fit, at, found = measured.fit, measured.position, np.flatnonzero(measured.found)
+    nan_where_lost = np.where(measured.found, 0.0, np.nan)
+    locking_error, size = peak_locking_correction(found, at[found])
+    at[found] -= locking_error
     return Track(
         t=recording.t,
-        x_px=at[:, 0] + (w - 1) / 2 + kept,
-        y_px=at[:, 1] + (h - 1) / 2 + kept,
-        angle=fine.angle + kept,
-        sigma_px=fine.sigma[:, 0] + kept,
-        sigma_y_px=fine.sigma[:, 1] + kept,
-        sigma_angle=fine.sigma[:, 2] + kept,
-        score=fine.score,
+        x_px=at[:, 0] + (w - 1) / 2 + nan_where_lost,
+        y_px=at[:, 1] + (h - 1) / 2 + nan_where_lost,
+        angle=fit.angle + nan_where_lost,
+        sigma_px=fit.sigma[:, 0] + nan_where_lost,
+        sigma_y_px=fit.sigma[:, 1] + nan_where_lost,
+        sigma_angle=fit.sigma[:, 2] + nan_where_lost,
+        score=fit.score,
         reason=measured.reason.astype(str),
         name=name,
         target=(float(rectangle[0]), float(rectangle[1]), float(w), float(h)),
-        notes=(*recording.notes, *_unread(measured), *_drawn(size)),
+        notes=(*recording.notes, *_unread_note(measured), *_peak_locking_note(size)),
     )
 
 
-def _with_own_noise(track: Track, template: int) -> Track:
+def _with_reference_sigma(track: Track, template: int) -> Track:
     """The track in which frame `template`, which few frames were compared with, is no better known than these."""
     columns = {name: getattr(track, name).copy() for name in ("sigma_px", "sigma_y_px", "sigma_angle")}
     for sigma in columns.values():
@@ -235,33 +240,34 @@ def _with_own_noise(track: Track, template: int) -> Track:
     return replace(track, **columns)
 
 
-def _with_slow_error(track: Track, lesson: Lesson) -> Track:
+def _with_systematic_error(track: Track, target_model: TargetModel) -> Track:
     """The track with what its places are off slowly, along its path, and a remark where the target's look changes."""
     found = track.found
     sigma, at = track.sigma_px[found], np.stack([track.x_px, track.y_px])[:, found]
     if not found.any():
         return track
-    along = np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0]
-    look = float(np.sqrt(max(along @ lesson.slow @ along, 0.0)))
-    own = float(np.hypot(SLOW_SHARE * np.median(sigma), LEAST_SLOW))
-    if look < own:
-        return replace(track, systematic=own)
+    direction = np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0]
+    systematic = float(np.sqrt(max(direction @ target_model.systematic_covariance @ direction, 0.0)))
+    min_systematic = float(np.hypot(SYSTEMATIC_SHARE * np.median(sigma), MIN_SYSTEMATIC_PX))
+    if systematic < min_systematic:
+        return replace(track, systematic=min_systematic)
     note = (
         f"the look of the target changes along its path (light, highlights, background): places are off slowly by "
-        f"{look:.2g} px rms; an outline of what does not change, target = [[x, y], ...], or even light lowers that"
+        f"{systematic:.2g} px rms; an outline of what does not change, target = [[x, y], ...], or even light lowers "
+        "that"
     )
-    return replace(track, systematic=float(np.hypot(own, look)), notes=(*track.notes, note))
+    return replace(track, systematic=float(np.hypot(min_systematic, systematic)), notes=(*track.notes, note))
 
 
-def _unread(measured: Followed) -> tuple[str, ...]:
+def _unread_note(measured: RawTrack) -> tuple[str, ...]:
     count = int(np.count_nonzero(measured.reason == UNREAD))
     total = len(measured.reason)
     return (f"{total - count} of {total} frames could be read; the rest is missing or damaged",) if count else ()
 
 
-def _drawn(size: Array) -> tuple[str, ...]:
+def _peak_locking_note(size: Array) -> tuple[str, ...]:
     """What is said of places that were drawn to the pixels, by amplitudes (2,) along x and y, px."""
-    if not np.any(size > TOLD):
+    if not np.any(size > MIN_REPORTED_PEAK_LOCKING_PX):
         return ()
     return (
         f"places drawn to the pixels by {np.max(size):.3f} px were set right (peak locking): the target is sharper "
@@ -269,12 +275,12 @@ def _drawn(size: Array) -> tuple[str, ...]:
     )
 
 
-def _change(film: Recording) -> Array:
+def _frame_changes(film: Recording) -> Array:
     """Rms difference (n,) of each picture from the one before beyond a change of light, on every fourth pixel."""
     change, before = np.full(film.n_frames, np.nan), None
     for i, frame in enumerate(film.frames()):
-        few = frame[::4, ::4].astype(np.float32)
+        sparse = frame[::4, ::4].astype(np.float32)
         if before is not None:
-            change[i] = np.std(few - before)
-        before = few
+            change[i] = np.std(sparse - before)
+        before = sparse
     return change

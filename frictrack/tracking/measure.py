@@ -6,7 +6,7 @@ A frame whose residual picture holds more than noise is measured again with the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -14,146 +14,156 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.tracking.match import Patch
-from frictrack.tracking.refine import Fine, products, refine
+from frictrack.tracking.correlation import Patch
+from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
+from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
+from frictrack.tracking.target_model import TargetModel
 from frictrack.tracking.template import Template
-from frictrack.tracking.view import View
-from frictrack.tracking.waves import RANGE
 
-MISFITS = 1.5  # times the usual mean squared residual: the frame shows more than the target
-AGAIN = 4  # rounds of leaving out what does not fit
-LEAST_LEFT = 0.25  # of the pixels that must still count
-FAR, FARTHEST = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
-TRUSTED = 2.0  # times the usual noise: what a prediction may be off by
-BORDERS = 2, 6  # px of border left out in any case, and at most
-CHANCE = 2.0  # standard deviations of the misfit that ask for more
-BORDERLESS = 0.5  # of the least that must still count, without borders
-FEW = 0.02  # of the pixels: fewer that do not fit are noise, and have no border
-MANY = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
+MISFIT_RATIO = 1.5  # times the usual mean squared residual: the frame shows more than the target
+MAX_REWEIGHTINGS = 4  # rounds of leaving out what does not fit
+MIN_REMAINING_SHARE = 0.25  # of the pixels that must still count
+FULL_WEIGHT_SIGMAS, ZERO_WEIGHT_SIGMAS = 2.5, 4.5  # standard deviations from which a pixel counts less, and nothing
+PREDICTION_NOISE_RATIO = 2.0  # times the usual noise: what a prediction may be off by
+BORDER_PX = 2, 6  # px of border left out in any case, and at most
+BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit that ask for more
+BORDERLESS_SHARE = 0.5  # of the least that must still count, without borders
+MIN_OUTLIER_SHARE = 0.02  # of the pixels: fewer that do not fit are noise, and have no border
+NEIGHBOUR_SHARES = 0.5, 0.8  # share of the neighbours that fit, below which a pixel counts nothing, and less
 
 
-@dataclass(frozen=True, eq=False)
-class Lesson:
-    """What the film has taught: the template, what stands still before it, and the usual misfit."""
-
-    template: Template
-    view: View | None = None
-    usual: float = np.nan  # nan: that of the frames at hand
-    inflation: Array = field(default_factory=lambda: np.ones(3))  # of the standard deviations, see `trust`
-    slow: Array = field(default_factory=lambda: np.zeros((2, 2)))  # px^2, of what the target's changing look adds
-    turns: bool = False  # the target turns by more than small rotations
-
-
-def measure(cuts: Patch, corner: NDArray[np.int64], guess: Fine, lesson: Lesson) -> tuple[Fine, Patch | None]:
+def measure_frames(
+    cuts: Patch, corner: NDArray[np.int64], guess: SubpixelFit, target_model: TargetModel
+) -> tuple[SubpixelFit, Patch | None]:
     """Positions in cut-outs (n, h, w) taken at `corner` (n, 2), from the `guess` of an earlier round.
 
     Also the share (n, h, w) of its weight that each pixel has kept; None where all have kept all.
     """
-    share, template = None, lesson.template
-    if lesson.view is not None:
-        cuts, share = lesson.view.cleaned(cuts, corner, guess.gain, guess.offset)
-    fine = refine(products(cuts, template), guess.at, template)
+    share, template = None, target_model.template
+    if target_model.pattern is not None:
+        cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
+    fit = refine_positions(template_products(cuts, template), guess.position, template)
     covered = np.zeros(len(cuts), np.bool_) if share is None else np.any(share < 1, axis=(1, 2))
-    usual = float(np.median(fine.misfit)) if np.isnan(lesson.usual) else lesson.usual
-    usual = max(usual, template.least_misfit)
-    odd = np.flatnonzero((covered | (fine.misfit > MISFITS * usual)) & guess.settled)
-    if len(odd):
+    typical_misfit = (
+        float(np.median(fit.misfit)) if np.isnan(target_model.typical_misfit) else target_model.typical_misfit
+    )
+    typical_misfit = max(typical_misfit, template.min_misfit)
+    suspect = np.flatnonzero((covered | (fit.misfit > MISFIT_RATIO * typical_misfit)) & guess.converged)
+    if len(suspect):
         share = np.ones(cuts.shape, np.float32) if share is None else share
-        better, kept = without_what_does_not_fit(cuts[odd], guess[odd], template, share[odd], usual)
+        better, kept_share = refine_robust(cuts[suspect], guess[suspect], template, share[suspect], typical_misfit)
         # Where the rest is no better, the whole picture stands, with the larger deviation that its misfit tells.
-        good = odd[better.settled]
-        share[good] = kept[better.settled]
-        fine.put(good, better[better.settled])
-    return replace(fine, sigma=fine.sigma * lesson.inflation), share
+        refitted = suspect[better.converged]
+        share[refitted] = kept_share[better.converged]
+        fit.put(refitted, better[better.converged])
+    return replace(fit, sigma=fit.sigma * target_model.sigma_inflation), share
 
 
-def without_what_does_not_fit(
-    cuts: Patch, guess: Fine, template: Template, given: Patch | None = None, usual: float = np.nan
-) -> tuple[Fine, Patch]:
-    """The frames (n, h, w), pixel by pixel weighted by how well they fit a `guess`, then each better fit; the weights.
+def refine_robust(
+    cuts: Patch,
+    guess: SubpixelFit,
+    template: Template,
+    initial_share: Patch | None = None,
+    typical_misfit: float = np.nan,
+) -> tuple[SubpixelFit, Patch]:
+    """Fit frames (n, h, w) with pixels weighted by how well they fit a `guess`, then each better fit; the weights.
 
-    `given` (n, h, w) is the share of their weight that pixels have in the first place. With the `usual` misfit of a
-    frame that holds nothing but target and noise the guess is trusted, and may speak against most of the picture;
-    without, it is one that the whole picture has made. Where hardly anything is left, the frame is not settled.
+    `initial_share` (n, h, w) is the share of their weight that pixels have in the first place. With the
+    `typical_misfit` of a frame that holds nothing but target and noise the guess is trusted, and may speak against
+    most of the picture; without, it is one that the whole picture has made. Where hardly anything is left, the frame
+    is not settled.
     """
     counts = (template.weight > 0).astype(np.float32)
-    given = np.broadcast_to(counts, cuts.shape) if given is None else given * counts
-    fine, scale = guess, np.full(len(cuts), TRUSTED * np.sqrt(usual))
-    enough, share = np.ones(len(cuts), np.bool_), np.array(given)
-    for k in range(AGAIN):
-        left = residual(cuts, fine, template)
-        if k or np.isnan(usual):
-            scale = _scale(left, share)
-        share = given * fits(left / scale[:, None, None].astype(np.float32), given)
-        enough &= share.mean(axis=(1, 2)) > LEAST_LEFT * float(counts.mean())
-        start = np.clip(np.nan_to_num(fine.turned_back()), -RANGE, RANGE)
-        share[~enough] = given[~enough]  # nothing sensible is left; the whole picture is as good as any
-        better = refine(products(cuts, template, share), start, template)
-        lost = ~better.settled  # what went nowhere is no ground to stand on: the last place is
-        better.put(lost, replace(fine[lost], settled=better.settled[lost]))
-        fine = better
-    if not np.isnan(usual):
-        fine, share = _without_borders(cuts, fine, template, share, given, usual)
-        enough &= share.mean(axis=(1, 2)) > BORDERLESS * LEAST_LEFT * float(counts.mean())
-    return replace(fine, settled=fine.settled & enough), share
+    initial_share = np.broadcast_to(counts, cuts.shape) if initial_share is None else initial_share * counts
+    fit, scale = guess, np.full(len(cuts), PREDICTION_NOISE_RATIO * np.sqrt(typical_misfit))
+    enough_pixels, share = np.ones(len(cuts), np.bool_), np.array(initial_share)
+    for k in range(MAX_REWEIGHTINGS):
+        residuals = residual_images(cuts, fit, template)
+        if k or np.isnan(typical_misfit):
+            scale = _residual_scale(residuals, share)
+        share = initial_share * inlier_weights(residuals / scale[:, None, None].astype(np.float32), initial_share)
+        enough_pixels &= share.mean(axis=(1, 2)) > MIN_REMAINING_SHARE * float(counts.mean())
+        start = np.clip(np.nan_to_num(fit.unrotated()), -MAX_SHIFT_PX, MAX_SHIFT_PX)
+        share[~enough_pixels] = initial_share[
+            ~enough_pixels
+        ]  # nothing sensible is left; the whole picture is as good as any
+        better = refine_positions(template_products(cuts, template, share), start, template)
+        failed = ~better.converged  # what went nowhere is no ground to stand on: the last place is
+        better.put(failed, replace(fit[failed], converged=better.converged[failed]))
+        fit = better
+    if not np.isnan(typical_misfit):
+        fit, share = _erode_outliers(cuts, fit, template, share, initial_share, typical_misfit)
+        enough_pixels &= share.mean(axis=(1, 2)) > BORDERLESS_SHARE * MIN_REMAINING_SHARE * float(counts.mean())
+    return replace(fit, converged=fit.converged & enough_pixels), share
 
 
-def _without_borders(
-    cuts: Patch, fine: Fine, template: Template, share: Patch, given: Patch, usual: float
-) -> tuple[Fine, Patch]:
+def _erode_outliers(
+    cuts: Patch, fit: SubpixelFit, template: Template, share: Patch, initial_share: Patch, typical_misfit: float
+) -> tuple[SubpixelFit, Patch]:
     """Leave out what lies round what was left out, and more of it as long as the rest misfits by more than chance.
 
     The soft edge of what hides the target differs from it by less than the noise of one pixel, but all of it together
     draws the place along.
     """
-    out = share.copy()
-    hidden = np.mean(out < 0.5 * given, axis=(1, 2)) > FEW
-    for k in range(BORDERS[1]):
-        chance = CHANCE * np.sqrt(2 / np.maximum(out.sum(axis=(1, 2)), 1.0))
-        rows = np.flatnonzero(hidden & fine.settled & ((k < BORDERS[0]) | (fine.misfit > usual * (1 + chance))))
+    eroded = share.copy()
+    occluded = np.mean(eroded < 0.5 * initial_share, axis=(1, 2)) > MIN_OUTLIER_SHARE
+    for k in range(BORDER_PX[1]):
+        scatter = BORDER_MISFIT_SIGMAS * np.sqrt(2 / np.maximum(eroded.sum(axis=(1, 2)), 1.0))
+        rows = np.flatnonzero(
+            occluded & fit.converged & ((k < BORDER_PX[0]) | (fit.misfit > typical_misfit * (1 + scatter)))
+        )
         if len(rows) == 0:
             break
-        out[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in out[rows]]
-        start = np.clip(fine[rows].turned_back(), -RANGE, RANGE)
-        better = refine(products(cuts[rows], template, out[rows]), start, template)
-        fine.put(rows, better)
-    return fine, out
+        eroded[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in eroded[rows]]
+        start = np.clip(fit[rows].unrotated(), -MAX_SHIFT_PX, MAX_SHIFT_PX)
+        better = refine_positions(template_products(cuts[rows], template, eroded[rows]), start, template)
+        fit.put(rows, better)
+    return fit, eroded
 
 
-def _scale(left: Patch, share: Patch) -> Array:
+def _residual_scale(residuals: Patch, share: Patch) -> Array:
     """Standard deviation (n,) of the residual pictures where they count, from the median."""
     scale = [
-        1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0 for p, s in zip(left, share, strict=True)
+        1.4826 * np.median(np.abs(p[s > 0.5])) if np.any(s > 0.5) else 1.0
+        for p, s in zip(residuals, share, strict=True)
     ]
     return np.maximum(scale, 1e-6)
 
 
-def unexplained(score: Any, misfit: Any, usual: float) -> Any:
+def unexplained_share(score: Any, misfit: Any, typical_misfit: float) -> Any:
     """Share of a picture's variance that neither the target nor the usual noise explains; numbers or arrays."""
-    return (1 - score**2) * (1 - usual / np.maximum(misfit, usual))
+    return (1 - score**2) * (1 - typical_misfit / np.maximum(misfit, typical_misfit))
 
 
-def residual(cuts: Patch, fine: Fine, template: Template) -> Array:
+def residual_images(cuts: Patch, fit: SubpixelFit, template: Template) -> Array:
     """What the target does not explain of the cut-outs (n, h, w), in standard deviations of the template's noise."""
-    return (template.weighted(cuts) - modelled(fine, template) * template.root).reshape(cuts.shape)
+    return (template.weighted(cuts) - model_images(fit, template) * template.root_weight).reshape(cuts.shape)
 
 
-def modelled(fine: Fine, template: Template) -> Array:
+def model_images(fit: SubpixelFit, template: Template) -> Array:
     """What the cut-outs should show (n, h w), DN above the template's level."""
-    columns = template.columns(fine.turned_back())
-    ones = np.ones_like(fine.gain)
-    parts = np.stack([fine.gain, fine.offset - template.level, 0 * ones, 0 * ones, fine.gain * fine.angle], axis=1)
+    columns = template.design(fit.unrotated())
+    ones = np.ones_like(fit.gain)
+    parts = np.stack([fit.gain, fit.offset - template.level, 0 * ones, 0 * ones, fit.gain * fit.angle], axis=1)
     weights = np.einsum("ni,nik->nk", parts, columns).astype(np.float32)
-    return np.asarray(weights @ template.pictures.astype(np.float32))
+    return np.asarray(weights @ template.basis_images.astype(np.float32))
 
 
-def fits(rated: Patch, given: Patch) -> Patch:
-    """How well each pixel fits (n, h, w), 1 to 0, by itself and with its neighbours; `rated` in standard deviations."""
-    fits = np.empty_like(rated)
-    for k, picture in enumerate(rated):
-        around = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third
-        fits[k] = np.clip((FARTHEST - np.maximum(np.abs(picture), around)) / (FARTHEST - FAR), 0, 1)
+def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
+    """Weights (n, h, w), 1 to 0, of pixels by their residual and those of their neighbours, in standard deviations."""
+    weights = np.empty_like(standardised)
+    for k, picture in enumerate(standardised):
+        local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third
+        weights[k] = np.clip(
+            (ZERO_WEIGHT_SIGMAS - np.maximum(np.abs(picture), local_mean)) / (ZERO_WEIGHT_SIGMAS - FULL_WEIGHT_SIGMAS),
+            0,
+            1,
+        )
         # Among many that do not fit, one that does is there by chance.
-        company = cv2.blur(fits[k] * (given[k] > 0), (5, 5)) / np.maximum(cv2.blur(given[k], (5, 5)), 0.1)
-        fits[k] *= np.clip((company - MANY[0]) / (MANY[1] - MANY[0]), 0, 1)
-    return fits
+        neighbour_share = cv2.blur(weights[k] * (initial_share[k] > 0), (5, 5)) / np.maximum(
+            cv2.blur(initial_share[k], (5, 5)), 0.1
+        )
+        weights[k] *= np.clip(
+            (neighbour_share - NEIGHBOUR_SHARES[0]) / (NEIGHBOUR_SHARES[1] - NEIGHBOUR_SHARES[0]), 0, 1
+        )
+    return weights

@@ -15,22 +15,24 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.match import Patch
-from frictrack.tracking.measure import MISFITS, fits, unexplained
+from frictrack.tracking.correlation import Patch
+from frictrack.tracking.cosine_basis import REFLECTION_PX
+from frictrack.tracking.measure import MISFIT_RATIO, inlier_weights, unexplained_share
 from frictrack.tracking.template import Template
-from frictrack.tracking.waves import EDGE
 
-FINE = 3  # points of the table per px: cubic splines through them are off by less than 1e-4 of the contrast
-STEPS = 12
-SETTLED = 1e-3  # px, the last step
-CYCLES = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
-AGAIN = 4  # rounds of leaving out what does not fit
-LEAST_LEFT = 0.25  # of the pixels that must still count
-PLAIN = 0.1  # of the mean squared slope: less is no texture
-LEAST_GAIN = 1e-3
-MARGIN = 6.0  # px round the target that are looked at
-ODD_SHARE = 0.005  # of the picture's variance, left unexplained: less is the error of a picture that was turned
-UNKNOWNS = 5  # gain, offset, x, y, angle
+SAMPLES_PER_PX = 3  # points of the table per px: cubic splines through them are off by less than 1e-4 of the contrast
+MAX_STEPS = 12
+STEP_TOLERANCE_PX = 1e-3  # px, the last step
+CYCLE_TOLERANCE_PX = 5e-3  # px, the same where it goes to and fro, as pixels at the border come and go
+MAX_REWEIGHTINGS = 4  # rounds of leaving out what does not fit
+MIN_REMAINING_SHARE = 0.25  # of the pixels that must still count
+MIN_TEXTURE_RATIO = 0.1  # of the mean squared slope: less is no texture
+MIN_GAIN = 1e-3
+MARGIN_PX = 6.0  # px round the target that are looked at
+MAX_PLAIN_FIT_UNEXPLAINED = (
+    0.005  # of the picture's variance, left unexplained: less is the error of a picture that was turned
+)
+N_UNKNOWNS = 5  # gain, offset, x, y, angle
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,11 @@ class Pose:
     sigma: tuple[float, float, float] = (np.nan, np.nan, np.nan)  # px, px, rad
     score: float = -1.0
     misfit: float = np.inf
-    settled: bool = False
+    converged: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class TurnedPicture:
+class RotatableTemplate:
     """The target's picture, to be read at any place."""
 
     template: Template
@@ -60,7 +62,7 @@ class TurnedPicture:
         h, w = self.template.weight.shape
         return np.array([(w - 1) / 2, (h - 1) / 2])
 
-    def showing(self, template: Template) -> TurnedPicture:
+    def with_template(self, template: Template) -> RotatableTemplate:
         """The same with another template."""
         return replace(self, template=template)
 
@@ -73,18 +75,18 @@ class TurnedPicture:
     def _tables(self) -> list[Array]:
         """Spline coefficients of the picture and of its slopes along x and y."""
         (y, dy), (x, dx) = (
-            _sampled(n, count) for n, count in zip(self.template.weight.shape, self._waves, strict=True)
+            _sampled(n, count) for n, count in zip(self.template.weight.shape, self._n_coefficients, strict=True)
         )
-        waves = self.template.waves
-        return [spline_filter(rows @ waves @ columns.T) for rows, columns in ((y, x), (y, dx), (dy, x))]
+        coefficients = self.template.coefficients
+        return [spline_filter(rows @ coefficients @ columns.T) for rows, columns in ((y, x), (y, dx), (dy, x))]
 
     @property
-    def _waves(self) -> tuple[int, int]:
-        return self.template.waves.shape[0], self.template.waves.shape[1]
+    def _n_coefficients(self) -> tuple[int, int]:
+        return self.template.coefficients.shape[0], self.template.coefficients.shape[1]
 
     def read(self, at: Array) -> Array:
         """Picture and slopes along x and y (3, n), DN above the template's level, at places (2, n) px."""
-        places = (at[::-1] + EDGE) * FINE
+        places = (at[::-1] + REFLECTION_PX) * SAMPLES_PER_PX
         return np.stack([map_coordinates(t, places, order=3, prefilter=False, mode="nearest") for t in self._tables])
 
     def weight(self, at: Array) -> Array:
@@ -97,9 +99,9 @@ class TurnedPicture:
 
 def _sampled(n: int, count: int) -> tuple[Array, Array]:
     """Cosines of one axis and their slopes (m, count) at the points of the finer grid, which begins at -EDGE."""
-    length = n - 1 + 2 * EDGE
+    length = n - 1 + 2 * REFLECTION_PX
     q: Array = np.pi * np.arange(count, dtype=np.float64) / length
-    phase: Array = q * (np.arange(int(length * FINE) + 1)[:, None] / FINE)
+    phase: Array = q * (np.arange(int(length * SAMPLES_PER_PX) + 1)[:, None] / SAMPLES_PER_PX)
     return np.asarray(np.cos(phase)), np.asarray(-q * np.sin(phase))
 
 
@@ -122,115 +124,115 @@ class _Window:
         return cls(frame[part].astype(np.float64), places, None if blocked is None else ~blocked[part].ravel())
 
 
-def turned_back(places: Array, centre: Array, angle: float) -> Array:
+def to_target_frame(places: Array, centre: Array, angle: float) -> Array:
     """Places (2, n) as seen from a target at `centre` turned by `angle`: relative to its centre."""
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(np.array([[c, s], [-s, c]]) @ (places - centre[:, None]))
 
 
 def refine_pose(
-    frame: Patch, start: Pose, picture: TurnedPicture, usual: float = np.nan, *, trusted: bool = False
+    frame: Patch, start: Pose, rotatable: RotatableTemplate, typical_misfit: float = np.nan, *, trusted: bool = False
 ) -> Pose:
     """Centre and angle of the target in a frame (H, W) from a start within about two pixels everywhere on it.
 
-    Pixels that do not fit are left out where the residuals' scatter, or the `usual` misfit of a frame that holds
+    Pixels that do not fit are left out where the residuals' scatter, or the `typical_misfit` of a frame that holds
     nothing but target and noise, shows that there are some. A start that is `trusted` may speak against most pixels.
     """
-    window = _Window.around(frame, start.centre, picture.radius + MARGIN, picture.blocked)
-    if window.pixels.size < UNKNOWNS:
+    window = _Window.around(frame, start.centre, rotatable.radius + MARGIN_PX, rotatable.blocked)
+    if window.pixels.size < N_UNKNOWNS:
         return start
-    pose = _fitted(window, start, picture, None)
-    if not (pose.settled or trusted):
+    pose = _fit_pose(window, start, rotatable, None)
+    if not (pose.converged or trusted):
         return pose
-    level = _noise(window, pose if pose.settled else start, picture, usual)
-    if pose.settled and pose.misfit < MISFITS * level:
+    level = _noise_misfit(window, pose if pose.converged else start, rotatable, typical_misfit)
+    if pose.converged and pose.misfit < MISFIT_RATIO * level:
         return pose
-    robust = _without_what_does_not_fit(window, start, picture, level)
-    if not robust.settled and pose.settled:  # the start was too far off to say what fits; this pose is near
-        robust = _without_what_does_not_fit(window, pose, picture, _noise(window, pose, picture, np.nan))
-    if not robust.settled:
+    robust = _refine_robust(window, start, rotatable, level)
+    if not robust.converged and pose.converged:  # the start was too far off to say what fits; this pose is near
+        robust = _refine_robust(window, pose, rotatable, _noise_misfit(window, pose, rotatable, np.nan))
+    if not robust.converged:
         return pose
-    agrees = pose.settled and unexplained(pose.score, pose.misfit, level) < ODD_SHARE
-    return _doubted(pose, robust) if agrees else robust
+    agree = pose.converged and unexplained_share(pose.score, pose.misfit, level) < MAX_PLAIN_FIT_UNEXPLAINED
+    return _widen_sigma(pose, robust) if agree else robust
 
 
-def _noise(window: _Window, pose: Pose, picture: TurnedPicture, usual: float) -> float:
+def _noise_misfit(window: _Window, pose: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> float:
     """Misfit of pixels that show nothing but target and noise, as the better half of them have it."""
-    rated, slopes = _rated(window, pose, picture)
-    tells = _textured(slopes)
-    level = max(_scale(rated[tells]) ** 2 if tells.any() else 0.0, picture.template.least_misfit)
-    return level if np.isnan(usual) else min(level, usual)
+    standardised, slopes = _standardised_residuals(window, pose, rotatable)
+    textured = _textured(slopes)
+    level = max(_residual_scale(standardised[textured]) ** 2 if textured.any() else 0.0, rotatable.template.min_misfit)
+    return level if np.isnan(typical_misfit) else min(level, typical_misfit)
 
 
-def _doubted(pose: Pose, other: Pose) -> Pose:
+def _widen_sigma(pose: Pose, other: Pose) -> Pose:
     """A pose whose deviations hold how far another one, from some of the pixels, is away."""
     x, y = other.centre - pose.centre
     sigma = np.hypot(pose.sigma, (x, y, other.angle - pose.angle))
     return replace(pose, sigma=(float(sigma[0]), float(sigma[1]), float(sigma[2])))
 
 
-def _scale(rated: Array) -> float:
+def _residual_scale(standardised: Array) -> float:
     """Standard deviation of residuals, from their median: what hides less than half of the target does not count."""
-    return 1.4826 * float(np.median(np.abs(rated)))
+    return 1.4826 * float(np.median(np.abs(standardised)))
 
 
-def _fitted(window: _Window, start: Pose, picture: TurnedPicture, share: Array | None) -> Pose:
+def _fit_pose(window: _Window, start: Pose, rotatable: RotatableTemplate, share: Array | None) -> Pose:
     """Gauss-Newton; `share` (h w,) is the share of its weight that each pixel keeps."""
     pose, step = start, np.inf
-    for _ in range(STEPS):
-        pose, step = _step(window, pose, picture, share)
+    for _ in range(MAX_STEPS):
+        pose, step = _step(window, pose, rotatable, share)
         if not np.isfinite(step) or np.max(np.abs(pose.centre - start.centre)) > 6:
-            return replace(pose, settled=False)
-        if step < SETTLED:
+            return replace(pose, converged=False)
+        if step < STEP_TOLERANCE_PX:
             break
-    return replace(pose, settled=pose.gain > LEAST_GAIN and step < CYCLES)
+    return replace(pose, converged=pose.gain > MIN_GAIN and step < CYCLE_TOLERANCE_PX)
 
 
-def _step(window: _Window, pose: Pose, picture: TurnedPicture, share: Array | None) -> tuple[Pose, float]:
+def _step(window: _Window, pose: Pose, rotatable: RotatableTemplate, share: Array | None) -> tuple[Pose, float]:
     """The next pose, and how far any of the target's points moves, px."""
-    columns, weight = _columns(window, pose, picture)
+    columns, weight = _columns(window, pose, rotatable)
     if share is not None:
         weight = weight * share
     use = weight > 0
-    if np.count_nonzero(use) < 4 * UNKNOWNS:
+    if np.count_nonzero(use) < 4 * N_UNKNOWNS:
         return pose, np.inf
-    design, values, rate = columns[:, use], window.pixels.ravel()[use] - picture.template.level, weight[use]
+    design, values, rate = columns[:, use], window.pixels.ravel()[use] - rotatable.template.level, weight[use]
     normal, right, power = (design * rate) @ design.T, (design * rate) @ values, float(values**2 @ rate)
-    inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(UNKNOWNS))
-    found = inverse @ right
-    gain = max(float(found[0]), LEAST_GAIN)
-    move = found[2:] / gain
-    shift, turn = float(np.max(np.abs(move[:2]))), abs(float(move[2])) * picture.radius
+    inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(N_UNKNOWNS))
+    solution = inverse @ right
+    gain = max(float(solution[0]), MIN_GAIN)
+    move = solution[2:] / gain
+    shift, turn = float(np.max(np.abs(move[:2]))), abs(float(move[2])) * rotatable.radius
     limited = move / max(1.0, shift, turn / 2)
-    count = int(np.count_nonzero(use)) - UNKNOWNS  # positive, see above
-    misfit = max(power - float(right @ found), 0.0) / count
+    count = int(np.count_nonzero(use)) - N_UNKNOWNS  # positive, see above
+    misfit = max(power - float(right @ solution), 0.0) / count
     x, y, angle = (np.sqrt(misfit * np.diag(inverse)[2:].clip(0)) / gain).tolist()
-    better = Pose(
+    next_pose = Pose(
         centre=pose.centre + limited[:2],
         angle=pose.angle + float(limited[2]),
-        gain=float(found[0]),
-        offset=float(found[1]) + picture.template.level,
+        gain=float(solution[0]),
+        offset=float(solution[1]) + rotatable.template.level,
         sigma=(x, y, angle),
         score=_score(normal, right, power),
         misfit=misfit,
     )
-    return better, shift + turn
+    return next_pose, shift + turn
 
 
-def _columns(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array, Array]:
+def _columns(window: _Window, pose: Pose, rotatable: RotatableTemplate) -> tuple[Array, Array]:
     """Gain, offset, x, y and angle: what they change in the pixels (5, n), over the gain; and the weights (n,)."""
-    seen = turned_back(window.places, pose.centre, pose.angle)
-    at = seen + picture.middle[:, None]
-    weight = picture.weight(at)
+    target_points = to_target_frame(window.places, pose.centre, pose.angle)
+    at = target_points + rotatable.middle[:, None]
+    weight = rotatable.weight(at)
     if window.free is not None:
         weight = weight * window.free
-    columns = np.zeros((UNKNOWNS, weight.size))
+    columns = np.zeros((N_UNKNOWNS, weight.size))
     use = weight > 0
-    value, dx, dy = picture.read(at[:, use])
+    value, dx, dy = rotatable.read(at[:, use])
     c, s = np.cos(pose.angle), np.sin(pose.angle)
     columns[0, use], columns[1] = value, 1.0
     columns[2, use], columns[3, use] = -(c * dx - s * dy), -(s * dx + c * dy)
-    columns[4, use] = dx * seen[1, use] - dy * seen[0, use]
+    columns[4, use] = dx * target_points[1, use] - dy * target_points[0, use]
     return columns, weight
 
 
@@ -242,63 +244,71 @@ def _score(normal: Array, right: Array, power: float) -> float:
     return float(np.clip(both / np.sqrt(max(frame * model, 1e-300)), -1, 1))
 
 
-def _without_what_does_not_fit(window: _Window, start: Pose, picture: TurnedPicture, usual: float) -> Pose:
+def _refine_robust(window: _Window, start: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> Pose:
     """The pose from pixels that fit the start, then each better pose.
 
     What is left must hold enough of the slopes that tell the pose: a plain background fits anywhere.
     """
     pose, share = start, np.ones(window.pixels.size)
-    for k in range(AGAIN):
-        rated, slopes = _rated(window, pose, picture)
-        given = slopes > 0
-        scale = 2 * np.sqrt(usual) if k == 0 else _scale(rated[(share > 0.5) & _textured(slopes)])
-        share = _fit_share(window, rated / max(scale, 1e-6), given)
-        if share @ slopes < LEAST_LEFT * np.sum(slopes):
-            return replace(pose, settled=False)
-        better = _fitted(window, pose, picture, share)
-        if not better.settled:
-            return better
-        pose = better
+    for k in range(MAX_REWEIGHTINGS):
+        standardised, slopes = _standardised_residuals(window, pose, rotatable)
+        inside = slopes > 0
+        scale = (
+            2 * np.sqrt(typical_misfit) if k == 0 else _residual_scale(standardised[(share > 0.5) & _textured(slopes)])
+        )
+        share = _inlier_share(window, standardised / max(scale, 1e-6), inside)
+        if share @ slopes < MIN_REMAINING_SHARE * np.sum(slopes):
+            return replace(pose, converged=False)
+        next_pose = _fit_pose(window, pose, rotatable, share)
+        if not next_pose.converged:
+            return next_pose
+        pose = next_pose
     return pose
 
 
-def _rated(window: _Window, pose: Pose, picture: TurnedPicture) -> tuple[Array, Array]:
+def _standardised_residuals(window: _Window, pose: Pose, rotatable: RotatableTemplate) -> tuple[Array, Array]:
     """What the target does not explain (n,), in standard deviations of the template's noise; and its squared slopes.
 
     The slopes are 0 outside the target, and only there.
     """
-    columns, weight = _columns(window, pose, picture)
-    left = window.pixels.ravel() - pose.offset - pose.gain * columns[0]
+    columns, weight = _columns(window, pose, rotatable)
+    residual = window.pixels.ravel() - pose.offset - pose.gain * columns[0]
     slopes = np.where(weight > 0, np.maximum(weight * (columns[2] ** 2 + columns[3] ** 2), 1e-300), 0.0)
-    return np.where(weight > 0, left * np.sqrt(weight), 0.0), slopes
+    return np.where(weight > 0, residual * np.sqrt(weight), 0.0), slopes
 
 
 def _textured(slopes: Array) -> Mask:
     """Pixels (n,) that would not fit at a wrong pose: a plain background fits anywhere."""
-    return np.asarray(slopes > PLAIN * np.mean(slopes))
+    return np.asarray(slopes > MIN_TEXTURE_RATIO * np.mean(slopes))
 
 
-def _fit_share(window: _Window, rated: Array, given: Mask) -> Array:
+def _inlier_share(window: _Window, standardised: Array, inside: Mask) -> Array:
     shape = (1, *window.pixels.shape)
-    found: Array = fits(rated.reshape(shape).astype(np.float32), given.reshape(shape).astype(np.float32))
-    return found.ravel() * given
+    solution: Array = inlier_weights(
+        standardised.reshape(shape).astype(np.float32), inside.reshape(shape).astype(np.float32)
+    )
+    return solution.ravel() * inside
 
 
-def derotated(frame: Patch, pose: Pose, picture: TurnedPicture) -> NDArray[np.float32]:
+def derotate(frame: Patch, pose: Pose, rotatable: RotatableTemplate) -> NDArray[np.float32]:
     """The frame as the target's picture (h, w) would show it without its turn; to learn from, not to measure.
 
     Only what the picture known so far does not explain is interpolated: it is small, and so is the error of that.
     """
-    window = _Window.around(frame, pose.centre, picture.radius + MARGIN, picture.blocked)
-    at = turned_back(window.places, pose.centre, pose.angle) + picture.middle[:, None]
-    template = picture.template
+    window = _Window.around(frame, pose.centre, rotatable.radius + MARGIN_PX, rotatable.blocked)
+    at = to_target_frame(window.places, pose.centre, pose.angle) + rotatable.middle[:, None]
+    template = rotatable.template
     h, w = template.weight.shape
-    shown = np.all((at > -EDGE) & (at < np.array([[w], [h]]) - 1 + EDGE), axis=0)
-    left = window.pixels.ravel() - pose.offset - pose.gain * picture.read(at)[0]
-    shown = shown if window.free is None else shown & window.free
-    left = np.where(shown, left, 0.0).reshape(window.pixels.shape)
+    visible = np.all((at > -REFLECTION_PX) & (at < np.array([[w], [h]]) - 1 + REFLECTION_PX), axis=0)
+    residual = window.pixels.ravel() - pose.offset - pose.gain * rotatable.read(at)[0]
+    visible = visible if window.free is None else visible & window.free
+    residual = np.where(visible, residual, 0.0).reshape(window.pixels.shape)
     y, x = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
-    seen = np.stack([x, y]) - picture.middle[:, None]
-    back = turned_back(seen, np.zeros(2), -pose.angle) + pose.centre[:, None] - window.places[:, :1]
-    rest = map_coordinates(left, back[::-1], order=5, mode="nearest").reshape(h, w)
-    return np.asarray(pose.offset + pose.gain * (template.image - template.level) + rest, dtype=np.float32)
+    target_points = np.stack([x, y]) - rotatable.middle[:, None]
+    frame_points = (
+        to_target_frame(target_points, np.zeros(2), -pose.angle) + pose.centre[:, None] - window.places[:, :1]
+    )
+    residual_in_target = map_coordinates(residual, frame_points[::-1], order=5, mode="nearest").reshape(h, w)
+    return np.asarray(
+        pose.offset + pose.gain * (template.image - template.level) + residual_in_target, dtype=np.float32
+    )

@@ -1,14 +1,14 @@
 """What a run says of its own measurement: peak locking, scores, backward tracking, faults of the time base."""
 
-from frictrack.tracking.checks.findings import forward_backward, key_frames, peak_locking, scores, self_test
-from frictrack.tracking.checks.rest import at_rest, moves_with
+from frictrack.tracking.checks.motion_test import at_rest, moves_with
+from frictrack.tracking.checks.self_tests import forward_backward, key_frame_notes, peak_locking, scores, self_test
 from frictrack.tracking.checks.timing import correct_ticks, slips, timing_note
 
 __all__ = [
     "at_rest",
     "correct_ticks",
     "forward_backward",
-    "key_frames",
+    "key_frame_notes",
     "moves_with",
     "peak_locking",
     "scores",

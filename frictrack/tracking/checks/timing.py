@@ -7,18 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.records import Track
-from frictrack.samples.screen import describe_frames
-from frictrack.samples.slips import SampledPath, Slip, correct_ticks, find_slips
+from frictrack.samples import SampledPath, Slip, correct_ticks, describe_frames, find_slips
 
 __all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
 
-SMALLEST_JUMP = 0.1  # px; tracking faults may be as large
-FINEST = 1e-4  # px: no track is more exact
+MIN_JUMP_PX = 0.1  # px; tracking faults may be as large
+MIN_SIGMA_PX = 1e-4  # px: no track is more exact
 
 
 def slips(track: Track) -> tuple[Slip, ...]:
     """Doubled and missing frames of a track, in order; none are found where the target is too slow to tell."""
-    return find_slips(_course(track))
+    return find_slips(_main_direction(track))
 
 
 def timing_note(found: Sequence[Slip]) -> tuple[str, ...]:
@@ -27,27 +26,27 @@ def timing_note(found: Sequence[Slip]) -> tuple[str, ...]:
     missing = [s for s in found if not s.doubled]
     notes = []
     if doubled:
-        notes.append(f"{_count(len(doubled), 'frame')} doubled, told by the motion: {describe_frames(doubled)}")
+        notes.append(f"{_count_frames(len(doubled), 'frame')} doubled, told by the motion: {describe_frames(doubled)}")
     if missing:
         total = sum(s.frames for s in missing)
         notes.append(
-            f"{_count(total, 'frame')} missing, told by the motion: "
+            f"{_count_frames(total, 'frame')} missing, told by the motion: "
             f"before {describe_frames([s.frame for s in missing])}"
         )
     return tuple(notes)
 
 
-def _count(n: int, what: str) -> str:
+def _count_frames(n: int, what: str) -> str:
     return f"{n} {what} is" if n == 1 else f"{n} {what}s are"
 
 
-def _course(track: Track) -> SampledPath:
+def _main_direction(track: Track) -> SampledPath:
     """The track along the line on which it moves most."""
     found = track.found & np.isfinite(track.y_px) & np.isfinite(track.sigma_px)
     at = np.stack([track.x_px, track.y_px], axis=1)
     if not found.any():
-        return SampledPath(at[:, 0], at[:, 0], np.arange(len(at)), found, SMALLEST_JUMP)
+        return SampledPath(at[:, 0], at[:, 0], np.arange(len(at)), found, MIN_JUMP_PX)
     _, _, axes = np.linalg.svd(at[found] - at[found].mean(axis=0), full_matrices=False)
     sigma = np.hypot(axes[0, 0] * track.sigma_px, axes[0, 1] * track.sigma_y_px)
     ticks = np.rint((track.t - track.t[0]) / np.median(np.diff(track.t))).astype(np.int64)
-    return SampledPath(at @ axes[0], np.maximum(sigma, FINEST), ticks, found, SMALLEST_JUMP)
+    return SampledPath(at @ axes[0], np.maximum(sigma, MIN_SIGMA_PX), ticks, found, MIN_JUMP_PX)

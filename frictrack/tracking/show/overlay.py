@@ -16,21 +16,21 @@ from frictrack.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
 
-FRAMES = 400  # written at most, so that the file stays small
-RATE = 30.0  # 1/s, at which they are shown
+MAX_FRAMES = 400  # written at most, so that the file stays small
+PLAYBACK_FPS = 30.0  # 1/s, at which they are shown
 CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
-WIDTH = 640  # px, least; smaller pictures are enlarged
-BAR = 22  # px of text below the picture, for each track
+MIN_WIDTH_PX = 640  # px, least; smaller pictures are enlarged
+TEXT_BAR_PX = 22  # px of text below the picture, for each track
 # Blue, green, red: orange for the target, then blue, green and pink.
 COLOURS = ((28, 159, 255), (255, 196, 46), (90, 220, 120), (200, 120, 255))
-LEFT_OUT = (60, 60, 230)  # of what counts nothing: red
-SHIFT = 4  # binary digits of a pixel in which OpenCV draws
+EXCLUDED_COLOUR = (60, 60, 230)  # of what counts nothing: red
+SUBPIXEL_BITS = 4  # binary digits of a pixel in which OpenCV draws
 
 Canvas = NDArray[np.uint8]
 
 
 def overlay_video(
-    recording: Recording, track: Track, path: str | Path, *, others: Sequence[Track] = (), frames: int = FRAMES
+    recording: Recording, track: Track, path: str | Path, *, others: Sequence[Track] = (), frames: int = MAX_FRAMES
 ) -> Path:
     """Write an AVI or MP4 of the film with the tracked rectangle, its trail, and the numbers of every frame.
 
@@ -42,13 +42,13 @@ def overlay_video(
         raise FrictrackError(f'{path.name}: expected an overlay ending in .avi or .mp4 but got "{path.suffix}"')
     tracks = (track, *others)
     stride = max(1, -(-recording.n_frames // max(frames, 1)))
-    zoom = max(1, -(-WIDTH // recording.shape[1]))
+    zoom = max(1, -(-MIN_WIDTH_PX // recording.shape[1]))
     with replaced(path) as part:
-        _written(part, recording.frames(step=stride), (zoom, stride), tracks)
+        _write_video(part, recording.frames(step=stride), (zoom, stride), tracks)
     return path
 
 
-def _written(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks: Sequence[Track]) -> None:
+def _write_video(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks: Sequence[Track]) -> None:
     """Every frame with what was tracked in it; `steps` are the zoom and the frames from one to the next."""
     zoom, stride = steps
     writer: cv2.VideoWriter | None = None
@@ -56,12 +56,12 @@ def _written(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks
     try:
         for k, frame in enumerate(frames):
             if writer is None:
-                low, high = _limits(frame)
+                low, high = _grey_limits(frame)
                 rows, columns = frame.shape[:2]
-                size = (_even(columns * zoom), _even(rows * zoom + BAR * len(tracks)))
+                size = (_even(columns * zoom), _even(rows * zoom + TEXT_BAR_PX * len(tracks)))
                 writer = _writer(path, size)
-            picture = _drawn(_canvas(frame, (low, high), zoom), tracks, k * stride, zoom)
-            writer.write(_fitted(picture, size))
+            picture = _draw_frame(_canvas(frame, (low, high), zoom), tracks, k * stride, zoom)
+            writer.write(_pad_even(picture, size))
     finally:
         if writer is not None:
             writer.release()
@@ -75,13 +75,13 @@ def _even(length: int) -> int:
 
 def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
     code = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-    writer = cv2.VideoWriter(str(path), code, RATE, size)
+    writer = cv2.VideoWriter(str(path), code, PLAYBACK_FPS, size)
     if not writer.isOpened():
         raise FrictrackError(f"{path.name}: the overlay cannot be written here; check the folder, or try .avi")
     return writer
 
 
-def _limits(frame: Frame) -> tuple[float, float]:
+def _grey_limits(frame: Frame) -> tuple[float, float]:
     """Grey values shown black and white, the same for the whole film: flicker shall be seen."""
     low, high = np.percentile(frame, [0.2, 99.8])
     return float(low), float(max(high, low + 1))
@@ -95,29 +95,31 @@ def _canvas(frame: Frame, limits: tuple[float, float], zoom: int) -> Canvas:
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
 
 
-def _fitted(picture: Canvas, size: tuple[int, int]) -> Canvas:
+def _pad_even(picture: Canvas, size: tuple[int, int]) -> Canvas:
     """Codecs want even sides."""
     right, below = size[0] - picture.shape[1], size[1] - picture.shape[0]
     return np.asarray(np.pad(picture, ((0, below), (0, right), (0, 0))))
 
 
-def _drawn(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> Canvas:
+def _draw_frame(picture: Canvas, tracks: Sequence[Track], i: int, zoom: int) -> Canvas:
     """The picture with all tracks of frame i and a line of text for each."""
-    bar = np.zeros((BAR * len(tracks), picture.shape[1], 3), np.uint8)
+    bar = np.zeros((TEXT_BAR_PX * len(tracks), picture.shape[1], 3), np.uint8)
     for k, track in enumerate(tracks):
         colour = COLOURS[k % len(COLOURS)]
         _trail(picture, track, i, zoom, colour)
         if i < len(track) and track.found[i] and track.target is not None:
-            cv2.polylines(picture, [_points(corners(track, i), zoom)], True, colour, 2, cv2.LINE_AA, SHIFT)
-            areas = [_points(one, zoom) for one in drawn_areas(track, i)]
-            cv2.polylines(picture, areas, True, LEFT_OUT, 1, cv2.LINE_AA, SHIFT)
-        cv2.putText(bar, _words(track, i), (6, BAR * k + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+            cv2.polylines(picture, [_to_opencv(corners(track, i), zoom)], True, colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+            areas = [_to_opencv(one, zoom) for one in drawn_areas(track, i)]
+            cv2.polylines(picture, areas, True, EXCLUDED_COLOUR, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.putText(
+            bar, _caption(track, i), (6, TEXT_BAR_PX * k + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA
+        )
     return np.vstack([picture, bar])
 
 
 def corners(track: Track, i: int) -> Array:
     """Corners (n, 2) px of the target's outline in frame i, turned by its angle."""
-    return _moved(track, track.outline or box(track), i)
+    return _place_polygon(track, track.outline or box(track), i)
 
 
 def box(track: Track) -> Polygon:
@@ -128,10 +130,10 @@ def box(track: Track) -> Polygon:
 
 def drawn_areas(track: Track, i: int) -> list[Array]:
     """Corners (n, 2) px of the parts that are excluded, where they are in frame i, and of the obstacles."""
-    return [_moved(track, one, i) for one in track.exclude] + [np.array(one) for one in track.obstacles]
+    return [_place_polygon(track, one, i) for one in track.exclude] + [np.array(one) for one in track.obstacles]
 
 
-def _moved(track: Track, outline: Polygon, i: int) -> Array:
+def _place_polygon(track: Track, outline: Polygon, i: int) -> Array:
     """A polygon of the target's own frame as frame i shows it (n, 2), px."""
     assert track.target is not None
     x, y, w, h = track.target
@@ -147,26 +149,26 @@ def _trail(picture: Canvas, track: Track, i: int, zoom: int, colour: tuple[int, 
     found = np.flatnonzero(track.found[: i + 1])
     for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
         if len(part) > 1:
-            cv2.polylines(picture, [_points(at[part], zoom)], False, colour, 1, cv2.LINE_AA, SHIFT)
+            cv2.polylines(picture, [_to_opencv(at[part], zoom)], False, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _points(at: Array, zoom: int) -> NDArray[Any]:
+def _to_opencv(at: Array, zoom: int) -> NDArray[Any]:
     """Places (n, 2) px as OpenCV draws them on the enlarged picture; pixel centres are integers."""
-    return np.rint(((at + 0.5) * zoom - 0.5) * 2**SHIFT).astype(np.int32)
+    return np.rint(((at + 0.5) * zoom - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
 
 
-def _deviation(track: Track, i: int) -> str:
+def _angle_sigma(track: Track, i: int) -> str:
     """Standard deviation of the angle in frame i, degrees."""
     return "" if track.sigma_angle is None else f" +/- {np.degrees(track.sigma_angle[i]):.2g}"
 
 
-def _words(track: Track, i: int) -> str:
+def _caption(track: Track, i: int) -> str:
     if i >= len(track):
         return track.name
     head = f"{track.name}  frame {i}  {1e3 * track.t[i]:.2f} ms  "
     if not track.found[i]:
         return f"{head}lost: {track.reason[i]}"
-    turned = f"  {np.degrees(track.angle[i]):+.2f}{_deviation(track, i)} deg" if np.isfinite(track.angle[i]) else ""
+    turned = f"  {np.degrees(track.angle[i]):+.2f}{_angle_sigma(track, i)} deg" if np.isfinite(track.angle[i]) else ""
     return (
         f"{head}x {track.x_px[i]:.3f}  y {track.y_px[i]:.3f} px  sigma {track.sigma_px[i]:.4f}  "
         f"score {track.score[i]:.3f}{turned}"

@@ -16,25 +16,25 @@ from frictrack.recording import Frame, Recording
 from frictrack.records import Track
 from frictrack.tracking.show.overlay import box, corners, drawn_areas
 
-LINE_FONT = 1700.0  # points over characters: a line of so many fits the width
-FRAMES = 5  # and one panel for the target itself
-MARK, PATH, LEFT_OUT = "#ff9f1c", "#2ec4ff", "#e63946"
-OTHERS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
+LINE_FONT_SCALE = 1700.0  # points over characters: a line of so many fits the width
+N_FRAMES = 5  # and one panel for the target itself
+TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
+OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
 
 def target_line(track: Track) -> str:
     """The lines for the study file that repeat this track: its rectangle or outline, its frame if not the first."""
     x, y, w, h = _rectangle(track)
-    lines = [f"target = {_listed(track.outline)}" if track.outline else f"target = [{x}, {y}, {w}, {h}]"]
+    lines = [f"target = {_format_polygon(track.outline)}" if track.outline else f"target = [{x}, {y}, {w}, {h}]"]
     if track.template:
         lines.append(f"template = {track.template}")
     for name, several in (("exclude", track.exclude), ("obstacles", track.obstacles)):
         if several:
-            lines.append(f"{name} = [{', '.join(_listed(one) for one in several)}]")
+            lines.append(f"{name} = [{', '.join(_format_polygon(polygon) for polygon in several)}]")
     return "\n".join(lines)
 
 
-def _listed(corners: Sequence[tuple[float, float]]) -> str:
+def _format_polygon(corners: Sequence[tuple[float, float]]) -> str:
     """A polygon as it stands in the study file."""
     return "[" + ", ".join(f"[{x:g}, {y:g}]" for x, y in corners) + "]"
 
@@ -45,23 +45,23 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     `others` (a reference, further targets) are drawn with their names. Returns the path written.
     """
     found = np.flatnonzero(track.found)
-    shown = np.unique(found[np.linspace(0, len(found) - 1, FRAMES).astype(int)])
+    shown = np.unique(found[np.linspace(0, len(found) - 1, N_FRAMES).astype(int)])
     wanted = np.unique([*shown, track.template])
     pictures = dict(zip(wanted.tolist(), recording.pick(wanted.tolist()), strict=True))
     columns = 2 if recording.shape[1] > 2 * recording.shape[0] else 3
     figure = _figure(recording, columns)
     panels = np.ravel(figure.subplots(6 // columns, columns))
-    _spaced(figure, 6 // columns)
+    _set_spacing(figure, 6 // columns)
     for panel, i in zip(panels, shown, strict=False):
-        _frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
-        for colour, other in zip(OTHERS, others, strict=False):
-            _other(panel, other, int(i), colour)
+        _draw_frame(panel, pictures[int(i)], track, int(i), recording.bit_depth)
+        for colour, other in zip(OTHER_COLOURS, others, strict=False):
+            _draw_other(panel, other, int(i), colour)
     for panel in panels[len(shown) : -1]:
         panel.set_axis_off()
-    _zoom(panels[-1], pictures[track.template], track, recording.bit_depth)
+    _draw_target(panels[-1], pictures[track.template], track, recording.bit_depth)
     figure.suptitle(_headline(recording, track), fontsize=14)
     line = target_line(track).replace("\n", "      ")
-    figure.supxlabel(line, fontsize=min(18.0, LINE_FONT / len(line)), family="monospace")
+    figure.supxlabel(line, fontsize=min(18.0, LINE_FONT_SCALE / len(line)), family="monospace")
     with replaced(Path(path)) as part:
         FigureCanvasAgg(figure).print_png(str(part))
     return Path(path)
@@ -73,7 +73,7 @@ def _figure(recording: Recording, columns: int) -> Figure:
     return Figure(figsize=(16, float(np.clip(height, 5, 16))), dpi=80)
 
 
-def _spaced(figure: Figure, rows: int) -> None:
+def _set_spacing(figure: Figure, rows: int) -> None:
     """Room for titles and labels, in inches; a layout that is sought takes as long as all the rest."""
     height, gap = figure.get_figheight(), 0.6
     panel = (height - 1.9 - gap * (rows - 1)) / rows
@@ -92,21 +92,21 @@ def _headline(recording: Recording, track: Track) -> str:
     return f"{recording.path.name}: {track.name} found in {track.found.sum()} of {len(track)} frames\n{why}".strip()
 
 
-def _frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
-    _show(panel, picture, bit_depth)
-    panel.plot(track.x_px, track.y_px, color=PATH, lw=1.5)
-    panel.add_patch(Polygon(corners(track, i), fill=False, ec=MARK, lw=2.5))
-    _areas(panel, track, i)
+def _draw_frame(panel: Axes, picture: Frame, track: Track, i: int, bit_depth: int) -> None:
+    _show_picture(panel, picture, bit_depth)
+    panel.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.5)
+    panel.add_patch(Polygon(corners(track, i), fill=False, ec=TARGET_COLOUR, lw=2.5))
+    _draw_excluded(panel, track, i)
     panel.set_title(f"frame {i}, {1e3 * track.t[i]:.1f} ms, score {track.score[i]:.3f}", fontsize=14)
 
 
-def _areas(panel: Axes, track: Track, i: int) -> None:
+def _draw_excluded(panel: Axes, track: Track, i: int) -> None:
     """What counts nothing in frame i, hatched."""
-    for one in drawn_areas(track, i):
-        panel.add_patch(Polygon(one, fill=False, ec=LEFT_OUT, lw=1.5, hatch="//"))
+    for polygon in drawn_areas(track, i):
+        panel.add_patch(Polygon(polygon, fill=False, ec=EXCLUDED_COLOUR, lw=1.5, hatch="//"))
 
 
-def _other(panel: Axes, track: Track, i: int, colour: str) -> None:
+def _draw_other(panel: Axes, track: Track, i: int, colour: str) -> None:
     """Rectangle and name of a further track, where it was found."""
     if track.target is None or i >= len(track) or not track.found[i]:
         return
@@ -115,13 +115,13 @@ def _other(panel: Axes, track: Track, i: int, colour: str) -> None:
     panel.text(x, y - 2, track.name, color=colour, fontsize=11, va="bottom")
 
 
-def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
+def _draw_target(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
     """The target with a little of what surrounds it."""
     x, y, w, h = _rectangle(track)
-    _show(panel, picture, bit_depth)
-    panel.add_patch(Polygon(track.outline or box(track), fill=False, ec=MARK, lw=2.5))
-    for one in (*track.exclude, *track.obstacles):
-        panel.add_patch(Polygon(one, fill=False, ec=LEFT_OUT, lw=1.5, hatch="//"))
+    _show_picture(panel, picture, bit_depth)
+    panel.add_patch(Polygon(track.outline or box(track), fill=False, ec=TARGET_COLOUR, lw=2.5))
+    for polygon in (*track.exclude, *track.obstacles):
+        panel.add_patch(Polygon(polygon, fill=False, ec=EXCLUDED_COLOUR, lw=1.5, hatch="//"))
     margin = 0.3 * max(w, h)
     panel.set_xlim(x - margin, x + w + margin)
     panel.set_ylim(y + h + margin, y - margin)
@@ -129,7 +129,7 @@ def _zoom(panel: Axes, picture: Frame, track: Track, bit_depth: int) -> None:
     panel.set_title(f"target, sigma {sigma:.4f} px, frame {track.template}", fontsize=14)
 
 
-def _show(panel: Axes, picture: Frame, bit_depth: int) -> None:
+def _show_picture(panel: Axes, picture: Frame, bit_depth: int) -> None:
     low, high = np.percentile(picture, [0.5, 99.5])
     high = max(high, low + 2 ** (bit_depth - 6))  # a flat picture stays flat
     panel.imshow(picture, cmap="gray", vmin=low, vmax=high, interpolation="nearest")

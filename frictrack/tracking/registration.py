@@ -10,21 +10,21 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import shift
 
 from frictrack.records import Array, Track
-from frictrack.tracking.finding.scene import Picture
-from frictrack.tracking.match import correlate
+from frictrack.tracking.correlation import correlate
 
-REACH = 0.25  # of the target's sides: the furthest that two rectangles may differ
-SAME_BODY = 0.8  # correlation below which the two bodies are taken for different ones
-SMALL = 0.02  # px, a difference not worth a correction
-LEAST = 12  # px, shortest side of what is compared
-STEPS = 8
+MAX_OFFSET_SHARE = 0.25  # of the target's sides: the furthest that two rectangles may differ
+MIN_SAME_BODY_SCORE = 0.8  # correlation below which the two bodies are taken for different ones
+MIN_CORRECTION_PX = 0.02  # px, a difference not worth a correction
+MIN_CORE_PX = 12  # px, shortest side of what is compared
+MAX_STEPS = 8
 
 
 @dataclass(frozen=True)
-class Offset:
+class TargetOffset:
     """From the centre of one target's picture to the point that is the centre of the other's, px, with its error."""
 
     dx: float
@@ -38,14 +38,14 @@ def aligned(track: Track, reference: Track) -> Track:
 
     Unchanged, with a note, where the two pictures do not show the same body.
     """
-    found = offset(track.picture, reference.picture)
+    found = target_offset(track.picture, reference.picture)
     if found is None:
         note = (
             "its target does not look like the first run's: places along the course agree only as well as the two "
             "rectangles were chosen"
         )
         return replace(track, notes=(*track.notes, note))
-    if np.hypot(found.dx, found.dy) < max(SMALL, 2 * np.hypot(found.sigma_x, found.sigma_y)):
+    if np.hypot(found.dx, found.dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(found.sigma_x, found.sigma_y)):
         return track
     note = (
         f"tracked point moved by ({found.dx:+.3f} +/- {found.sigma_x:.3f}, {found.dy:+.3f} +/- {found.sigma_y:.3f}) px "
@@ -54,7 +54,7 @@ def aligned(track: Track, reference: Track) -> Track:
     return replace(track, x_px=track.x_px + found.dx, y_px=track.y_px + found.dy, notes=(*track.notes, note))
 
 
-def offset(picture: Array | None, reference: Array | None) -> Offset | None:
+def target_offset(picture: Array | None, reference: Array | None) -> TargetOffset | None:
     """How two pictures of the same body lie to each other; None where they do not show the same.
 
     The middle of the one is looked for in the other by correlation, then by Gauss-Newton on grey values with free
@@ -62,37 +62,37 @@ def offset(picture: Array | None, reference: Array | None) -> Offset | None:
     """
     if picture is None or reference is None:
         return None
-    edge = np.maximum((REACH * np.array(picture.shape)).astype(int), 1)
+    edge = np.maximum((MAX_OFFSET_SHARE * np.array(picture.shape)).astype(int), 1)
     core = picture[edge[0] : -edge[0], edge[1] : -edge[1]].astype(np.float32)
-    whole = reference.astype(np.float32)
-    if min(core.shape) < LEAST or np.any(np.array(whole.shape) < np.array(core.shape) + 2):
+    reference_image = reference.astype(np.float32)
+    if min(core.shape) < MIN_CORE_PX or np.any(np.array(reference_image.shape) < np.array(core.shape) + 2):
         return None
-    _, score, _, corner = cv2.minMaxLoc(correlate(whole, core))
-    if score < SAME_BODY:
+    _, score, _, corner = cv2.minMaxLoc(correlate(reference_image, core))
+    if score < MIN_SAME_BODY_SCORE:
         return None
-    at, sigma = _refined(core, whole, np.array(corner, dtype=np.float64))
+    at, sigma = _refine_corner(core, reference_image, np.array(corner, dtype=np.float64))
     # The core's centre is the picture's centre, whatever was cut off.
     middle = at + 0.5 * (np.array(core.shape[::-1]) - 1)
-    moved = 0.5 * (np.array(whole.shape[::-1]) - 1) - middle
-    return Offset(float(moved[0]), float(moved[1]), float(sigma[0]), float(sigma[1]))
+    centre_offset = 0.5 * (np.array(reference_image.shape[::-1]) - 1) - middle
+    return TargetOffset(float(centre_offset[0]), float(centre_offset[1]), float(sigma[0]), float(sigma[1]))
 
 
-def _refined(core: Picture, whole: Picture, at: Array) -> tuple[Array, Array]:
+def _refine_corner(core: NDArray[np.float32], reference_image: NDArray[np.float32], at: Array) -> tuple[Array, Array]:
     """Corner (x, y) of the core in the whole, px, and its standard deviation."""
     shape = (core.shape[0], core.shape[1])
     gy, gx = np.gradient(core)
     design = np.stack([gx, gy, core - core.mean(), np.ones(shape)], axis=2).reshape(-1, 4).astype(np.float64)
     inverse = np.linalg.pinv(design.T @ design)
-    start, rest = at.copy(), np.zeros(design.shape[0])
-    for _ in range(STEPS):
+    start, residuals = at.copy(), np.zeros(design.shape[0])
+    for _ in range(MAX_STEPS):
         # The whole moved so that what lies at `at` comes to the origin; OpenCV moves by 1/32 px only.
-        seen = shift(whole, -at[::-1], order=5, mode="nearest")[: shape[0], : shape[1]].ravel()
-        best = inverse @ (design.T @ seen)
-        rest = seen - design @ best
+        shifted = shift(reference_image, -at[::-1], order=5, mode="nearest")[: shape[0], : shape[1]].ravel()
+        solution = inverse @ (design.T @ shifted)
+        residuals = shifted - design @ solution
         # The whole read at `at` shows the core moved by -step, in its own light.
-        step = best[:2] / max(float(best[2]), 1e-3)
+        step = solution[:2] / max(float(solution[2]), 1e-3)
         at = np.clip(at - step, start - 1.5, start + 1.5)
         if np.max(np.abs(step)) < 1e-3:
             break
-    noise = float(rest @ rest) / max(len(rest) - 4, 1)
-    return at, np.sqrt(noise * np.diag(inverse)[:2]) / max(float(best[2]), 1e-3)
+    noise = float(residuals @ residuals) / max(len(residuals) - 4, 1)
+    return at, np.sqrt(noise * np.diag(inverse)[:2]) / max(float(solution[2]), 1e-3)

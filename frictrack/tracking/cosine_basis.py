@@ -23,132 +23,139 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 
-EDGE = 4.0  # px beyond the picture's border at which the cosines turn round
-BAND = 0.48  # cycles/px; a wave of 0.5 may pass through zero at every pixel, unseen, and would have any slope
-FINER = 2.95  # the same along an axis on which frames show the target at every shift: a third of a pixel
-RANGE = 0.6  # px, reach of the expansion: half a pixel and room for the last step
-DEGREES = {BAND: 5, FINER: 21}  # of the expansion; one more changes positions by less than 1 % of the noise
+REFLECTION_PX = 4.0  # px beyond the picture's border at which the cosines turn round
+BAND_LIMIT = 0.48  # cycles/px; a wave of 0.5 may pass through zero at every pixel, unseen, and would have any slope
+SUPER_RESOLUTION_BAND = (
+    2.95  # the same along an axis on which frames show the target at every shift: a third of a pixel
+)
+MAX_SHIFT_PX = 0.6  # px, reach of the expansion: half a pixel and room for the last step
+CHEBYSHEV_DEGREES = {
+    BAND_LIMIT: 5,
+    SUPER_RESOLUTION_BAND: 21,
+}  # of the expansion; one more changes positions by less than 1 % of the noise
 # Px up to which a search may step. Outside its range a Chebyshev series grows as the power of its degree (Trefethen
 # 2013, ch. 8): of degree 21 it is worth nothing a tenth of a pixel further.
-LONGEST_SHIFT = {BAND: RANGE + 0.5, FINER: RANGE + 0.05}
-TURN_DEGREE = 2
+MAX_SEARCH_PX = {BAND_LIMIT: MAX_SHIFT_PX + 0.5, SUPER_RESOLUTION_BAND: MAX_SHIFT_PX + 0.05}
+ROTATION_DEGREE = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Shifts:
+class ShiftExpansion:
     """The expansion of all shifts for pictures of `shape` (h, w) with waves up to `bands` (y, x), cycles/px."""
 
     shape: tuple[int, int]
-    bands: tuple[float, float] = (BAND, BAND)
-    _cast: dict[Any, list[Array]] = field(default_factory=dict)
+    bands: tuple[float, float] = (BAND_LIMIT, BAND_LIMIT)
+    _x_by_dtype: dict[Any, list[Array]] = field(default_factory=dict)
 
     @property
     def degrees(self) -> tuple[int, int]:
         """Degrees of the expansion along y and x."""
-        return DEGREES[self.bands[0]], DEGREES[self.bands[1]]
+        return CHEBYSHEV_DEGREES[self.bands[0]], CHEBYSHEV_DEGREES[self.bands[1]]
 
     @property
-    def longest(self) -> float:
+    def max_search_px(self) -> float:
         """Shift along x or y beyond which the expansion says nothing, px."""
-        return min(LONGEST_SHIFT[band] for band in self.bands)
+        return min(MAX_SEARCH_PX[band] for band in self.bands)
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """Degrees (i, j) along x and y of the pictures B_ij, (k, 2)."""
-        return np.array([(i, j) for j, count in enumerate(self._partners) for i in range(count)])
+        return np.array([(i, j) for j, count in enumerate(self._x_counts) for i in range(count)])
 
     @property
-    def _partners(self) -> list[int]:
+    def _x_counts(self) -> list[int]:
         """For each degree j along y, how many degrees along x go with it: i / d_x + j / d_y <= 1."""
         d_y, d_x = self.degrees
         return [d_x * (d_y - j) // d_y + 1 for j in range(d_y + 1)]
 
     @cached_property
-    def turn_order(self) -> NDArray[np.int64]:
+    def rotation_order(self) -> NDArray[np.int64]:
         """The same for the pictures of the rotation."""
-        return _degrees(TURN_DEGREE)
+        return _degree_pairs(ROTATION_DEGREE)
 
     @cached_property
     def _x(self) -> tuple[Array, Array]:
-        return _expanded(self.shape[1], self.bands[1])
+        return _expand_cosines(self.shape[1], self.bands[1])
 
     @cached_property
     def _y(self) -> tuple[Array, Array]:
-        return _expanded(self.shape[0], self.bands[0])
+        return _expand_cosines(self.shape[0], self.bands[0])
 
     @property
-    def n_waves(self) -> tuple[int, int]:
+    def n_coefficients(self) -> tuple[int, int]:
         """Shape of the coefficients C of a picture."""
         return self._y[0].shape[2], self._x[0].shape[2]
 
-    def pictures(self, waves: NDArray[Any]) -> NDArray[Any]:
-        """The pictures B_ij (k, h, w) of the template with coefficients `waves`, in the precision of those."""
+    def basis_images(self, coefficients: NDArray[Any]) -> NDArray[Any]:
+        """The pictures B_ij (k, h, w) of the template with coefficients `coefficients`, in the precision of those."""
         h, w = self.shape
         found = []
-        for side, across in zip(self._sides(waves.dtype), self._y[0].astype(waves.dtype), strict=False):
-            strip = (across @ waves) @ side.T  # all degrees along x beside each other
+        for x_rows, y_rows in zip(
+            self._stacked_x(coefficients.dtype), self._y[0].astype(coefficients.dtype), strict=False
+        ):
+            strip = (y_rows @ coefficients) @ x_rows.T  # all degrees along x beside each other
             found.append(strip.reshape(h, -1, w).transpose(1, 0, 2))
         return np.concatenate(found)
 
     def adjoint(self, pictures: NDArray[Any]) -> NDArray[Any]:
-        """Transpose of `pictures`: (k, h, w) -> coefficients, for least squares."""
+        """Transpose of `basis_images`: (k, h, w) -> coefficients, for least squares."""
         h = self.shape[0]
-        total, at = np.zeros(self.n_waves, pictures.dtype), 0
-        for side, across in zip(self._sides(pictures.dtype), self._y[0].astype(pictures.dtype), strict=False):
-            count = len(side) // self.shape[1]
+        total, at = np.zeros(self.n_coefficients, pictures.dtype), 0
+        for x_rows, y_rows in zip(self._stacked_x(pictures.dtype), self._y[0].astype(pictures.dtype), strict=False):
+            count = len(x_rows) // self.shape[1]
             strip = pictures[at : at + count].transpose(1, 0, 2).reshape(h, -1)
-            total += across.T @ (strip @ side)
+            total += y_rows.T @ (strip @ x_rows)
             at += count
         return total
 
-    def _sides(self, kind: Any) -> list[Array]:
+    def _stacked_x(self, dtype: Any) -> list[Array]:
         """For each degree j along y, the rows of x of all its partners i, one below the other."""
-        if np.dtype(kind) not in self._cast:
-            x = self._x[0].astype(kind)
-            self._cast[np.dtype(kind)] = [x[:count].reshape(-1, x.shape[2]) for count in self._partners]
-        return self._cast[np.dtype(kind)]
+        if np.dtype(dtype) not in self._x_by_dtype:
+            x = self._x[0].astype(dtype)
+            self._x_by_dtype[np.dtype(dtype)] = [x[:count].reshape(-1, x.shape[2]) for count in self._x_counts]
+        return self._x_by_dtype[np.dtype(dtype)]
 
-    def turned(self, waves: Array) -> Array:
+    def rotation_images(self, coefficients: Array) -> Array:
         """Change per rad of rotation about the picture's centre, x toward y: (k', h, w)."""
         h, w = self.shape
         y, x = np.arange(h)[:, None] - (h - 1) / 2, np.arange(w) - (w - 1) / 2
-        rows, slopes = self._y[0] @ waves, self._y[1] @ waves
-        along = (rows[j] @ self._x[1][i].T for i, j in self.turn_order)
-        across = (slopes[j] @ self._x[0][i].T for i, j in self.turn_order)
-        return np.stack([x * dy - y * dx for dx, dy in zip(along, across, strict=True)])
+        rows, slopes = self._y[0] @ coefficients, self._y[1] @ coefficients
+        d_dx = (rows[j] @ self._x[1][i].T for i, j in self.rotation_order)
+        y_rows = (slopes[j] @ self._x[0][i].T for i, j in self.rotation_order)
+        return np.stack([x * dy - y * dx for dx, dy in zip(d_dx, y_rows, strict=True)])
 
     def design(self, shift: Array) -> tuple[Array, Array, Array, Array]:
         """Weights of the pictures for shifts (n, 2): T, dT/dp_x, dT/dp_y (n, k) and the rotation (n, k')."""
-        (i, j), (ti, tj) = self.order.T, self.turn_order.T
-        y, x = (chebyshev.chebvander(shift[:, 1 - k] / RANGE, d) for k, d in enumerate(self.degrees))
+        (i, j), (ti, tj) = self.order.T, self.rotation_order.T
+        y, x = (chebyshev.chebvander(shift[:, 1 - k] / MAX_SHIFT_PX, d) for k, d in enumerate(self.degrees))
         dx, dy = (np.asarray(z[:, :-1] @ _derivative(z.shape[1] - 1)) for z in (x, y))
         return x[:, i] * y[:, j], dx[:, i] * y[:, j], x[:, i] * dy[:, j], x[:, ti] * y[:, tj]
 
 
 @lru_cache(maxsize=8)
-def shifts(shape: tuple[int, int], bands: tuple[float, float] = (BAND, BAND)) -> Shifts:
+def shift_expansion(shape: tuple[int, int], bands: tuple[float, float] = (BAND_LIMIT, BAND_LIMIT)) -> ShiftExpansion:
     """The expansion for pictures of this shape, made once."""
-    return Shifts(shape, bands)
+    return ShiftExpansion(shape, bands)
 
 
 @lru_cache
 def _derivative(degree: int) -> Array:
-    return np.asarray(chebyshev.chebder(np.eye(degree + 1), axis=0) / RANGE, dtype=np.float64)
+    return np.asarray(chebyshev.chebder(np.eye(degree + 1), axis=0) / MAX_SHIFT_PX, dtype=np.float64)
 
 
-def _degrees(most: int) -> NDArray[np.int64]:
-    """Pairs whose sum is at most `most`."""
-    return np.array([(i, j) for j in range(most + 1) for i in range(most + 1 - j)])
+def _degree_pairs(max_total: int) -> NDArray[np.int64]:
+    """Pairs whose sum is at most `max_total`."""
+    return np.array([(i, j) for j in range(max_total + 1) for i in range(max_total + 1 - j)])
 
 
-def _expanded(n: int, band: float) -> tuple[Array, Array]:
+def _expand_cosines(n: int, band: float) -> tuple[Array, Array]:
     """Chebyshev coefficients (degree, n, waves) of cosines read at n pixels moved by p, and of their d/dp."""
-    count = DEGREES[band] + 3
+    count = CHEBYSHEV_DEGREES[band] + 3
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     solve = np.linalg.inv(chebyshev.chebvander(nodes, count - 1))
-    length = n - 1 + 2 * EDGE
+    length = n - 1 + 2 * REFLECTION_PX
     q = np.pi * np.arange(int(2 * band * length) + 1) / length
-    phase = q * (np.arange(n)[:, None] + EDGE - RANGE * nodes[:, None, None])
+    phase = q * (np.arange(n)[:, None] + REFLECTION_PX - MAX_SHIFT_PX * nodes[:, None, None])
     both = np.cos(phase), q * np.sin(phase)
     cosines, slopes = (np.einsum("ij,jnk->ink", solve, values) for values in both)
     return cosines, slopes

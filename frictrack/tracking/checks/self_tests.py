@@ -12,18 +12,18 @@ from scipy.stats import chi2
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.tracking.checks.timing import Slip, slips, timing_note
 
-SMOOTH = 15  # frames of the local cubic about which residuals are taken
-MIN_TRAVEL = 2.0  # px: over less, a motion and what repeats from pixel to pixel cannot be told apart
-HARMONICS = 2
-SURE = 1e-3  # probability of a peak-locking curve of this size from noise alone
-MATTERS = 0.2  # of the standard deviation of a frame, above which its amplitude is told
-LOW = 0.1  # by which a score must lie below the usual one to be low
-PERIODS = range(5, 301)
-LEAST_REPEATS = 6
-SIGNIFICANT = 6.0  # standard errors above every other phase; the search covers some 10^4 phases
+SMOOTHING_FRAMES = 15  # frames of the local cubic about which residuals are taken
+MIN_TRAVEL_PX = 2.0  # px: over less, a motion and what repeats from pixel to pixel cannot be told apart
+N_HARMONICS = 2
+ALPHA_PEAK_LOCKING = 1e-3  # probability of a peak-locking curve of this size from noise alone
+MIN_AMPLITUDE_SIGMAS = 0.2  # of the standard deviation of a frame, above which its amplitude is told
+LOW_SCORE_MARGIN = 0.1  # by which a score must lie below the usual one to be low
+PERIODS_FRAMES = range(5, 301)
+MIN_REPEATS = 6
+MIN_SIGNIFICANCE = 6.0  # standard errors above every other phase; the search covers some 10^4 phases
 
 
-def key_frames(change: Array, x: Array, y: Array) -> tuple[str, ...]:
+def key_frame_notes(change: Array, x: Array, y: Array) -> tuple[str, ...]:
     """A note on the key frames of a codec: every so many frames the whole picture is coded anew.
 
     `change` (n,) is how much each picture differs from the one before, x and y (n,) the track in px. The note
@@ -31,8 +31,8 @@ def key_frames(change: Array, x: Array, y: Array) -> tuple[str, ...]:
     """
     known = np.nan_to_num(change, nan=float(np.nanmedian(change)))
     excess = known - median_filter(known, size=9)  # what stands out of its neighbours, whatever else goes on
-    significance, minus_period = max((_standing_out(excess, p), -p) for p in PERIODS)
-    if significance < SIGNIFICANT:
+    significance, minus_period = max((_peak_significance(excess, p), -p) for p in PERIODS_FRAMES)
+    if significance < MIN_SIGNIFICANCE:
         return ()
     period = -minus_period
     phase = int(np.nanargmax(_fold_mean(excess, period)))
@@ -51,7 +51,7 @@ def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
     # A step of 1 between two frames leaves 2/3 after the mean slope of the frames around is taken off.
     steps = np.stack([1.5 * (q[at] - q[at - 1] - (q[at + 1] - q[at - 2]) / 3) for q in (x, y)])
     steps = steps[:, np.all(np.isfinite(steps), axis=0)]
-    if steps.shape[1] < LEAST_REPEATS:
+    if steps.shape[1] < MIN_REPEATS:
         return np.nan, np.nan
     middle = np.median(steps, axis=1)  # a bump or a bad frame must not make a jump
     spread = 1.4826 * np.median(np.abs(steps - middle[:, None]), axis=1)
@@ -59,13 +59,13 @@ def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
     return float(np.hypot(*middle)), float(np.hypot(*error))
 
 
-def _standing_out(values: Array, period: int) -> float:
+def _peak_significance(values: Array, period: int) -> float:
     """How many standard errors the highest phase of `period` lies above every other.
 
     A vibration or a beat of the light raises many phases; a codec's key frames raise one.
     """
     rows = len(values) // period
-    if rows < LEAST_REPEATS:
+    if rows < MIN_REPEATS:
         return 0.0
     folded = values[1 : 1 + (rows - 1) * period].reshape(rows - 1, period)
     ceiling = 6 * np.median(np.max(folded, axis=1))  # one flash must not make a period
@@ -97,7 +97,7 @@ class PeakLocking:
 
     def at(self, x: Array) -> Array:
         """The error (n,) px at places x (n,) px."""
-        return np.asarray(_waves(x) @ np.array(self.curve))
+        return np.asarray(_pixel_harmonics(x) @ np.array(self.curve))
 
 
 def peak_locking(track: Track) -> PeakLocking | None:
@@ -106,51 +106,53 @@ def peak_locking(track: Track) -> PeakLocking | None:
     The curve and the waves go through the same smoother, so that what it takes from the one it takes from the
     other: a slow target loses precision, not size.
     """
-    parts = _stretches(track.found)
+    parts = _long_stretches(track.found)
     x, t = track.x_px, track.t
-    if not parts or np.ptp(x[track.found]) < MIN_TRAVEL:
+    if not parts or np.ptp(x[track.found]) < MIN_TRAVEL_PX:
         return None
-    left = np.concatenate([_rest(x[part]) for part in parts])
-    waves = np.concatenate([_rest(_waves(x[part])) for part in parts])
+    residual = np.concatenate([_detrend(x[part]) for part in parts])
+    harmonics = np.concatenate([_detrend(_pixel_harmonics(x[part])) for part in parts])
     sigma = np.concatenate([track.sigma_px[part] for part in parts])
-    keep = np.isfinite(sigma) & (np.abs(left) < 6 * 1.4826 * np.median(np.abs(left)) + 1e-12)
-    design, value = waves[keep] / sigma[keep, None], left[keep] / sigma[keep]
+    keep = np.isfinite(sigma) & (np.abs(residual) < 6 * 1.4826 * np.median(np.abs(residual)) + 1e-12)
+    design, value = harmonics[keep] / sigma[keep, None], residual[keep] / sigma[keep]
     power, axes = np.linalg.eigh(design.T @ design)
     if len(value) < 40 or power[0] < 1e-6 * len(value) / np.median(sigma) ** 2:
         return None
     inverse = (axes / power) @ axes.T
     curve = inverse @ (design.T @ value)
-    freedom = len(value) * (1 - 4 / SMOOTH) - 2 * HARMONICS
-    noise = float(np.sum((value - design @ curve) ** 2)) / freedom
+    dof = len(value) * (1 - 4 / SMOOTHING_FRAMES) - 2 * N_HARMONICS
+    noise = float(np.sum((value - design @ curve) ** 2)) / dof
     covariance = inverse * noise
     strength = float(curve @ np.linalg.solve(covariance, curve))
     phase = np.linspace(0, 1, 200)
-    shape = _waves(phase) @ curve
-    error = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", _waves(phase), covariance, _waves(phase)))))
+    shape = _pixel_harmonics(phase) @ curve
+    error = float(
+        np.sqrt(np.mean(np.einsum("ij,jk,ik->i", _pixel_harmonics(phase), covariance, _pixel_harmonics(phase))))
+    )
     speed = float(np.median(np.abs(np.concatenate([np.gradient(x[part], t[part]) for part in parts]))))
     rate = 1 / float(np.median(np.diff(t)))
     frequency = abs(speed - rate * round(speed / rate))
     amplitude = float(np.ptp(shape)) / 2
-    feigned = amplitude * (2 * np.pi * frequency) ** 2
+    acceleration = amplitude * (2 * np.pi * frequency) ** 2
     return PeakLocking(
-        amplitude, error, float(chi2.sf(strength, 2 * HARMONICS)), frequency, feigned, tuple(curve.tolist())
+        amplitude, error, float(chi2.sf(strength, 2 * N_HARMONICS)), frequency, acceleration, tuple(curve.tolist())
     )
 
 
-def _waves(x: Array) -> Array:
+def _pixel_harmonics(x: Array) -> Array:
     """Cosine and sine of one and two cycles per pixel (n, 4)."""
-    turns = 2 * np.pi * np.asarray(x)[:, None] * np.arange(1, HARMONICS + 1)
-    return np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+    phase = 2 * np.pi * np.asarray(x)[:, None] * np.arange(1, N_HARMONICS + 1)
+    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
 
 
-def _stretches(found: Mask) -> list[slice]:
+def _long_stretches(found: Mask) -> list[slice]:
     """Unbroken stretches of found frames, long enough to be smoothed."""
-    return [s for s in stretches(found) if s.stop - s.start >= 2 * SMOOTH]
+    return [s for s in stretches(found) if s.stop - s.start >= 2 * SMOOTHING_FRAMES]
 
 
-def _rest(values: Array) -> Array:
+def _detrend(values: Array) -> Array:
     """What a local cubic leaves of the values along their first axis."""
-    return np.asarray(values - savgol_filter(values, SMOOTH, 3, axis=0), dtype=np.float64)
+    return np.asarray(values - savgol_filter(values, SMOOTHING_FRAMES, 3, axis=0), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def scores(track: Track) -> Scores | None:
     score = np.where(known, track.score, np.nan)
     usual = float(np.nanmedian(score))
     spread = 1.4826 * float(np.nanmedian(np.abs(score - usual)))
-    low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW, 6 * spread))
+    low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW_SCORE_MARGIN, 6 * spread))
     at = int(np.nanargmin(score))
     return Scores(usual, float(score[at]), at, tuple((s.start, s.stop - 1) for s in stretches(low)))
 
@@ -185,12 +187,14 @@ class ForwardBackward:
     only_one: int
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The result in a sentence."""
-        said = f"tracked backward, positions differ by {self.rms:.2g} px rms ({self.in_sigma:.2g} standard deviations)"
+        difference = (
+            f"tracked backward, positions differ by {self.rms:.2g} px rms ({self.in_sigma:.2g} standard deviations)"
+        )
         lost = f"; {self.only_one} frames are found in one direction only" if self.only_one else ""
         doubt = ": they depend on where the search came from" if self.in_sigma > 0.5 else ""
-        return said + lost + doubt
+        return difference + lost + doubt
 
 
 def forward_backward(forward: Track, backward: Track) -> ForwardBackward:
@@ -224,7 +228,11 @@ def self_test(track: Track, faults: tuple[Slip, ...] | None = None) -> SelfTest:
 
 
 def _locking_note(locking: PeakLocking | None, track: Track) -> tuple[str, ...]:
-    if locking is None or locking.p > SURE or locking.amplitude < MATTERS * float(np.nanmedian(track.sigma_px)):
+    if (
+        locking is None
+        or locking.p > ALPHA_PEAK_LOCKING
+        or locking.amplitude < MIN_AMPLITUDE_SIGMAS * float(np.nanmedian(track.sigma_px))
+    ):
         return ()
     return (
         f"positions are drawn toward a place between the pixels by {locking.amplitude:.4f} +/- {locking.error:.4f} px "

@@ -10,19 +10,21 @@ import cv2
 import numpy as np
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.finding.outline import inside
-from frictrack.tracking.finding.scene import LEAST_SIDE, Scene
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.correlation import Rectangle
+from frictrack.tracking.detection.body_outline import inner_rectangle
+from frictrack.tracking.detection.sampled_scene import MIN_SIDE_PX, SampledScene
 
-SAME_AREA = 0.25  # by which the patch may differ from its usual area: shadows, and what it passes
-MOST_FRAMES, FEWEST = 0.6, 4  # share and number of the sampled frames that must show it so
-FAR = 0.5  # times the root of its area that its middle must travel
-STEP = 0.4  # of the whole way: a longer step between two samples is a jump to something else
-SCRAP = 0.25  # of the patch: a smaller body that looks the same from frame to frame is part of what it uncovers
-NEARLY = 0.6  # of the largest rectangle inside it, that the first frame's must have to be taken
+MAX_AREA_DEVIATION = 0.25  # by which the patch may differ from its usual area: shadows, and what it passes
+MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show it so
+MIN_TRAVEL = 0.5  # times the root of its area that its middle must travel
+MAX_STEP_SHARE = 0.4  # of the whole way: a longer step between two samples is a jump to something else
+MAX_KNOWN_AREA_SHARE = (
+    0.25  # of the patch: a smaller body that looks the same from frame to frame is part of what it uncovers
+)
+MIN_AREA_SHARE = 0.6  # of the largest rectangle inside it, that the first frame's must have to be taken
 
 
-def rotating_body(scene: Scene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
+def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
     """Rectangle inside the one travelling patch of foreground, px, and the frame it refers to.
 
     None where no patch of a steady size travels, or where what was found already, `found_area` (px, reduced), is more
@@ -31,15 +33,15 @@ def rotating_body(scene: Scene, found_area: float = 0.0) -> tuple[Rectangle, int
     areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
     if not np.any(areas):
         return None
-    usual = float(np.median(areas[areas > 0]))
-    rows = np.flatnonzero(np.abs(areas - usual) < SAME_AREA * usual)
-    if found_area >= SCRAP * usual or len(rows) < max(FEWEST, MOST_FRAMES * len(areas)):
+    typical_area = float(np.median(areas[areas > 0]))
+    rows = np.flatnonzero(np.abs(areas - typical_area) < MAX_AREA_DEVIATION * typical_area)
+    if found_area >= MAX_KNOWN_AREA_SHARE * typical_area or len(rows) < max(MIN_FRAMES, MIN_FRAME_SHARE * len(areas)):
         return None
     masks = {row: _largest(scene, row) for row in rows.tolist()}
-    return _rectangle(scene, masks) if _travels(masks, usual) else None
+    return _rectangle(scene, masks) if _travels(masks, typical_area) else None
 
 
-def _largest(scene: Scene, row: int) -> Mask:
+def _largest(scene: SampledScene, row: int) -> Mask:
     """The largest patch of foreground of a sampled frame."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
     blob = scene.blobs[row][0]
@@ -50,9 +52,9 @@ def _largest(scene: Scene, row: int) -> Mask:
 def _travels(masks: dict[int, Mask], area: float) -> bool:
     """Whether the middle of a patch goes a good part of its size, and does not jump."""
     middle = np.array([_middle(mask) for mask in masks.values()])
-    way = float(np.hypot(*np.ptp(middle, axis=0)))
+    distance = float(np.hypot(*np.ptp(middle, axis=0)))
     step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
-    return way > FAR * np.sqrt(area) and step < STEP * way
+    return distance > MIN_TRAVEL * np.sqrt(area) and step < MAX_STEP_SHARE * distance
 
 
 def _middle(mask: Mask) -> Array:
@@ -60,13 +62,13 @@ def _middle(mask: Mask) -> Array:
     return np.array([columns.mean(), rows.mean()])
 
 
-def _rectangle(scene: Scene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
+def _rectangle(scene: SampledScene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
     """The largest rectangle inside the patch: in the first frame, unless that is much smaller than in another."""
-    found = {row: inside(mask) for row, mask in masks.items()}
+    found = {row: inner_rectangle(mask) for row, mask in masks.items()}
     first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
-    row = first if _area(found[first]) > NEARLY * _area(found[best]) else best
+    row = first if _area(found[first]) > MIN_AREA_SHARE * _area(found[best]) else best
     x, y, w, h = found[row]
-    if min(w, h) * scene.factor < LEAST_SIDE:
+    if min(w, h) * scene.factor < MIN_SIDE_PX:
         return None
     at = np.rint((np.array([x, y]) + scene.shake[row]) * scene.factor).astype(int)
     return (int(at[0]), int(at[1]), w * scene.factor, h * scene.factor), scene.index[row]

@@ -20,33 +20,35 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.finding.scene import Scene
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.correlation import Rectangle
+from frictrack.tracking.detection.sampled_scene import SampledScene
 
-CELL, MAX_CELLS = 4, 16_000  # px, smallest side of a cell; and how many of them the picture has at most
-SMOOTHED = 0.7  # px, by which the mean picture is blurred before its slopes are taken
-SIDES = 4, 6, 8, 12, 16, 24, 32  # cells, of the windows that are tried
-SHAPES = (1, 1), (1, 2), (2, 1)  # their height to width
-EACH = 6  # cells, side of the windows that are asked whether all moves alike
+MIN_CELL_PX, MAX_CELLS = 4, 16_000  # px, smallest side of a cell; and how many of them the picture has at most
+SMOOTHING_PX = 0.7  # px, by which the mean picture is blurred before its slopes are taken
+WINDOW_SIDES = 4, 6, 8, 12, 16, 24, 32  # cells, of the windows that are tried
+WINDOW_SHAPES = (1, 1), (1, 2), (2, 1)  # their height to width
+UNIFORMITY_SIDE = 6  # cells, side of the windows that are asked whether all moves alike
 ALPHA = 1e-4  # probability that noise alone moves any of the windows
-DECIDES = 6.0  # log-likelihood ratio times two that tells motion from rest, strong evidence (Kass & Raftery 1995)
-STANDS_OUT = 0.25  # of the largest power, that a first window must have
-BELONGS = 0.9  # of what that ratio is for what moves altogether: at most one part in twenty of a target may rest
-ROUNDS = 4  # of taking in what moves with a window
-WORSE = 1.5  # times its deviation: a window that is so much less sure of the motion teaches nothing more
-UNEVEN = 2.0  # times the noise that goes with the light: more is something that changes
-MAX_MOTION = 1.0  # px, rms: beyond, the linear model says nothing
-MIN_SIDE = 2  # cells, of a target
-STILL_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only motion against the others counts
-PLAIN = 1.5  # times the gradients that noise makes in the mean picture: less is no texture
-MAX_SHAKE = 0.3  # px, of the whole picture: beyond, the linear model says little of what moves against the rest
-USUAL_SIDE = 48  # px, of a patch that is chosen for its texture alone
-MAX_SIGMA = 0.05  # px in one frame, on the worse axis: beyond, a patch cannot be tracked
-PARAMETERS = 4  # of a window in a frame: two of motion, two of light
+MIN_EVIDENCE = 6.0  # log-likelihood ratio times two that tells motion from rest, strong evidence (Kass & Raftery 1995)
+MIN_POWER_SHARE = 0.25  # of the largest power, that a first window must have
+MIN_FOLLOWING_SHARE = (
+    0.9  # of what that ratio is for what moves altogether: at most one part in twenty of a target may rest
+)
+MAX_ROUNDS = 4  # of taking in what moves with a window
+MAX_SIGMA_RATIO = 1.5  # times its deviation: a window that is so much less sure of the motion teaches nothing more
+MAX_NOISE_RATIO = 2.0  # times the noise that goes with the light: more is something that changes
+MAX_MOTION_PX = 1.0  # px, rms: beyond, the linear model says nothing
+MIN_SIDE_CELLS = 2  # cells, of a target
+MAX_STATIC_SHARE = 0.05  # of the windows; where fewer rest, the camera shakes and only motion against the others counts
+MIN_TEXTURE_RATIO = 1.5  # times the gradients that noise makes in the mean picture: less is no texture
+MAX_SHAKE_PX = 0.3  # px, of the whole picture: beyond, the linear model says little of what moves against the rest
+DEFAULT_SIDE_PX = 48  # px, of a patch that is chosen for its texture alone
+MAX_SIGMA_PX = 0.05  # px in one frame, on the worse axis: beyond, a patch cannot be tracked
+N_PARAMETERS = 4  # of a window in a frame: two of motion, two of light
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class WindowMotions:
     """Motion of some windows in all frames, and what that is worth."""
 
     motion: Array  # (m, k, 2) px
@@ -63,34 +65,34 @@ class Windows:
     @property
     def sigma(self) -> Array:
         """Standard deviation of the motion in one frame (m,) px on the worse axis; infinite without texture."""
-        false = PLAIN * self.pixels * self.noise / (2 * self.frames)
-        weakest = np.linalg.eigvalsh(self.information)[:, 0] - false
+        noise_texture = MIN_TEXTURE_RATIO * self.pixels * self.noise / (2 * self.frames)
+        weakest = np.linalg.eigvalsh(self.information)[:, 0] - noise_texture
         return np.where(weakest > 0, np.sqrt(self.noise / np.maximum(weakest, 1e-300)), np.inf)
 
     def moving(self, common: Array | None = None) -> Mask:
         """Windows (m,) that move by more than noise, and by more than what else happens in them."""
-        free = self.freedom_of_motion(common)
+        free = self.motion_dof(common)
         explained = self.power(common)
-        noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._freedom) * self.noise
+        noisy = explained <= free * f_distribution.isf(ALPHA / len(self.pixels), free, self._residual_dof) * self.noise
         return ~noisy & self.explained
 
     def power(self, common: Array | None = None) -> Array:
         """What the motion explains (m,), DN^2, other than in proportion to a `common` motion (k, 2)."""
-        off = self.motion
+        motion_left = self.motion
         if common is not None:  # an error of the linear model is in proportion to it
             basis = np.linalg.qr(common)[0]
-            off = off - basis @ (basis.T @ off)
-        return np.asarray(np.einsum("mki,mij,mkj->m", off, self.information, off))
+            motion_left = motion_left - basis @ (basis.T @ motion_left)
+        return np.asarray(np.einsum("mki,mij,mkj->m", motion_left, self.information, motion_left))
 
-    def freedom_of_motion(self, common: Array | None = None) -> int:
+    def motion_dof(self, common: Array | None = None) -> int:
         """Free numbers of the motion in all frames; the mean picture has taken one frame's, a common motion two."""
         return 2 * max(self.frames - 1 - (0 if common is None else 2), 1)
 
     def agreement(self, motion: Array) -> Array:
         """Log-likelihood ratio times two (m,) of a `motion` (k, 2) against rest."""
-        off = self.motion - motion
-        left = np.einsum("mki,mij,mkj->m", off, self.information, off)
-        return np.asarray((self.power() - left) / self.noise)
+        motion_left = self.motion - motion
+        residual = np.einsum("mki,mij,mkj->m", motion_left, self.information, motion_left)
+        return np.asarray((self.power() - residual) / self.noise)
 
     def mean(self, among: Mask) -> Array:
         """Mean motion (k, 2) of some windows, by their information."""
@@ -99,15 +101,15 @@ class Windows:
         return np.asarray(np.linalg.solve(weight.sum(axis=0), both).T)
 
     @property
-    def _freedom(self) -> Array:
-        return (self.frames - 1) * np.maximum(self.pixels - PARAMETERS, 1)
+    def _residual_dof(self) -> Array:
+        return (self.frames - 1) * np.maximum(self.pixels - N_PARAMETERS, 1)
 
     @property
     def explained(self) -> Mask:
         """Windows (m,) in which a small motion explains more than it leaves beyond the noise of their light."""
         expected = np.median(self.noise) * np.maximum(self.light / max(float(np.median(self.light)), 1e-9), 1.0)
-        small = np.sqrt(np.mean(np.sum(self.motion**2, axis=2), axis=1)) < MAX_MOTION
-        return np.asarray(small & (self.power() >= self._freedom * (self.noise - UNEVEN * expected)))
+        small = np.sqrt(np.mean(np.sum(self.motion**2, axis=2), axis=1)) < MAX_MOTION_PX
+        return np.asarray(small & (self.power() >= self._residual_dof * (self.noise - MAX_NOISE_RATIO * expected)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,55 +127,55 @@ class CellSums:
         """Cells (h, w)."""
         return self.power.shape[0] - 1, self.power.shape[1] - 1
 
-    def windows(self, boxes: NDArray[np.int64]) -> Windows:
+    def windows(self, boxes: NDArray[np.int64]) -> WindowMotions:
         """Motion of windows (m, 4): x, y, w, h in cells."""
         x, y, w, h = boxes.T
         normal, right, power = (
             s[y + h, x + w] - s[y, x + w] - s[y + h, x] + s[y, x] for s in (self.normal, self.right, self.power)
         )
         ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12
-        normal = normal + ridge * np.eye(PARAMETERS)
+        normal = normal + ridge * np.eye(N_PARAMETERS)
         found = np.linalg.solve(normal, right)
         k, pixels = right.shape[2], w * h * self.cell**2
-        left = np.maximum(power - np.einsum("mik,mik->m", found, right), 0.0)
+        residual = np.maximum(power - np.einsum("mik,mik->m", found, right), 0.0)
         light = normal[:, 2, 3] / pixels + self.level
-        free = (k - 1) * np.maximum(pixels - PARAMETERS, 1)
+        free = (k - 1) * np.maximum(pixels - N_PARAMETERS, 1)
         information = np.linalg.inv(np.linalg.inv(normal)[:, :2, :2])
         motion = -found[:, :2].transpose(0, 2, 1)
-        return Windows(motion, information, np.maximum(left / free, 1 / 12 / k), pixels, light)
+        return WindowMotions(motion, information, np.maximum(residual / free, 1 / 12 / k), pixels, light)
 
-    def agreement(self, window: Windows, common: Array | None) -> Array:
+    def agreement(self, window: WindowMotions, common: Array | None) -> Array:
         """By how much each cell (h, w) moves with a window (one) rather than with the `common` motion.
 
         Log-likelihood ratio times two, without what the noise of the motion takes from it, less the share that a cell
         must reach which moves altogether.
         """
         motion, noise = window.motion[0], window.noise[0]
-        normal, right = (_each(s)[:, :, :2] for s in (self.normal, self.right))
-        normal, off = normal[..., :2], motion if common is None else motion - common
+        normal, right = (_per_cell(s)[:, :, :2] for s in (self.normal, self.right))
+        normal, motion_left = normal[..., :2], motion if common is None else motion - common
         rest = right if common is None else right + np.einsum("yxij,kj->yxik", normal, common)
         chance = len(motion) * noise * np.einsum("yxij,ij->yx", normal, np.linalg.inv(window.information[0]))
-        whole = np.einsum("ki,yxij,kj->yx", off, normal, off) - chance
-        ratio = -2 * np.einsum("ki,yxik->yx", off, rest) - whole
-        return np.asarray((ratio - BELONGS * np.maximum(whole, 0)) / noise)
+        whole = np.einsum("ki,yxij,kj->yx", motion_left, normal, motion_left) - chance
+        ratio = -2 * np.einsum("ki,yxik->yx", motion_left, rest) - whole
+        return np.asarray((ratio - MIN_FOLLOWING_SHARE * np.maximum(whole, 0)) / noise)
 
 
-def _each(sums: Array) -> Array:
+def _per_cell(sums: Array) -> Array:
     """Cumulated sums (h + 1, w + 1, ...) -> those of each cell."""
     return np.asarray(np.diff(np.diff(sums, axis=0), axis=1))
 
 
-def cell_sums(scene: Scene) -> CellSums:
+def cell_sums(scene: SampledScene) -> CellSums:
     """The sums of a scene's sampled frames, in the light of the background."""
     mean = np.zeros(scene.frames[0].shape)
-    for frame in _evened(scene):
+    for frame in _normalised_frames(scene):
         mean += frame / len(scene.frames)
-    cell = max(CELL, int(np.ceil(np.sqrt(mean.size / MAX_CELLS))))
-    gy, gx = np.gradient(cv2.GaussianBlur(mean, (0, 0), SMOOTHED))
+    cell = max(MIN_CELL_PX, int(np.ceil(np.sqrt(mean.size / MAX_CELLS))))
+    gy, gx = np.gradient(cv2.GaussianBlur(mean, (0, 0), SMOOTHING_PX))
     columns = [gx, gy, mean - mean.mean(), np.ones_like(mean)]
     normal = [[_cumulated(one * other, cell) for other in columns] for one in columns]
     right, power = [], np.zeros(np.array(normal[0][0].shape))
-    for frame in _evened(scene):
+    for frame in _normalised_frames(scene):
         differs = frame - mean
         right.append([_cumulated(column * differs, cell) for column in columns])
         power += _cumulated(differs**2, cell)
@@ -181,7 +183,7 @@ def cell_sums(scene: Scene) -> CellSums:
     return CellSums(cell, *both, power, float(mean.mean()))
 
 
-def _evened(scene: Scene) -> Iterator[Array]:
+def _normalised_frames(scene: SampledScene) -> Iterator[Array]:
     """The sampled frames, each in the light of the background."""
     for frame, light in zip(scene.frames, scene.light, strict=True):
         yield frame.astype(np.float64) / light
@@ -194,11 +196,11 @@ def _cumulated(picture: Array, cell: int) -> Array:
     return np.pad(np.cumsum(np.cumsum(cells, axis=0), axis=1), ((1, 0), (1, 0)))
 
 
-def _boxes(shape: tuple[int, int], sides: Sequence[int] = SIDES) -> NDArray[np.int64]:
+def _boxes(shape: tuple[int, int], sides: Sequence[int] = WINDOW_SIDES) -> NDArray[np.int64]:
     """Windows (m, 4) of all sizes that fit, half overlapping, in cells."""
     found = []
     for side in sides:
-        for tall, wide in SHAPES:
+        for tall, wide in WINDOW_SHAPES:
             h, w = side * tall, side * wide
             if h > shape[0] or w > shape[1]:
                 continue
@@ -208,7 +210,7 @@ def _boxes(shape: tuple[int, int], sides: Sequence[int] = SIDES) -> NDArray[np.i
     return np.concatenate(found).astype(np.int64) if found else np.zeros((0, 4), np.int64)
 
 
-def most_moving(scene: Scene) -> Rectangle | None:
+def most_moving_patch(scene: SampledScene) -> Rectangle | None:
     """The rectangle (x, y, w, h) px whose motion stands out most; where none does, the best textured; None without."""
     sums = cell_sums(scene)
     boxes = _boxes(sums.shape)
@@ -216,47 +218,47 @@ def most_moving(scene: Scene) -> Rectangle | None:
         return None
     windows = sums.windows(boxes)
     if not windows.moving().any():
-        return _textured(sums, boxes, windows)
+        return _best_textured(sums, boxes, windows)
     common = common_motion(windows, sums)
     moving = windows.moving() & windows.moving(common)
     if not moving.any():  # all that is seen moves alike
         moving, common = windows.moving(), None
     known = moving & np.isfinite(windows.sigma)
-    seed = boxes[_purest(windows, known if known.any() else moving, common)]
-    return _in_pixels(_fitted(sums, seed, common), sums.cell)
+    seed = boxes[_seed_window(windows, known if known.any() else moving, common)]
+    return _in_pixels(_adjust_window(sums, seed, common), sums.cell)
 
 
-def _purest(windows: Windows, among: Mask, common: Array | None) -> int:
+def _seed_window(windows: WindowMotions, among: Mask, common: Array | None) -> int:
     """Of the windows whose motion stands out most, the one that moves farthest: in the others some part rests."""
     power = np.where(among, windows.power(common), 0.0)
-    chance = windows.freedom_of_motion(common) * windows.noise
+    chance = windows.motion_dof(common) * windows.noise
     size = (power - chance) / np.trace(windows.information, axis1=1, axis2=2)
-    return int(np.argmax(np.where(power > STANDS_OUT * power.max(), size, -np.inf)))
+    return int(np.argmax(np.where(power > MIN_POWER_SHARE * power.max(), size, -np.inf)))
 
 
-def common_motion(windows: Windows, sums: CellSums) -> Array | None:
+def common_motion(windows: WindowMotions, sums: CellSums) -> Array | None:
     """Motion (k, 2) of all that is seen, where hardly anything rests: the camera shakes. Otherwise None."""
     moving = windows.moving()
     if not moving.any():
         return None
     motion = windows.motion[np.argmax(np.where(moving, windows.power(), -np.inf))]
-    each = sums.windows(_boxes(sums.shape, (EACH,)))
-    agreement, alike = each.agreement(motion), each.explained
-    follows, rests = alike & (agreement > DECIDES), alike & (agreement < -DECIDES)
-    if not follows.any() or rests.sum() > STILL_SHARE * (rests.sum() + follows.sum()):
+    each = sums.windows(_boxes(sums.shape, (UNIFORMITY_SIDE,)))
+    agreement, uniform = each.agreement(motion), each.explained
+    follows, rests = uniform & (agreement > MIN_EVIDENCE), uniform & (agreement < -MIN_EVIDENCE)
+    if not follows.any() or rests.sum() > MAX_STATIC_SHARE * (rests.sum() + follows.sum()):
         return None
-    usual = np.median(each.motion[follows], axis=0)
-    alike = follows & ~each.moving(usual)
-    return each.mean(alike) if alike.any() else np.asarray(usual)
+    median_motion = np.median(each.motion[follows], axis=0)
+    uniform = follows & ~each.moving(median_motion)
+    return each.mean(uniform) if uniform.any() else np.asarray(median_motion)
 
 
-def moving_cells(scene: Scene) -> Mask:
+def moving_cells(scene: SampledScene) -> Mask:
     """Where (H, W) the picture moves by more than its noise; nowhere where hardly any of it rests: it shakes."""
     out = np.zeros(scene.frames[0].shape, np.bool_)
-    if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE or len(scene.frames) < 2:
+    if np.max(np.abs(scene.shake)) * scene.factor > MAX_SHAKE_PX or len(scene.frames) < 2:
         return out
     sums = cell_sums(scene)
-    boxes = _boxes(sums.shape, SIDES[:5])
+    boxes = _boxes(sums.shape, WINDOW_SIDES[:5])
     if len(boxes) == 0:
         return out
     windows = sums.windows(boxes)
@@ -269,23 +271,23 @@ def moving_cells(scene: Scene) -> Mask:
     return out
 
 
-def _textured(sums: CellSums, boxes: NDArray[np.int64], windows: Windows) -> Rectangle | None:
+def _best_textured(sums: CellSums, boxes: NDArray[np.int64], windows: WindowMotions) -> Rectangle | None:
     """The patch of a usual size, or the smallest, that is tracked best."""
-    side = int(np.clip(USUAL_SIDE // sums.cell, SIDES[0], None))
+    side = int(np.clip(DEFAULT_SIDE_PX // sums.cell, WINDOW_SIDES[0], None))
     size = np.max(boxes[:, 2:], axis=1)
     sigma = np.where(size <= max(side, int(size.min())), windows.sigma, np.inf)
     best = int(np.argmin(sigma))
-    return _in_pixels(boxes[best], sums.cell) if sigma[best] < MAX_SIGMA else None
+    return _in_pixels(boxes[best], sums.cell) if sigma[best] < MAX_SIGMA_PX else None
 
 
-def _fitted(sums: CellSums, box: NDArray[np.int64], common: Array | None) -> NDArray[np.int64]:
+def _adjust_window(sums: CellSums, box: NDArray[np.int64], common: Array | None) -> NDArray[np.int64]:
     """The window (4,) that takes in what moves with a first one and leaves out what rests."""
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         window = sums.windows(box[None])
         better = _largest(sums.agreement(window, common))
         if better is None or np.array_equal(better, box):
             break
-        if sums.windows(better[None]).sigma[0] > WORSE * window.sigma[0]:
+        if sums.windows(better[None]).sigma[0] > MAX_SIGMA_RATIO * window.sigma[0]:
             break
         box = better
     return box
@@ -298,14 +300,17 @@ def _largest(values: Array) -> NDArray[np.int64] | None:
     """
     total = np.pad(np.cumsum(np.cumsum(values, axis=0), axis=1), ((1, 0), (1, 0)))
     best, found = 0.0, None
-    for top in range(len(values) + 1 - MIN_SIDE):
-        rows = total[top + MIN_SIDE :] - total[top]
-        low = np.minimum.accumulate(rows[:, :-MIN_SIDE], axis=1)
-        gain = rows[:, MIN_SIDE:] - low
+    for top in range(len(values) + 1 - MIN_SIDE_CELLS):
+        rows = total[top + MIN_SIDE_CELLS :] - total[top]
+        low = np.minimum.accumulate(rows[:, :-MIN_SIDE_CELLS], axis=1)
+        gain = rows[:, MIN_SIDE_CELLS:] - low
         bottom, right = np.unravel_index(int(np.argmax(gain)), gain.shape)
         if gain[bottom, right] > best:
-            left = int(np.argmin(rows[bottom, : right + 1]))
-            best, found = float(gain[bottom, right]), (left, top, int(right) + MIN_SIDE - left, int(bottom) + MIN_SIDE)
+            residual = int(np.argmin(rows[bottom, : right + 1]))
+            best, found = (
+                float(gain[bottom, right]),
+                (residual, top, int(right) + MIN_SIDE_CELLS - residual, int(bottom) + MIN_SIDE_CELLS),
+            )
     return None if found is None else np.array(found, dtype=np.int64)
 
 

@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
-from frictrack.tracking.finding.scene import Picture, Scene, light, read, sample
-from frictrack.tracking.finding.subpixel import moving_cells
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.correlation import Rectangle
+from frictrack.tracking.detection.sampled_scene import Picture, SampledScene, light_ratio, read_subpixel, sample_scene
+from frictrack.tracking.detection.small_motion import moving_cells
 
-FRAMES = 9
-SIZES = (  # h, w px; where the body sweeps past, only narrow strips are left
+N_FRAMES = 9
+PATCH_SIZES_PX = (  # h, w px; where the body sweeps past, only narrow strips are left
     *((64, 128), (48, 96), (32, 96), (32, 48), (24, 24)),
     *((24, 192), (16, 256), (12, 256), (16, 128), (16, 64), (12, 48)),
 )
-WORST = 0.05  # px, standard deviation above which a reference is of no use
-NEAR = 2.0  # times the best standard deviation that a patch below the path, on the course, may have
-JITTER = 0.2  # px by which the shake may be wrong
-STRAY = 5.0  # standard deviations beyond which a pixel has changed
+MAX_SIGMA_PX = 0.05  # px, standard deviation above which a reference is of no use
+MAX_SIGMA_RATIO = 2.0  # times the best standard deviation that a patch below the path, on the course, may have
+MAX_SHAKE_ERROR_PX = 0.2  # px by which the shake may be wrong
+MIN_CHANGE_SIGMAS = 5.0  # standard deviations beyond which a pixel has changed
 
 
 def find_reference(recording: Recording, track: Track) -> Rectangle | None:
@@ -31,36 +31,36 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
     """
     if track.target is None:
         return None
-    scene = sample(recording)
-    still, noise, taken = _still(scene)
-    taken |= _swept(track, recording.shape) | moving_cells(scene)
+    scene = sample_scene(recording)
+    still, noise, excluded = _static_picture(scene)
+    excluded |= _covered_by_target(track, recording.shape) | moving_cells(scene)
     margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
-    taken[:margin], taken[-margin:], taken[:, :margin], taken[:, -margin:] = True, True, True, True
+    excluded[:margin], excluded[-margin:], excluded[:, :margin], excluded[:, -margin:] = True, True, True, True
     foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])
-    return _best(_precisions(still, noise, taken), foot)
+    return _choose_patch(_patch_sigmas(still, noise, excluded), foot)
 
 
-def _still(scene: Scene) -> tuple[Picture, Picture, Mask]:
+def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
     """The still picture at full size, the noise of a single frame (h, w), and where anything ever moved."""
-    rows = np.unique(np.linspace(0, len(scene.frames) - 1, FRAMES).astype(int))
+    rows = np.unique(np.linspace(0, len(scene.frames) - 1, N_FRAMES).astype(int))
     shape = (scene.frames[0].shape[0], scene.frames[0].shape[1])
     if scene.shake.any():
-        frames = [read(scene.frames[k], scene.shake[k] * scene.factor, shape) for k in rows]
+        frames = [read_subpixel(scene.frames[k], scene.shake[k] * scene.factor, shape) for k in rows]
     else:
         frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
-    away = np.abs(np.stack([frame - light(frame, still) * still for frame in frames]))
+    away = np.abs(np.stack([frame - light_ratio(frame, still) * still for frame in frames]))
     # Bright parts are noisier than dark ones, and where the sensor is full there is no noise at all.
     noise = np.maximum(1.4826 * cv2.blur(np.median(away, axis=0), (15, 15)), 0.3)
     slope = np.hypot(*np.gradient(still)) if scene.shake.any() else 0.0
-    moved = cv2.blur(away.max(axis=0) - JITTER * slope, (3, 3)) > STRAY * noise
+    moved = cv2.blur(away.max(axis=0) - MAX_SHAKE_ERROR_PX * slope, (3, 3)) > MIN_CHANGE_SIGMAS * noise
     for mask in scene.foreground:
         small = cv2.resize(mask.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
         moved |= np.asarray(small) > 0
     return still, np.asarray(noise, dtype=np.float32), np.asarray(moved)
 
 
-def _swept(track: Track, shape: tuple[int, int]) -> Mask:
+def _covered_by_target(track: Track, shape: tuple[int, int]) -> Mask:
     """Every pixel that the target's rectangle, somewhat enlarged, ever covered."""
     assert track.target is not None
     size = np.array(track.target[2:])
@@ -76,15 +76,15 @@ def _swept(track: Track, shape: tuple[int, int]) -> Mask:
     return np.asarray(np.cumsum(np.cumsum(corners, axis=0), axis=1)[:-1, :-1] > 0)
 
 
-def _precisions(still: Picture, noise: Picture, taken: Mask) -> list[tuple[float, Rectangle, Array]]:
+def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[float, Rectangle, Array]]:
     """For each size of patch the standard deviation px at every corner, inf where taken: worst axis, Cramer-Rao."""
     smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
     gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(smooth))
     found = []
-    for h, w in SIZES:
+    for h, w in PATCH_SIZES_PX:
         if h + 4 > still.shape[0] or w + 4 > still.shape[1]:
             continue
-        xx, yy, xy, blocked = (_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, taken.astype(np.float64)))
+        xx, yy, xy, blocked = (_box_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, excluded.astype(np.float64)))
         weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
         # What the noise left in the median has of gradient is no texture.
         weakest -= 0.1 * h * w
@@ -93,28 +93,28 @@ def _precisions(still: Picture, noise: Picture, taken: Mask) -> list[tuple[float
     return found
 
 
-def _sums(values: Array, size: tuple[int, int]) -> Array:
+def _box_sums(values: Array, size: tuple[int, int]) -> Array:
     """Sum over the patch of `size` (h, w) with its corner at each pixel (those that fit)."""
     total = cv2.integral(values)
     h, w = size
     return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w])
 
 
-def _best(found: list[tuple[float, Rectangle, Array]], foot: float) -> Rectangle | None:
+def _choose_patch(found: list[tuple[float, Rectangle, Array]], foot: float) -> Rectangle | None:
     """The patch of smallest deviation; one below the row `foot` if it is nearly as good."""
     best = min((sigma for sigma, _, _ in found), default=np.inf)
-    if best > WORST:
+    if best > MAX_SIGMA_PX:
         return None
     row = max(int(np.ceil(foot)), 0)
-    below = [(float(s[row:].min()), _at(s[row:], row), size) for _, size, s in found if s[row:].size]
-    anywhere = [(sigma, _at(s, 0), size) for sigma, size, s in found]
+    below = [(float(s[row:].min()), _corner_of_minimum(s[row:], row), size) for _, size, s in found if s[row:].size]
+    anywhere = [(sigma, _corner_of_minimum(s, 0), size) for sigma, size, s in found]
     sigma, corner, size = min(below, default=(np.inf, (0, 0), (0, 0, 0, 0)), key=lambda p: p[0])
-    if sigma > min(NEAR * best, WORST):
+    if sigma > min(MAX_SIGMA_RATIO * best, MAX_SIGMA_PX):
         _, corner, size = min(anywhere, key=lambda p: p[0])
     return (*corner, *size[2:])
 
 
-def _at(sigma: NDArray[np.float64], row: int) -> tuple[int, int]:
+def _corner_of_minimum(sigma: NDArray[np.float64], row: int) -> tuple[int, int]:
     """Corner (x, y) of the smallest."""
     y, x = np.unravel_index(int(np.argmin(sigma)), sigma.shape)
     return int(x), int(y) + row

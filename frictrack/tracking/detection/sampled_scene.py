@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.match import Rectangle
+from frictrack.tracking.correlation import Rectangle
 
-SAMPLES = 32
-LOOKS = 15  # of them, where fewer will do
-GHOST = 0.4  # share of the frames in which a body covers the same place, above which it is in the background
-FEW = 10  # intervals between samples in which something must happen
-SAMPLE_BYTES = 40_000_000
-WORK = 40_000  # px of a reduced picture
-LEAST_AREA = 40  # px, reduced
-LEAST_SIDE = 8  # px
-CELLS = (4, 8)  # one point that is followed from each, to tell whether the whole picture shakes
-AGREE = 0.4  # share of the points that must move together
-LEAST_SHAKE = 0.15  # px, reduced
-MOST_SHAKE = 0.05  # of the picture's longer side
+MAX_SAMPLES = 32
+MAX_REGISTERED_FRAMES = 15  # of them, where fewer will do
+MIN_GHOST_SHARE = 0.4  # share of the frames in which a body covers the same place, above which it is in the background
+MIN_BUSY_INTERVALS = 10  # intervals between samples in which something must happen
+MAX_SAMPLE_BYTES = 40_000_000
+REDUCED_PIXELS = 40_000  # px of a reduced picture
+MIN_AREA_REDUCED = 40  # px, reduced
+MIN_SIDE_PX = 8  # px
+GRID_CELLS = (4, 8)  # one point that is followed from each, to tell whether the whole picture shakes
+MIN_AGREEING_SHARE = 0.4  # share of the points that must move together
+MIN_SHAKE_REDUCED = 0.15  # px, reduced
+MAX_SHAKE_SHARE = 0.05  # of the picture's longer side
 
 Picture = NDArray[np.float32]
 
@@ -46,7 +46,7 @@ class Blob:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SampledScene:
     """Frames spread over the recording; reduced by `factor`, brought to rest, and what moves in them."""
 
     index: list[int]
@@ -65,51 +65,51 @@ class Scene:
         return [_blobs(mask, rim) for mask, rim in zip(self.foreground, self.rim, strict=True)]
 
     @property
-    def least_side(self) -> int:
+    def min_side_reduced(self) -> int:
         """The shortest side of a body, px reduced."""
-        return max(LEAST_SIDE // self.factor, 4)
+        return max(MIN_SIDE_PX // self.factor, 4)
 
 
-def sample(recording: Recording, also: Iterable[int] = (), steady: bool = True) -> Scene:
+def sample_scene(recording: Recording, also: Iterable[int] = (), steady: bool = True) -> SampledScene:
     """Look at frames spread over the film, and at frames `also`. Raises `FrictrackError` for a grey film."""
-    index, frames = _pick(recording, also)
-    factor = max(1, round(float(np.sqrt(recording.shape[0] * recording.shape[1] / WORK))))
+    index, frames = _pick_frames(recording, also)
+    factor = max(1, round(float(np.sqrt(recording.shape[0] * recording.shape[1] / REDUCED_PIXELS))))
     small = [_reduced(frame, factor) for frame in frames]
-    more = _between(index, small)
+    more = _busy_frames(index, small)
     if more:
         extra = [i for i in more if i not in index]
         pairs = [*zip(index, frames, small, strict=True)]
         pairs += [(i, f, _reduced(f, factor)) for i, f in zip(extra, recording.pick(extra), strict=False)]
         index, frames, small = (list(part) for part in zip(*sorted(pairs, key=lambda p: p[0]), strict=True))
-    shake = _shake(small) if steady else np.zeros((len(small), 2))
+    shake = _estimate_shake(small) if steady else np.zeros((len(small), 2))
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = np.median(np.stack(small), axis=0).astype(np.float32)
-    return _compared(index, frames, (factor, shake, small), background)
+    return _build_scene(index, frames, (factor, shake, small), background)
 
 
-def _compared(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> Scene:
+def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
     """The scene with what differs from this background; `reduced` is factor, shake and reduced frames."""
     factor, shake, small = reduced
-    lights = np.array([light(picture, background) for picture in small])
+    lights = np.array([light_ratio(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
     noise = _noise(differences, background)
     foreground = [_foreground(d, noise) for d in differences]
     rim = [_rim(d, noise) for d in differences]
-    return Scene(index, frames, factor, shake, small, background, foreground, lights, rim)
+    return SampledScene(index, frames, factor, shake, small, background, foreground, lights, rim)
 
 
 def _noise(differences: list[Picture], background: Picture) -> float:
     """Standard deviation of the reduced frames about the background; where the sensor is full there is none."""
-    few, off = background[::2, ::2], [np.abs(d[::2, ::2]) for d in differences]
+    sparse, off = background[::2, ::2], [np.abs(d[::2, ::2]) for d in differences]
     everywhere = float(np.median([np.median(d) for d in off]))
-    lit = few < 0.97 * few.max()
+    lit = sparse < 0.97 * sparse.max()
     if everywhere > 0.1 or lit.mean() < 0.02:
         return 1.4826 * everywhere
     return 1.4826 * float(np.median([np.median(d[lit]) for d in off]))
 
 
-def without(scene: Scene, box: Rectangle, corner: Array) -> Scene | None:
+def without_body(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene | None:
     """The scene before a background from which a body is taken out; None where it hardly was in it.
 
     The body has this `box` and was at `corner` (k, 2). Where it covers a place in half of the frames, it is part of
@@ -118,16 +118,16 @@ def without(scene: Scene, box: Rectangle, corner: Array) -> Scene | None:
     covered = np.zeros(scene.background.shape)
     for x, y in np.rint(corner[np.isfinite(corner[:, 0])]).astype(int):
         covered[max(y, 0) : y + box[3], max(x, 0) : x + box[2]] += 1
-    if covered.max() < GHOST * len(scene.small):
+    if covered.max() < MIN_GHOST_SHARE * len(scene.small):
         return None
-    better = behind_of(scene, box, corner)
-    return _compared(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), better)
+    background = background_without(scene, box, corner)
+    return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
 
 
-def behind_of(scene: Scene, box: Rectangle, corner: Array) -> Picture:
+def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
     """The background from the frames in which a body was elsewhere; where it never was, that of all frames."""
-    seen = np.flatnonzero(np.isfinite(corner[:, 0]))
-    rows = np.unique(seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)])
+    usable = np.flatnonzero(np.isfinite(corner[:, 0]))
+    rows = np.unique(usable[np.linspace(0, len(usable) - 1, MAX_REGISTERED_FRAMES).astype(int)])
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
     for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
@@ -136,32 +136,32 @@ def behind_of(scene: Scene, box: Rectangle, corner: Array) -> Picture:
     return np.where(known > 0, middle, scene.background).astype(np.float32)
 
 
-def _between(index: list[int], small: list[Picture]) -> list[int]:
+def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
     """More frames to look at where all that happens lies between few of those sampled; a rest tells nothing."""
     steps = np.abs(np.diff(np.stack(small)[:, ::2, ::2], axis=0))
     noise = 1.4826 * max(float(np.median(steps)), 0.3)
-    busy = np.flatnonzero(np.sum(steps > 6 * noise, axis=(1, 2)) > LEAST_AREA / 4)
-    if not 0 < len(busy) < FEW:
+    busy = np.flatnonzero(np.sum(steps > 6 * noise, axis=(1, 2)) > MIN_AREA_REDUCED / 4)
+    if not 0 < len(busy) < MIN_BUSY_INTERVALS:
         return []
-    each = 2 * FEW // len(busy) + 1
+    each = 2 * MIN_BUSY_INTERVALS // len(busy) + 1
     return sorted({int(i) for k in busy for i in np.linspace(index[k], index[k + 1], each + 1)})
 
 
-def _pick(recording: Recording, also: Iterable[int]) -> tuple[list[int], list[Frame]]:
+def _pick_frames(recording: Recording, also: Iterable[int]) -> tuple[list[int], list[Frame]]:
     """Frames that show something, and their numbers."""
     size = recording.shape[0] * recording.shape[1] * (2 if recording.bit_depth > 8 else 1)
-    count = min(recording.n_frames, int(np.clip(SAMPLE_BYTES // size, 9, SAMPLES)))
+    count = min(recording.n_frames, int(np.clip(MAX_SAMPLE_BYTES // size, 9, MAX_SAMPLES)))
     spread = np.linspace(0, recording.n_frames - 1, count).astype(int)
     index = np.unique([*spread, *also]).astype(int).tolist()
     # A file that breaks off gives fewer frames; one that is spoilt comes as one grey.
     pairs = zip(index, recording.pick(index), strict=False)
-    seen = [(i, frame) for i, frame in pairs if int(np.ptp(frame[::2, ::2])) >= 2]
-    if not seen:
+    usable = [(i, frame) for i, frame in pairs if int(np.ptp(frame[::2, ::2])) >= 2]
+    if not usable:
         raise FrictrackError(
             f"{recording.path.name}: the film has no contrast, its frames are all one grey; "
             "check lighting, exposure and lens cap"
         )
-    return [i for i, _ in seen], [frame for _, frame in seen]
+    return [i for i, _ in usable], [frame for _, frame in usable]
 
 
 def _reduced(frame: Frame, factor: int) -> Picture:
@@ -172,7 +172,7 @@ def _reduced(frame: Frame, factor: int) -> Picture:
     return np.asarray(small, dtype=np.float32)
 
 
-def _shake(small: list[Picture]) -> Array:
+def _estimate_shake(small: list[Picture]) -> Array:
     """Shift (k, 2) px of the whole picture against the middle frame; zero where the picture stands still.
 
     Points from all over the picture are followed; those that agree must come from everywhere, for a large body
@@ -181,8 +181,8 @@ def _shake(small: list[Picture]) -> Array:
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
     pictures = [np.clip(p * (255 / high), 0, 255).astype(np.uint8) for p in small]
-    points = _points(pictures[middle])
-    limit = MOST_SHAKE * max(small[0].shape)
+    points = _corner_points(pictures[middle])
+    limit = MAX_SHAKE_SHARE * max(small[0].shape)
     out = np.zeros((len(small), 2))
     if len(points) < 8:
         return out
@@ -191,29 +191,29 @@ def _shake(small: list[Picture]) -> Array:
             pictures[middle], picture, points, points.copy(), winSize=(15, 15), maxLevel=2
         )
         followed = status.ravel() > 0
-        common = _common(points[followed, 0], (at - points)[followed, 0], small[0].shape, len(points))
+        common = _common_shift(points[followed, 0], (at - points)[followed, 0], small[0].shape, len(points))
         if np.hypot(*common) < limit:
             out[k] = common
-    return out if np.max(np.hypot(*out.T)) > LEAST_SHAKE else np.zeros_like(out)
+    return out if np.max(np.hypot(*out.T)) > MIN_SHAKE_REDUCED else np.zeros_like(out)
 
 
-def _common(points: Array, shift: Array, shape: tuple[int, ...], count: int) -> Array:
+def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: int) -> Array:
     """The shift that most of the points (n, 2) share, if they come from all over the picture; else zero."""
     if not len(shift):
         return np.zeros(2)
     near = np.hypot(*(shift[:, None] - shift[None]).transpose(2, 0, 1)) < 0.3
     agree = near[int(np.argmax(near.sum(axis=1)))]
     spread = np.ptp(points[agree], axis=0) / np.array(shape[::-1])
-    if agree.sum() < AGREE * count or min(spread) < 0.4 or max(spread) < 0.6:
+    if agree.sum() < MIN_AGREEING_SHARE * count or min(spread) < 0.4 or max(spread) < 0.6:
         return np.zeros(2)
     return np.asarray(np.median(shift[agree], axis=0), dtype=np.float64)
 
 
-def _points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _corner_points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
     """The best corner (n, 1, 2) of every cell that has one nearly as good as the others'; few when one part has all."""
     strength = cv2.cornerMinEigenVal(picture, 7)
     strength[:8], strength[-8:], strength[:, :8], strength[:, -8:] = 0, 0, 0, 0
-    rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, CELLS, strict=True))
+    rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, GRID_CELLS, strict=True))
     best, size = [], []
     for r in rows:
         for c in columns:
@@ -235,11 +235,11 @@ def _shifted(picture: Picture, by: Array) -> Picture:
     return np.asarray(cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
-def light(picture: Picture, background: Picture) -> float:
+def light_ratio(picture: Picture, background: Picture) -> float:
     """By how much a picture is brighter than the background: flicker and drift of the lamp."""
-    few, still = picture[::3, ::3], background[::3, ::3]
+    sparse, still = picture[::3, ::3], background[::3, ::3]
     bright = still > 0.5 * np.median(still)
-    ratio = float(np.median(few[bright] / np.maximum(still[bright], 1)))
+    ratio = float(np.median(sparse[bright] / np.maximum(still[bright], 1)))
     return ratio if 0.2 < ratio < 5 else 1.0
 
 
@@ -247,10 +247,10 @@ def _foreground(difference: Picture, noise: float) -> Mask:
     """Where the picture differs from the background by more than noise, as closed patches."""
     energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
     # Smoothed squared noise scatters by about a quarter of its mean: nine times the mean is never noise.
-    return tidy(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
+    return clean_mask(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
 
 
-def tidy(mask: Mask, close: int) -> Mask:
+def clean_mask(mask: Mask, close: int) -> Mask:
     """The mask without gaps narrower than `close` px and without specks."""
     bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
     return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
@@ -266,14 +266,14 @@ def _rim(difference: Picture, noise: float) -> Mask:
 def _blobs(mask: Mask, rim: Mask) -> list[Blob]:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     out = np.bincount(labels[rim], minlength=len(stats))
-    large = [k for k in range(1, len(stats)) if LEAST_AREA <= stats[k, 4] < 0.6 * mask.size]
+    large = [k for k in range(1, len(stats)) if MIN_AREA_REDUCED <= stats[k, 4] < 0.6 * mask.size]
     blobs = [
         Blob((int(x), int(y), int(w), int(h)), int(a), bool(out[k] > 3)) for k in large for x, y, w, h, a in [stats[k]]
     ]
     return sorted(blobs, key=lambda blob: -blob.area)
 
 
-def window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Picture:
+def cut_window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) -> Picture:
     """A window of the picture, float32, continued by its edge where it reaches beyond."""
     height, width = picture.shape
     rows = np.clip(np.arange(shape[0]) + corner[1], 0, height - 1)
@@ -281,8 +281,8 @@ def window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, int]) 
     return picture[np.ix_(rows, columns)].astype(np.float32)
 
 
-def read(picture: NDArray[Any], corner: Array, shape: tuple[int, int]) -> Picture:
+def read_subpixel(picture: NDArray[Any], corner: Array, shape: tuple[int, int]) -> Picture:
     """A window of the picture at a `corner` between the pixels, by cubic interpolation."""
     whole = np.floor(corner).astype(int)
-    part = window(picture, whole - 2, (shape[0] + 5, shape[1] + 5))
+    part = cut_window(picture, whole - 2, (shape[0] + 5, shape[1] + 5))
     return _shifted(part, corner - whole)[2 : 2 + shape[0], 2 : 2 + shape[1]]

@@ -9,19 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.tracking.finding.scene import LOOKS, Picture, Scene, behind_of, read, tidy, window
-from frictrack.tracking.match import Rectangle, correlate, vertex
+from frictrack.tracking.correlation import Rectangle, correlate, parabola_vertex
+from frictrack.tracking.detection.sampled_scene import (
+    MAX_REGISTERED_FRAMES,
+    Picture,
+    SampledScene,
+    background_without,
+    clean_mask,
+    cut_window,
+    read_subpixel,
+)
 
-ALIKE = 0.1  # share left unexplained in a frame that still shows the body well
-STEADY = 6  # times the body's own noise variance above which a pixel is not the body's
-AROUND = 2  # px round a plain body, so that its whole edge is in, blurred as it is
-SHOWS = 4  # times that variance by which a pixel must differ from the background
-FEW = 5  # frames of which a median tells nothing
-OUTLINE = 0.4  # least share of the contrast that must lie inside the body, away from its edge
+MAX_UNEXPLAINED = 0.1  # share left unexplained in a frame that still shows the body well
+MAX_NOISE_RATIO = 6  # times the body's own noise variance above which a pixel is not the body's
+MARGIN_PX = 2  # px round a plain body, so that its whole edge is in, blurred as it is
+MIN_CONTRAST_RATIO = 4  # times that variance by which a pixel must differ from the background
+MIN_MEDIAN_FRAMES = 5  # frames of which a median tells nothing
+MIN_INSIDE_CONTRAST = 0.4  # least share of the contrast that must lie inside the body, away from its edge
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class BodyAppearance:
     """What a body looks like, from sampled frames registered on it: a window somewhat larger than it."""
 
     picture: Picture  # median of the registered frames
@@ -31,73 +39,85 @@ class Look:
     misfit: Array  # (k,) share of each that the median does not explain
 
 
-def outline(scene: Scene, box: Rectangle, row: int, corner: Array, frame: int | None = None) -> tuple[Rectangle, int]:
+def body_outline(
+    scene: SampledScene, box: Rectangle, row: int, corner: Array, frame: int | None = None
+) -> tuple[Rectangle, int]:
     """The rectangle of a body and the frame it refers to: the first, unless that shows it badly, or `frame`.
 
     The body has this reduced `box` in sampled frame `row` and was seen at `corner` (k, 2), reduced, in the others.
     """
-    look = _look(scene, box, row, corner)
-    x, y, w, h = _rectangle(look)
-    at = _row(scene, look, frame)
-    left, top = (int(c) for c in look.corner[at])
+    appearance = _register_body(scene, box, row, corner)
+    x, y, w, h = _rectangle(appearance)
+    at = _choose_row(scene, appearance, frame)
+    left, top = (int(c) for c in appearance.corner[at])
     height, width = scene.frames[0].shape
     x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
     x1, y1 = np.clip(left + x + w, x0 + 8, width), np.clip(top + y + h, y0 + 8, height)
-    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), scene.index[look.rows[at]]
+    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), scene.index[appearance.rows[at]]
 
 
-def _row(scene: Scene, look: Look, frame: int | None) -> int:
+def _choose_row(scene: SampledScene, appearance: BodyAppearance, frame: int | None) -> int:
     """Which of the registered frames the rectangle is given in."""
-    index = np.array(scene.index)[look.rows]
+    index = np.array(scene.index)[appearance.rows]
     if frame is not None and frame in index:
         return int(np.flatnonzero(index == frame)[0])
-    typical = int(np.argmin(look.misfit))
-    return 0 if look.misfit[0] < max(2 * look.misfit[typical], ALIKE) else typical
+    typical = int(np.argmin(appearance.misfit))
+    return 0 if appearance.misfit[0] < max(2 * appearance.misfit[typical], MAX_UNEXPLAINED) else typical
 
 
-def _look(scene: Scene, box: Rectangle, row: int, corner: Array) -> Look:
+def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> BodyAppearance:
     """A pixel moves with the body if the body's median picture explains it better than the background does."""
     w, h = box[2] * scene.factor, box[3] * scene.factor
     reach = int(np.ceil(0.1 * max(w, h))) + 3
     shape = (h + 2 * reach, w + 2 * reach)
     seen = np.flatnonzero(np.isfinite(corner[:, 0]))
-    rows = np.unique([row, *seen[np.linspace(0, len(seen) - 1, LOOKS).astype(int)]])
-    whole = _full(scene, box, row, corner)[rows]
+    rows = np.unique([row, *seen[np.linspace(0, len(seen) - 1, MAX_REGISTERED_FRAMES).astype(int)]])
+    whole = _full_size_corners(scene, box, row, corner)[rows]
     at = whole - reach
     still = at - scene.shake[rows] * scene.factor
-    background = behind_of(scene, box, corner)
+    background = background_without(scene, box, corner)
     if scene.factor > 1:
         background = np.asarray(cv2.resize(background, None, fx=scene.factor, fy=scene.factor), dtype=np.float32)
-    stack = np.stack([read(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
-    behind = np.stack([read(background, c, shape) for c in still])
+    stack = np.stack([read_subpixel(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
+    backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
-    member = _member(stack, behind, picture)
-    return Look(picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member]))
+    member = _body_pixels(stack, backgrounds, picture)
+    return BodyAppearance(
+        picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member])
+    )
 
 
-def _member(stack: Picture, behind: Picture, picture: Picture) -> Mask:
+def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask:
     """The pixels that move with the body, of registered frames (k, h, w) and the scene behind them."""
-    differs = _typical(stack - behind, 0.5)  # a plain background far brighter than the body must not leak in
-    spread = _typical(stack - picture)
-    member = _main(tidy(np.asarray(spread < 0.5 * differs), close=5))
+    differs = _typical_square(
+        stack - backgrounds, 0.5
+    )  # a plain background far brighter than the body must not leak in
+    spread = _typical_square(stack - picture)
+    member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
     # In a shadow that goes along the scene shows through: it changes more than the body does in the same light.
-    even = _evened(stack, picture, member)
-    spread = _typical(even - picture)
+    normalised = _normalise_light(stack, picture, member)
+    spread = _typical_square(normalised - picture)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
-    own = float(np.percentile(spread[member], 25))
-    alike = (spread < STEADY * max(own, 0.25) + 0.04 * slope).astype(np.uint8)
-    alike = cv2.dilate(alike, np.ones((3, 3), np.uint8))
-    return _main(tidy(np.asarray((alike > 0) & (differs > np.maximum(2 * spread, SHOWS * own))), close=5))
+    body_variance = float(np.percentile(spread[member], 25))
+    similar = (spread < MAX_NOISE_RATIO * max(body_variance, 0.25) + 0.04 * slope).astype(np.uint8)
+    similar = cv2.dilate(similar, np.ones((3, 3), np.uint8))
+    return _largest_patches(
+        clean_mask(
+            np.asarray((similar > 0) & (differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance))), close=5
+        )
+    )
 
 
-def _typical(off: Picture, blur: float = 1.0) -> Picture:
+def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
     """Typical square (h, w) of deviations (k, h, w): their median, of few the mean."""
     squares = off**2
-    usual = np.median(squares, axis=0) if len(off) > FEW else np.sum(squares, axis=0) / max(len(off) - 1, 1)
+    usual = (
+        np.median(squares, axis=0) if len(off) > MIN_MEDIAN_FRAMES else np.sum(squares, axis=0) / max(len(off) - 1, 1)
+    )
     return np.asarray(cv2.GaussianBlur(usual, (0, 0), blur), dtype=np.float32)
 
 
-def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
+def _normalise_light(stack: Picture, picture: Picture, member: Mask) -> Picture:
     """The frames in the light of the median picture, as told by the body's pixels."""
     pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
     level = pixels.mean(axis=1)
@@ -106,17 +126,17 @@ def _evened(stack: Picture, picture: Picture, member: Mask) -> Picture:
     return (stack - level[:, None, None]) / gain[:, None, None] + picture[member].mean()
 
 
-def _full(scene: Scene, box: Rectangle, row: int, corner: Array) -> Array:
+def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> Array:
     """Corner (k, 2) px of the body's box on the full pictures, by one more match there."""
     rough = np.rint(np.nan_to_num(corner + scene.shake) * scene.factor).astype(np.int64)
     fine = rough.astype(np.float64)
     size, reach = (box[3] * scene.factor, box[2] * scene.factor), scene.factor + 1
-    patch = window(scene.frames[row], rough[row], size)
+    patch = cut_window(scene.frames[row], rough[row], size)
     for k in np.flatnonzero(np.isfinite(corner[:, 0])):
-        around = window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
+        around = cut_window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
         scores = correlate(around, patch)
         _, _, _, (i, j) = cv2.minMaxLoc(scores)
-        fine[k] += np.array([i + vertex(scores[j], i), j + vertex(scores[:, i], j)]) - reach
+        fine[k] += np.array([i + parabola_vertex(scores[j], i), j + parabola_vertex(scores[:, i], j)]) - reach
     return fine
 
 
@@ -128,7 +148,7 @@ def _misfit(pictures: Picture, picture: Picture) -> Array:
     return 1 - np.asarray(pictures @ picture, dtype=np.float64) ** 2 / np.maximum(power, 1e-12)
 
 
-def _main(mask: Mask) -> Mask:
+def _largest_patches(mask: Mask) -> Mask:
     """The largest connected patch, with those nearly as large (the two edges of a plain body); all if there is none."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     if len(stats) < 2:
@@ -137,19 +157,19 @@ def _main(mask: Mask) -> Mask:
     return np.asarray(np.isin(labels, large))
 
 
-def _rectangle(look: Look) -> Rectangle:
+def _rectangle(appearance: BodyAppearance) -> Rectangle:
     """Inside the body where its texture is; round it where most of its contrast is the outline."""
-    bits = look.member.astype(np.uint8)
-    energy = np.sum(np.square(np.gradient(look.picture)), axis=0)
+    bits = appearance.member.astype(np.uint8)
+    energy = np.sum(np.square(np.gradient(appearance.picture)), axis=0)
     core = cv2.erode(bits, np.ones((7, 7), np.uint8)) > 0
     outlined = cv2.dilate(bits, np.ones((3, 3), np.uint8)) > 0
-    if energy[core].sum() > OUTLINE * energy[outlined].sum():
-        return inside(look.member)
+    if energy[core].sum() > MIN_INSIDE_CONTRAST * energy[outlined].sum():
+        return inner_rectangle(appearance.member)
     x, y, w, h = cv2.boundingRect(bits)
-    return (x - AROUND, y - AROUND, w + 2 * AROUND, h + 2 * AROUND)
+    return (x - MARGIN_PX, y - MARGIN_PX, w + 2 * MARGIN_PX, h + 2 * MARGIN_PX)
 
 
-def inside(member: Mask) -> Rectangle:
+def inner_rectangle(member: Mask) -> Rectangle:
     """Rectangle within the mask: sides come in until each is nearly all member, then a little further.
 
     The margin is what interpolation reaches across: background beyond the edge would leak in.

@@ -14,22 +14,22 @@ from frictrack.errors import FrictrackError
 from frictrack.polygons import polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
-from frictrack.tracking.areas import bounds, is_polygon
-from frictrack.tracking.finding.find import Body, drawn, locate, moving, pursue
-from frictrack.tracking.finding.scene import Scene, sample
-from frictrack.tracking.match import Rectangle, correlate
+from frictrack.tracking.areas import bounding_rectangle, is_polygon
+from frictrack.tracking.correlation import Rectangle, correlate
+from frictrack.tracking.detection.moving_bodies import Body, body_rectangle, locate_target, match_body, moving_bodies
+from frictrack.tracking.detection.sampled_scene import SampledScene, sample_scene
 
 Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path | None
 
-LEAST = 8  # px, shortest side of a target
-GRACE = 0.2  # of its size that a click may lie outside a body's rectangle
-START, MOST = 17, 65  # px, side of the region that is grown round a click on something at rest
-TEXTURED = 0.3  # share of the region's gradient energy that a strip must have to be taken in
-FIRST_LOOK, SCAN = 16, 500  # frames in which a template picture is looked for
-FITS, LIKELY = 0.85, 0.6  # score at which the search ends, and below which it failed
+MIN_SIDE_PX = 8  # px, shortest side of a target
+CLICK_MARGIN = 0.2  # of its size that a click may lie outside a body's rectangle
+MIN_REGION_PX, MAX_REGION_PX = 17, 65  # px, side of the region that is grown round a click on something at rest
+MIN_STRIP_TEXTURE = 0.3  # share of the region's gradient energy that a strip must have to be taken in
+FIRST_SEARCH_FRAMES, FULL_SEARCH_FRAMES = 16, 500  # frames in which a template picture is looked for
+GOOD_SCORE, MIN_SCORE = 0.85, 0.6  # score at which the search ends, and below which it failed
 
 
-def resolve(recording: Recording, target: Target = None, template: int = 0) -> tuple[Rectangle, int]:
+def resolve_target(recording: Recording, target: Target = None, template: int = 0) -> tuple[Rectangle, int]:
     """Rectangle (x, y, w, h) px of the target and the number of the frame that it refers to.
 
     `target` is a rectangle [x, y, w, h], an outline [[x, y], ...] or a click [x, y] in frame `template`, a picture of
@@ -37,13 +37,13 @@ def resolve(recording: Recording, target: Target = None, template: int = 0) -> t
     that does not describe anything in this film.
     """
     if target is None:
-        return locate(recording)
+        return locate_target(recording)
     if isinstance(target, str | Path):
-        return _pictured(recording, _picture(Path(target)), Path(target).name)
+        return _find_picture(recording, _read_picture(Path(target)), Path(target).name)
     if is_polygon(target):
-        return _checked(np.array(bounds(polygon(target)), dtype=np.float64), recording), template
+        return _check_rectangle(np.array(bounding_rectangle(polygon(target)), dtype=np.float64), recording), template
     if np.ndim(target) == 2:
-        return _pictured(recording, np.asarray(target), "the template picture")
+        return _find_picture(recording, np.asarray(target), "the template picture")
     numbers = np.asarray(target, dtype=np.float64)
     if numbers.shape not in ((2,), (4,)) or not np.all(np.isfinite(numbers)):
         raise FrictrackError(
@@ -51,16 +51,16 @@ def resolve(recording: Recording, target: Target = None, template: int = 0) -> t
             "give a rectangle, a click [x, y], or a picture of the target"
         )
     if numbers.size == 2:
-        return _clicked(recording, numbers, template), template
-    return _checked(numbers, recording), template
+        return _resolve_click(recording, numbers, template), template
+    return _check_rectangle(numbers, recording), template
 
 
-def _checked(target: Array, recording: Recording) -> Rectangle:
+def _check_rectangle(target: Array, recording: Recording) -> Rectangle:
     """The rectangle in whole pixels, inside the picture."""
     height, width = recording.shape
     x, y, w, h = (round(float(v)) for v in target)
-    if w < LEAST or h < LEAST:
-        raise FrictrackError(f"expected a target of at least {LEAST}x{LEAST} px but got {w}x{h} px")
+    if w < MIN_SIDE_PX or h < MIN_SIDE_PX:
+        raise FrictrackError(f"expected a target of at least {MIN_SIDE_PX}x{MIN_SIDE_PX} px but got {w}x{h} px")
     if x < 0 or y < 0 or x + w > width or y + h > height:
         raise FrictrackError(f"expected a target inside the {width}x{height} px picture but got [{x}, {y}, {w}, {h}]")
     return x, y, w, h
@@ -69,7 +69,7 @@ def _checked(target: Array, recording: Recording) -> Rectangle:
 # ---- a click
 
 
-def _clicked(recording: Recording, click: Array, template: int) -> Rectangle:
+def _resolve_click(recording: Recording, click: Array, template: int) -> Rectangle:
     """The moving body under a click, else the textured region round it."""
     height, width = recording.shape
     if not (0 <= click[0] < width and 0 <= click[1] < height):
@@ -77,73 +77,76 @@ def _clicked(recording: Recording, click: Array, template: int) -> Rectangle:
             f"expected a click inside the {width}x{height} px picture but got [{click[0]:g}, {click[1]:g}]"
         )
     frame = recording.frame(template)
-    scene = sample(recording, also=[template])
-    body = _under(scene, click, template) if template in scene.index else None
-    return _grown(frame, click) if body is None else body
+    scene = sample_scene(recording, also=[template])
+    body = _body_under_click(scene, click, template) if template in scene.index else None
+    return _grow_region(frame, click) if body is None else body
 
 
-def _under(scene: Scene, click: Array, template: int) -> Rectangle | None:
+def _body_under_click(scene: SampledScene, click: Array, template: int) -> Rectangle | None:
     """Rectangle in frame `template` of the body that moves under the click, None where nothing does."""
     row = scene.index.index(template)
     at = click / scene.factor - scene.shake[row]
-    boxes = sorted((b.box for b in scene.blobs[row] if _in(at, b.box)), key=lambda box: box[2] * box[3])
-    bodies: list[Body] = [pursue(scene, row, box) for box in boxes if min(box[2:]) >= scene.least_side]
-    bodies += [b for b in moving(scene) if b.seen[row] and _in(at, (*b.corner[row], *b.box[2:]))]
+    boxes = sorted((b.box for b in scene.blobs[row] if _contains(at, b.box)), key=lambda box: box[2] * box[3])
+    bodies: list[Body] = [match_body(scene, row, box) for box in boxes if min(box[2:]) >= scene.min_side_reduced]
+    bodies += [b for b in moving_bodies(scene) if b.seen[row] and _contains(at, (*b.corner[row], *b.box[2:]))]
     for body in bodies:
         if body.merit > 0:
-            rectangle, _ = drawn(scene, body, template)
-            if _in(click, rectangle, GRACE):
+            rectangle, _ = body_rectangle(scene, body, template)
+            if _contains(click, rectangle, CLICK_MARGIN):
                 return rectangle
     return None
 
 
-def _in(point: Array, box: Sequence[float], grace: float = 0.0) -> bool:
+def _contains(point: Array, box: Sequence[float], grace: float = 0.0) -> bool:
     x, y, w, h = box
     return bool(-grace * w <= point[0] - x < (1 + grace) * w and -grace * h <= point[1] - y < (1 + grace) * h)
 
 
-def _grown(frame: Frame, click: Array) -> Rectangle:
+def _grow_region(frame: Frame, click: Array) -> Rectangle:
     """A region round the click that takes in what is about as textured as its middle."""
     gy, gx = np.gradient(cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0))
     energy = gx**2 + gy**2
     height, width = frame.shape
-    x0, y0 = (int(np.clip(c - START // 2, 0, max(s - START, 0))) for c, s in zip(click, (width, height), strict=True))
-    x1, y1 = min(x0 + START, width), min(y0 + START, height)
-    grew = True
-    while grew:
-        least = TEXTURED * float(energy[y0:y1, x0:x1].mean())
+    x0, y0 = (
+        int(np.clip(c - MIN_REGION_PX // 2, 0, max(s - MIN_REGION_PX, 0)))
+        for c, s in zip(click, (width, height), strict=True)
+    )
+    x1, y1 = min(x0 + MIN_REGION_PX, width), min(y0 + MIN_REGION_PX, height)
+    has_grown = True
+    while has_grown:
+        least = MIN_STRIP_TEXTURE * float(energy[y0:y1, x0:x1].mean())
         strips = (energy[y0:y1, max(x0 - 2, 0) : x0], energy[y0:y1, x1 : x1 + 2])
-        left, right = (s.size > 0 and s.mean() > least and x1 - x0 < MOST for s in strips)
+        left, right = (s.size > 0 and s.mean() > least and x1 - x0 < MAX_REGION_PX for s in strips)
         strips = (energy[max(y0 - 2, 0) : y0, x0:x1], energy[y1 : y1 + 2, x0:x1])
-        up, down = (s.size > 0 and s.mean() > least and y1 - y0 < MOST for s in strips)
+        up, down = (s.size > 0 and s.mean() > least and y1 - y0 < MAX_REGION_PX for s in strips)
         x0, x1 = max(x0 - 2 * left, 0), min(x1 + 2 * right, width)
         y0, y1 = max(y0 - 2 * up, 0), min(y1 + 2 * down, height)
-        grew = bool(left or right or up or down)
+        has_grown = bool(left or right or up or down)
     return x0, y0, x1 - x0, y1 - y0
 
 
 # ---- a picture of the target
 
 
-def _picture(path: Path) -> Frame:
+def _read_picture(path: Path) -> Frame:
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if path.is_file() else None
     if picture is None:
         raise FrictrackError(f"{path}: expected a picture of the target but it cannot be read; check the path")
     return np.asarray(picture)
 
 
-def _pictured(recording: Recording, picture: Frame, name: str) -> tuple[Rectangle, int]:
+def _find_picture(recording: Recording, picture: Frame, name: str) -> tuple[Rectangle, int]:
     """Where the picture fits: in the frames of a first look, else in the whole film."""
     h, w = picture.shape
-    if min(h, w) < LEAST or h > recording.shape[0] or w > recording.shape[1]:
+    if min(h, w) < MIN_SIDE_PX or h > recording.shape[0] or w > recording.shape[1]:
         height, width = recording.shape
         raise FrictrackError(f"{name}: expected a template from 8x8 to {width}x{height} px but got {w}x{h} px")
     if float(np.ptp(picture)) < 2:
         raise FrictrackError(f"{name}: expected a picture of the target but it is all one grey")
-    best, at, frame = _best_fit(recording, picture, FIRST_LOOK)
-    if best < FITS:
-        best, at, frame = _best_fit(recording, picture, SCAN)
-    if best < LIKELY:
+    best, at, frame = _best_fit(recording, picture, FIRST_SEARCH_FRAMES)
+    if best < GOOD_SCORE:
+        best, at, frame = _best_fit(recording, picture, FULL_SEARCH_FRAMES)
+    if best < MIN_SCORE:
         raise FrictrackError(
             f"{recording.path.name}: {name} fits nowhere, its best score is {best:.2f} in frame {frame}; "
             "cut it out of this film at full scale"
@@ -160,6 +163,6 @@ def _best_fit(recording: Recording, picture: Frame, most: int) -> tuple[float, t
         _, score, _, corner = cv2.minMaxLoc(correlate(shown.astype(np.float32), wanted))
         if score > best:
             best, at, frame = float(score), (int(corner[0]), int(corner[1])), k * stride
-        if best >= FITS:
+        if best >= GOOD_SCORE:
             break
     return best, at, frame

@@ -1,0 +1,344 @@
+"""Follow the target through the film: predict, read its rectangle, refine; search where that fails.
+
+Frames are taken in batches: from the path so far the target's place is predicted in all of them, only the
+rectangles there are read, and the products with the template say where it really is. A prediction that is off
+by more than the template's reach is mended by reading again; one that fails is followed by a search near there
+and then in the whole picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.errors import FrictrackError
+from frictrack.recording import Frame, Recording
+from frictrack.records import Array, Mask
+from frictrack.tracking.correlation import Patch, Rectangle, correlate, parabola_vertex
+from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
+from frictrack.tracking.fixed_pattern import FixedPattern
+from frictrack.tracking.measure import MIN_REMAINING_SHARE, refine_robust
+from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
+from frictrack.tracking.template import Template
+
+Progress = Callable[[int, int, str], None]
+
+UNREAD = "frame cannot be read"
+FLAT = "picture without contrast"
+LEAVES = "target leaves the frame"
+NOT_CONVERGED = "sub-pixel search did not settle"
+MIN_SCORE = 0.35  # below this nothing is taken for the target, however noisy the film is
+MIN_SCORE_SHARE = 0.7  # of the film's usual score that a find must reach
+CONFIDENT_SCORE = (
+    0.8  # a score below makes the rest of the picture worth a look, or a false find would be followed for ever
+)
+MIN_DISTANT_SCORE_SHARE = 0.5  # least score of a find far from where the target should be
+CLEARLY_BETTER_SCORE = 0.1  # by this much must another place match better than the one that is near
+MAX_PREDICTION_ERROR_PX = (
+    1.5  # px off the prediction: no find in a batch, or a pattern that repeats would be followed one period off
+)
+SEARCH_RADIUS_PX = 24  # px searched round the prediction
+STATIC_SEARCH_PX = 4  # px that a shaken camera may move what stands
+BATCH_FRAMES = (8, 256)  # frames predicted at once: least, most
+MAX_RECENTRINGS = 4  # times that a batch is read at better corners
+MAX_LOST_FRAMES = 128  # frames without a find after which the target may be anywhere
+MAX_OCCLUDED_FRAMES = 16  # frames after which the path is no guide any more
+MAX_MISFIT_RATIO = 4.0  # times the usual misfit at most, of what is left of a partly hidden target
+PREDICTOR_FRAMES = 24  # frames from which the next are predicted
+
+
+@dataclass(frozen=True, eq=False)
+class RawTrack:
+    """Where the target is, frame by frame: rows of `fit` are NaN where it was not found."""
+
+    corner: NDArray[np.int64]  # (n, 2) px, upper left corner of each cut-out
+    fit: SubpixelFit
+    reason: NDArray[np.object_]  # (n,), "" where found
+
+    @property
+    def position(self) -> Array:
+        """Upper left corner of the target's rectangle (n, 2) px."""
+        return self.corner + self.fit.position
+
+    @property
+    def found(self) -> Mask:
+        """Frames in which the target was found."""
+        return np.asarray(self.reason == "")
+
+
+def empty_track(n: int) -> RawTrack:
+    """A track of `n` frames in which nothing was found yet."""
+    nan = np.full(n, np.nan)
+    pair = np.full((n, 2), np.nan)
+    score, gain, offset, misfit = (nan.copy() for _ in range(4))
+    fit = SubpixelFit(pair, nan, np.full((n, 3), np.nan), score, gain, offset, misfit, np.zeros(n, np.bool_))
+    return RawTrack(np.zeros((n, 2), np.int64), fit, np.full(n, UNREAD, dtype=object))
+
+
+@dataclass
+class _PathPredictor:
+    """The path so far, and which polynomial foretold it best, for each axis."""
+
+    direction: int = 1  # forward or backward through the film
+    frame: list[int] = field(default_factory=list)
+    position: list[Array] = field(default_factory=list)
+    degree: list[int] = field(default_factory=lambda: [1, 1])
+
+    def add(self, frame: NDArray[np.int64], at: Array) -> None:
+        """Remember finds; judge the predictors by them first."""
+        if len(frame) > 2 and len(self.frame) > 4:
+            errors = [np.max(np.abs(prediction - at), axis=0) for prediction in self._polynomial_predictions(frame)]
+            self.degree = np.argmin(errors, axis=0).tolist()
+        self.frame = [*self.frame, *frame[-PREDICTOR_FRAMES:].tolist()][-PREDICTOR_FRAMES:]
+        self.position = [*self.position, *at[-PREDICTOR_FRAMES:]][-PREDICTOR_FRAMES:]
+
+    def restart(self, frame: int, at: Array) -> None:
+        """Start again: the path broke off, the target is here now; the frame before may still tell the velocity."""
+        last = [(f, a) for f, a in zip(self.frame, self.position, strict=True) if f == frame - self.direction]
+        self.frame, self.position = [f for f, _ in last] + [frame], [a for _, a in last] + [at]
+        self.degree = [1, 1]
+
+    def age(self, frame: int) -> int:
+        """Frames since the last find."""
+        return abs(frame - self.frame[-1])
+
+    def predicted(self, frame: NDArray[np.int64]) -> Array:
+        """Where the target should be in these frames (n, 2) px."""
+        predictions = self._polynomial_predictions(frame)
+        return np.stack(
+            [predictions[min(d, len(predictions) - 1)][:, axis] for axis, d in enumerate(self.degree)], axis=1
+        )
+
+    def _polynomial_predictions(self, frame: NDArray[np.int64]) -> list[Array]:
+        """The same by polynomials of degree 0, 1, 2 through the path so far, as far as that carries them."""
+        past = np.array(self.frame, dtype=np.float64) - self.frame[-1]
+        scale = max(abs(past[0]), 1.0)
+        powers, ahead = ((t[:, None] / scale) ** np.arange(3) for t in (past, frame - self.frame[-1]))
+        positions = np.array(self.position)
+        normal, right = powers.T @ powers, powers.T @ positions
+        highest = 2 if len(positions) > 4 else len(positions) - 1 if len(positions) < 3 else 1
+        fits = [ahead[:, :d] @ np.linalg.solve(normal[:d, :d], right[:d]) for d in range(2, highest + 2)]
+        return [np.broadcast_to(positions[-1], (len(frame), 2)), *fits]
+
+
+class BatchTracker:
+    """Follows one target through a film of which any rectangle can be read."""
+
+    def __init__(self, film: Recording, template: Template, pattern: FixedPattern | None = None) -> None:
+        self.film, self.template, self.pattern = film, template, pattern
+        self.size = template.weight.shape
+        self.max_corner = np.array(film.shape[::-1]) - np.array(self.size[::-1])
+        self.typical_score, self.typical_misfit = 1.0, np.inf  # score and misfit of the last finds
+        self.template_frame, self.start = 0, np.zeros(2)
+        low = template.image
+        self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
+            np.uint8 if film.bit_depth == 8 else np.uint16
+        )
+
+    @property
+    def min_score(self) -> float:
+        """What a find must reach."""
+        return max(MIN_SCORE, MIN_SCORE_SHARE * self.typical_score)
+
+    def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> RawTrack:
+        """All frames; `start` (2,) is the corner in frame `template`, from which the film is followed both ways."""
+        result, self.template_frame, self.start = empty_track(self.film.n_frames), template, np.asarray(start)
+        self._follow_direction(np.arange(template, self.film.n_frames), start, result, progress)
+        if template:
+            self._follow_direction(np.arange(template, -1, -1), start, result, progress)
+        return result
+
+    def _follow_direction(
+        self, order: NDArray[np.int64], start: Array, result: RawTrack, progress: Progress | None = None
+    ) -> None:
+        """The frames in this order, the target being at `start` in the first of them."""
+        path, n = _PathPredictor(int(order[-1] >= order[0]) * 2 - 1), len(order)
+        path.restart(int(order[0]), np.asarray(start, dtype=np.float64))
+        self._follow_batch(order[:1], path, result)
+        path.restart(int(order[0]), path.position[-1])  # one place tells no velocity
+        i, batch = 1, BATCH_FRAMES[0]
+        while i < n:
+            if progress:
+                progress(i, n, "follow")
+            if path.age(order[i]) <= BATCH_FRAMES[0]:
+                frames = order[i : i + batch]
+                done, well_predicted = self._follow_batch(frames, path, result)
+                i += done
+                batch = int(np.clip(batch * 2 if well_predicted else batch // 2, *BATCH_FRAMES))
+                if done:  # what was found foretells the rest better
+                    continue
+            if not self._find_occluded(int(order[i]), path, result):
+                self._search(int(order[i]), path, result)
+            batch, i = BATCH_FRAMES[0], i + 1
+
+    def _follow_batch(self, frames: NDArray[np.int64], path: _PathPredictor, result: RawTrack) -> tuple[int, bool]:
+        """How many of these frames, from the first on, hold the target; and whether the prediction was good."""
+        predicted = path.predicted(frames)
+        try:
+            corner, fit = self.read(frames, predicted)
+        except FrictrackError:
+            return 0, False
+        errors = np.max(np.abs(corner + fit.position - predicted), axis=1)
+        accepted_rows = (
+            self.accepted(corner, fit)
+            & (errors < MAX_PREDICTION_ERROR_PX)
+            & (fit.misfit < MAX_MISFIT_RATIO * self.typical_misfit)
+        )
+        count = len(frames) if accepted_rows.all() else int(np.argmin(accepted_rows))
+        self._accept(frames[:count], corner[:count], fit[slice(0, count)], result)
+        if count:
+            path.add(frames[:count], (corner + fit.position)[:count])
+            if fit.score[count - 1] < CONFIDENT_SCORE:
+                self._check_other_places(int(frames[count - 1]), path, float(fit.score[count - 1]))
+        return count, bool(count == len(frames) and np.max(errors) < MAX_SHIFT_PX)
+
+    def _find_occluded(self, i: int, path: _PathPredictor, result: RawTrack) -> bool:
+        """Whether the target is where it should be in frame `i`, though partly hidden; if so it is kept."""
+        if path.age(i) > MAX_OCCLUDED_FRAMES or np.isinf(self.typical_misfit):
+            return False
+        frames = np.array([i])
+        predicted = path.predicted(frames)
+        corner = np.rint(predicted).astype(np.int64).clip(0, self.max_corner)
+        try:
+            cuts = self.film.cut(frames, corner, self.size)
+        except FrictrackError:
+            return False
+        last = result.fit[np.array([path.frame[-1]])]
+        guess = replace(last, position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
+        share = None if self.pattern is None else self.pattern.pixel_shares(corner, self.size)
+        fit, _ = refine_robust(cuts, guess, self.template, share, self.typical_misfit)
+        near = np.max(np.abs(corner + fit.position - predicted)) < MAX_PREDICTION_ERROR_PX
+        if not (near and self.accepted(corner, fit)[0] and fit.misfit[0] < MAX_MISFIT_RATIO * self.typical_misfit):
+            return False
+        result.corner[i], result.reason[i] = corner[0], ""
+        result.fit.put(frames, fit)
+        path.add(frames, corner + fit.position)
+        return True
+
+    def read(self, frames: NDArray[np.int64], predicted: Array) -> tuple[NDArray[np.int64], SubpixelFit]:
+        """Corners (n, 2) and positions in these frames, from predictions (n, 2) px good to a pixel or two."""
+        corner = np.rint(predicted).astype(np.int64).clip(0, self.max_corner)
+        fit = self._refined(frames, corner, np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
+        previous = corner.copy()
+        for _ in range(MAX_RECENTRINGS):
+            recentred = (corner + np.rint(np.nan_to_num(fit.position)).astype(np.int64)).clip(0, self.max_corner)
+            is_new = np.any(recentred != corner, axis=1) & np.any(recentred != previous, axis=1)  # no going to and fro
+            moved = np.any(np.abs(fit.position) > MAX_SHIFT_PX, axis=1) & is_new
+            if not moved.any():
+                break
+            start = np.clip((corner + fit.position - recentred)[moved], -MAX_SHIFT_PX, MAX_SHIFT_PX)
+            previous[moved], corner[moved] = corner[moved], recentred[moved]
+            refitted = self._refined(frames[moved], corner[moved], start)
+            fit.put(moved, refitted)
+        return corner, fit
+
+    def _refined(self, frames: NDArray[np.int64], corner: NDArray[np.int64], start: Array) -> SubpixelFit:
+        cuts = self.film.cut(frames, corner, self.size)
+        fit = refine_positions(template_products(cuts, self.template), start, self.template)
+        if self.pattern is None:
+            return fit
+        share = self.pattern.pixel_shares(corner, self.size)
+        rows = np.flatnonzero(np.any(share < 1, axis=(1, 2)))
+        if len(rows):
+            fit.put(
+                rows,
+                refine_positions(template_products(cuts[rows], self.template, share[rows]), start[rows], self.template),
+            )
+            fit.converged[rows] &= _visible_share(share[rows], self.template) > MIN_REMAINING_SHARE
+        return fit
+
+    def accepted(self, corner: NDArray[np.int64], fit: SubpixelFit) -> Mask:
+        """Finds that can be trusted: settled, well matched, and within the picture."""
+        inside = np.all((corner + fit.position > -0.5) & (corner + fit.position < self.max_corner + 0.5), axis=1)
+        within = np.all(np.abs(fit.position) < MAX_SHIFT_PX + 0.05, axis=1)
+        return fit.converged & (fit.score >= self.min_score) & inside & within
+
+    def _accept(self, frames: NDArray[np.int64], corner: NDArray[np.int64], fit: SubpixelFit, result: RawTrack) -> None:
+        result.corner[frames] = corner
+        result.fit.put(frames, fit)
+        result.reason[frames] = ""
+        if len(frames):
+            self.typical_score = 0.9 * self.typical_score + 0.1 * float(np.median(fit.score))
+        if len(frames) and frames[0] != self.template_frame:  # that fits itself too well
+            misfit = max(float(np.median(fit.misfit)), self.template.min_misfit)
+            self.typical_misfit = misfit if np.isinf(self.typical_misfit) else 0.9 * self.typical_misfit + 0.1 * misfit
+
+    def _search(self, i: int, path: _PathPredictor, result: RawTrack) -> None:
+        """Look for the target in frame `i`, near where it should be and then everywhere."""
+        try:
+            frame = self.film.frame(i)
+        except FrictrackError:
+            return
+        if frame.min() == frame.max():
+            result.reason[i] = FLAT
+            return
+        predicted = path.predicted(np.array([i]))[0]
+        place, score = self._best_match(frame, predicted if path.age(i) < MAX_LOST_FRAMES else None)
+        if score >= max(MIN_DISTANT_SCORE_SHARE * self.typical_score, MIN_SCORE):
+            corner, fit = self.read(np.array([i]), place[None])
+            if self.accepted(corner, fit)[0] and not self._is_static(place, score):
+                self._accept(np.array([i]), corner, fit, result)
+                path.restart(i, (corner + fit.position)[0])
+                return
+            score = min(score, float(fit.score[0]))
+        result.fit.score[i] = score
+        result.reason[i] = f"match score {score:.2f} below {self.min_score:.2f}"
+        if self._touches_edge(predicted):
+            result.reason[i] = LEAVES
+
+    def _check_other_places(self, i: int, path: _PathPredictor, score: float) -> None:
+        """What matches so badly may be a false find: go on from another place if that is clearly better."""
+        place, best = self._match(self.film.frame(i), None)
+        is_elsewhere = np.max(np.abs(place - path.position[-1])) > MAX_PREDICTION_ERROR_PX
+        if best > score + CLEARLY_BETTER_SCORE and is_elsewhere and not self._is_static(place, best):
+            path.restart(i, place)
+
+    def _is_static(self, place: Array, score: float) -> bool:
+        """Whether what matches at a place stood there as well while the target was elsewhere: then it is another."""
+        if np.all(np.abs(place - self.start) < self.size[::-1]):
+            return False
+        return (
+            self._match_near(self.film.frame(self.template_frame), place, STATIC_SEARCH_PX)[1]
+            > score - CLEARLY_BETTER_SCORE
+        )
+
+    def _touches_edge(self, corner: Array) -> bool:
+        """Whether a rectangle at `corner` would stick out of the picture or touch its edge."""
+        return bool(np.any(corner <= 0.5) or np.any(corner >= self.max_corner - 0.5))
+
+    def _best_match(self, frame: Frame, predicted: Array | None) -> tuple[Array, float]:
+        """The best match: near the prediction, unless another place is clearly better."""
+        near = None
+        if predicted is not None:
+            near = self._match_near(frame, predicted, SEARCH_RADIUS_PX)
+            if near[1] >= 0.8 * self.typical_score:
+                return near
+        anywhere = self._match(frame, None)
+        return (
+            near
+            if near is not None and near[1] >= max(MIN_DISTANT_SCORE_SHARE, anywhere[1] - CLEARLY_BETTER_SCORE)
+            else anywhere
+        )
+
+    def _match_near(self, frame: Frame, place: Array, reach: int) -> tuple[Array, float]:
+        """The best match within so many pixels of a place."""
+        low = np.clip(np.rint(place) - reach, 0, self.max_corner).astype(int)
+        high = np.clip(np.rint(place) + reach, low, self.max_corner).astype(int) + self.size[::-1]
+        return self._match(frame, (int(low[0]), int(low[1]), *(high - low).tolist()))
+
+    def _match(self, frame: Frame, part: Rectangle | None) -> tuple[Array, float]:
+        """Best zero-normalised correlation of the target in (a `part` of) a frame: corner (x, y), score."""
+        x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
+        scores = correlate(frame[y : y + h, x : x + w], self.patch, self.template.mask)
+        _, best, _, (i, j) = cv2.minMaxLoc(scores)
+        return np.array([x + i + parabola_vertex(scores[j], i), y + j + parabola_vertex(scores[:, i], j)]), float(best)
+
+
+def _visible_share(share: Patch, template: Template) -> Array:
+    """How much of the target's pixels (n,) is not behind an obstacle."""
+    counts = template.weight > 0
+    return np.asarray(share[:, counts].mean(axis=1))

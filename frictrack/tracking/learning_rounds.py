@@ -1,0 +1,268 @@
+"""The rounds in which the film teaches its own template, noise and whatever stands still in the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.recording import Recording
+from frictrack.records import Array, Mask
+from frictrack.tracking.areas import with_obstacles
+from frictrack.tracking.batch_tracker import RawTrack
+from frictrack.tracking.correlation import Patch, nearest_corner
+from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
+from frictrack.tracking.fixed_pattern import FixedPattern, PatternSums, fit_fixed_pattern
+from frictrack.tracking.measure import measure_frames, model_images
+from frictrack.tracking.position_errors import sigma_inflation, systematic_covariance
+from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
+from frictrack.tracking.super_resolution import SmoothPath, improves_positions, smooth_path
+from frictrack.tracking.target_model import TargetModel
+from frictrack.tracking.template import Template
+from frictrack.tracking.template_learning import WIDE_RIM_PX, learn_template, without_border
+
+MAX_LEARNING_FRAMES = 500  # from which the template is learnt, at most: its own noise then costs a thousandth
+MAX_CUTOUT_BYTES = 32_000_000  # of cut-outs held at once
+MIN_FRAMES = 12  # fewer make a template whose own noise is larger than that of a single frame's
+MIN_USABLE_FRAMES = 3  # frames that a template can be learnt from
+ROUNDS, MAX_ROUNDS = 3, 5  # where nothing stands in the way, and where something does
+BACKGROUND_FRAMES = 15
+MAX_MISFIT_RATIO = 25.0  # times the usual misfit: such a frame shows something else, and teaches nothing
+MIN_FOUND_SHARE = 0.95  # of the frames, in which a picture with short waves must be found as well
+N_STRETCHES = 8  # stretches of the path; a picture learnt from every second one is tested on the others
+MAX_BORDER_SLOPE_ERROR = 0.2  # of the picture's slopes, that a border's may be off by
+RESIDUAL_FRAMES = 64  # whose residual pictures are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class _CutOuts:
+    """What the rounds look at: cut-outs (n, h, w) of some frames, their corners (n, 2), and the still scene behind."""
+
+    film: Recording
+    rows: NDArray[np.int64]
+    cuts: Patch
+    corner: NDArray[np.int64]
+    background: Patch | None  # (H, W), median of the film
+
+    @classmethod
+    def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, int]) -> _CutOuts:
+        """Cut-outs of these frames whose corners lie nearest to `position` (n, 2) px."""
+        corner = nearest_corner(at, film.shape, size)
+        return cls(film, rows, film.cut(rows, corner, size), corner, _median_background(film))
+
+    @property
+    def scene(self) -> Patch | None:
+        """The still background behind each cut-out (n, h, w); None where it is not known."""
+        if self.background is None:
+            return None
+        h, w = self.cuts.shape[1:]
+        return np.stack([self.background[y : y + h, x : x + w] for x, y in self.corner])
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """A template, where it was found in the cut-outs, and the share (n, h, w) of its pixels that fit."""
+
+    template: Template
+    fit: SubpixelFit
+    share: Patch | None
+
+    @property
+    def usable(self) -> Mask:
+        """Frames that teach."""
+        return _usable_frames(self.fit, self.template)
+
+
+def learn_target_model(
+    film: Recording, raw_track: RawTrack, template: Template, blocked: Mask | None = None
+) -> TargetModel:
+    """Template, view and noise from frames spread over the path of a first, rougher track.
+
+    `blocked` (H, W) are pixels of the picture before which an obstacle is known to stand.
+    """
+    rows, pattern = _spread_frames(raw_track, template.weight.size), with_obstacles(None, blocked)
+    if len(rows) < MIN_FRAMES:
+        return TargetModel(without_border(template), pattern)
+    size = template.weight.shape
+    cut_outs = _CutOuts.around(film, rows, raw_track.position[rows], size)
+    fit = raw_track.fit[rows].moved(raw_track.corner[rows] - cut_outs.corner)
+    found = _Round(
+        template, *measure_frames(cut_outs.cuts, cut_outs.corner, fit, TargetModel(without_border(template), pattern))
+    )
+    path = _first_smooth_path(raw_track, rows)
+    for k in range(MAX_ROUNDS):
+        if np.count_nonzero(found.usable) < MIN_USABLE_FRAMES:
+            break
+        cut_outs, found = _recentre(cut_outs, found)
+        found = _run_round(cut_outs, found, path, pattern)
+        if k == 1:
+            found, path = _try_super_resolution(cut_outs, found, path)
+        if pattern is None and k >= ROUNDS - 1:
+            break
+        if 0 < k < MAX_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
+            pattern = with_obstacles(_estimate_pattern(film, cut_outs, found), blocked)
+    return _final_model(cut_outs, found, pattern)
+
+
+def _recentre(cut_outs: _CutOuts, found: _Round) -> tuple[_CutOuts, _Round]:
+    """The same with cut-outs taken anew where the target has come to lie more than half a pixel off their corner."""
+    fit, size = found.fit, cut_outs.cuts.shape[1:]
+    near = fit.converged & np.all(np.abs(fit.position) < MAX_SHIFT_PX + 1, axis=1)
+    corner = nearest_corner(cut_outs.corner + np.where(near[:, None], fit.position, 0.0), cut_outs.film.shape, size)
+    moved = np.flatnonzero(np.any(corner != cut_outs.corner, axis=1))
+    if len(moved) == 0:
+        return cut_outs, found
+    cuts, share = cut_outs.cuts.copy(), None if found.share is None else found.share.copy()
+    cuts[moved] = cut_outs.film.cut(cut_outs.rows[moved], corner[moved], size)
+    if share is not None:
+        share[moved] = 1.0
+    return replace(cut_outs, cuts=cuts, corner=corner), replace(
+        found, fit=fit.moved(cut_outs.corner - corner), share=share
+    )
+
+
+def _run_round(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> _Round:
+    """Learn the template where the last round found it, and find it again."""
+    template = _learn(cut_outs, found, path, pattern)
+    return _Round(template, *measure_frames(cut_outs.cuts, cut_outs.corner, found.fit, TargetModel(template, pattern)))
+
+
+def _learn(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> Template:
+    """The template that fits the frames best where the last round found it."""
+    placed = path.with_path_positions(found.fit, cut_outs.corner, found.template)
+    usable = found.usable & np.all(np.abs(placed.unrotated()) <= MAX_SHIFT_PX, axis=1)
+    if np.count_nonzero(usable) < MIN_USABLE_FRAMES:
+        return found.template
+    places = placed[usable]
+    half = (None if v is None else v[usable] for v in (cut_outs.scene, found.share))
+    cleaned = _remove_pattern(cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable], pattern)
+    return learn_template(cleaned, places, found.template, *half)
+
+
+def _try_super_resolution(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> tuple[_Round, SmoothPath]:
+    """The same with waves shorter than two pixels, where these make the places surer."""
+    if not path.axes.any():
+        return found, path
+    path = path.updated(cut_outs.corner + found.fit.position)
+    with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
+        if not _cross_validates(cut_outs, found, path):
+            return found, path
+        refined = _run_round(cut_outs, replace(found, template=path.widened(found.template)), path, None)
+    better_path = path.updated(cut_outs.corner + refined.fit.position)
+    refined = _run_round(cut_outs, refined, better_path, None)
+    keep = _mostly_found(refined.fit, found.fit) and improves_positions(refined.fit, found.fit, path.axes)
+    return (refined, better_path) if keep else (found, path)
+
+
+def _mostly_found(refitted: SubpixelFit, before: SubpixelFit) -> bool:
+    return bool(np.count_nonzero(refitted.converged) >= max(MIN_FOUND_SHARE * np.count_nonzero(before.converged), 1))
+
+
+def _cross_validates(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> bool:
+    """Whether short waves learnt from every second stretch of the path improve the fit to the other stretches.
+
+    Light that changes along the path, or a codec, makes such waves too, but other ones in each stretch: with them the
+    target is not found in the next stretch, or fits worse.
+    """
+    odd = (np.arange(len(cut_outs.cuts)) * N_STRETCHES // len(cut_outs.cuts)) % 2 == 1
+    half = replace(cut_outs, cuts=cut_outs.cuts[~odd], corner=cut_outs.corner[~odd], rows=cut_outs.rows[~odd])
+    half_path = replace(path, frames=path.frames[~odd], position=path.position[~odd])
+    share = None if found.share is None else found.share[~odd]
+    usable = _Round(path.widened(found.template), found.fit[~odd], share)
+    refined = replace(_learn(half, usable, half_path, None), weight=found.template.weight)
+    tested = np.flatnonzero(odd & found.usable & (found.fit.misfit <= np.median(found.fit.misfit[found.usable])))
+    tested = tested[:: max(1, len(tested) // RESIDUAL_FRAMES)]
+    band_limited, refitted = (
+        refine_positions(template_products(cut_outs.cuts[tested], t), found.fit.position[tested], t)
+        for t in (found.template, refined)
+    )
+    return _mostly_found(refitted, band_limited) and bool(np.median(refitted.misfit) < np.median(band_limited.misfit))
+
+
+def _final_model(cut_outs: _CutOuts, found: _Round, pattern: FixedPattern | None) -> TargetModel:
+    """What the rounds have come to, and by how much the noise's deviations are too small."""
+    fit, template, share = found.fit, found.template, found.share
+    if not _border_slopes_known(cut_outs, found):
+        template = without_border(template, WIDE_RIM_PX)
+    target_model = TargetModel(template, pattern, float(np.median(fit.misfit)))
+    usable = np.flatnonzero(found.usable)
+    cleaned = _remove_pattern(cut_outs.cuts[usable], cut_outs.corner[usable], fit[usable], pattern)
+    keep = None if share is None else share[usable]
+    subset = slice(None, None, max(1, len(usable) // RESIDUAL_FRAMES))
+    factor = sigma_inflation(cleaned[subset], fit[usable[subset]], template, None if keep is None else keep[subset])
+    return replace(
+        target_model,
+        sigma_inflation=factor,
+        systematic_covariance=systematic_covariance(cleaned, fit[usable], template, keep),
+    )
+
+
+def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
+    """Whether the target has moved enough, along one axis, for its border's slopes to be learnt.
+
+    Inside, a single frame shows the slopes; at the border only shifts teach them, with the deviation of a line's
+    slope through the frames. That must be a small part of the picture's own slopes.
+    """
+    fit = found.fit[found.usable]
+    at = cut_outs.corner[found.usable] + fit.position
+    moved = np.sum((at - at.mean(axis=0)) ** 2 - fit.sigma[:, :2] ** 2, axis=0)
+    weight = found.template.weight
+    noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
+    slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]
+    return bool(np.any(moved * slopes * MAX_BORDER_SLOPE_ERROR**2 > noise))
+
+
+def _first_smooth_path(raw_track: RawTrack, rows: NDArray[np.int64]) -> SmoothPath:
+    """The first track in these frames, smooth."""
+    frames = np.flatnonzero(raw_track.found)
+    return smooth_path(frames, raw_track.position[frames], rows)
+
+
+def _usable_frames(fit: SubpixelFit, template: Template) -> Mask:
+    """Frames that show the target and not something else."""
+    typical_misfit = max(float(np.median(fit.misfit)), template.min_misfit)
+    return fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
+
+
+def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
+    """Frames spread over the path travelled (a long rest must not decide what the target looks like)."""
+    found = np.flatnonzero(raw_track.found)
+    count = int(np.clip(MAX_CUTOUT_BYTES // (4 * size), 16, MAX_LEARNING_FRAMES))
+    if len(found) <= count:
+        return found
+    step = np.hypot(*np.diff(raw_track.position[found], axis=0).T)
+    step[step < 0.5] = 0.0
+    path = np.concatenate([[0.0], np.cumsum(step)])
+    index = np.linspace(0, 1, len(path))
+    progress = index if path[-1] < 1 else 0.9 * path / path[-1] + 0.1 * index
+    at = np.searchsorted(progress, np.linspace(0, 1, count))
+    return found[np.unique(at.clip(0, len(found) - 1))]
+
+
+def _remove_pattern(cuts: Patch, corner: NDArray[np.int64], fit: SubpixelFit, pattern: FixedPattern | None) -> Patch:
+    """Cut-outs without what stands still."""
+    return cuts if pattern is None else pattern.corrected(cuts, corner, fit.gain, fit.offset)[0]
+
+
+def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> FixedPattern | None:
+    """What stands still in the picture, from the frames' residuals."""
+    sums, usable, template = PatternSums(film.shape), found.usable, found.template
+    cuts, corner, fit = cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable]
+    gain = fit.gain.astype(np.float32)[:, None]
+    offset = (fit.offset - template.level).astype(np.float32)[:, None]
+    model = (model_images(fit, template) - offset) / gain
+    pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - np.float32(template.level)
+    difference = (pixels - offset) / gain - model
+    typical_misfit = float(np.median(template.weight[template.weight > 0]))
+    # What shows behind the target's edge is the scene, not something before the target.
+    inside = np.asarray(template.weight > 0.5 * typical_misfit, dtype=np.float64)
+    sums.add(corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
+    return fit_fixed_pattern(sums, 1 / typical_misfit)
+
+
+def _median_background(film: Recording) -> Array | None:
+    """The still background (H, W), the median of frames spread over the film; None of too few frames."""
+    index = np.unique(np.linspace(0, film.n_frames - 1, BACKGROUND_FRAMES).astype(int))
+    frames = film.pick(index.tolist())
+    return None if len(frames) < 3 else np.median(np.stack(frames), axis=0).astype(np.float32)

@@ -1,0 +1,255 @@
+"""Learn the target's picture from the film itself, with the noise of every pixel.
+
+One noisy frame as a template costs accuracy (Clement et al. 2018, arXiv:1809.05583), so the picture is fitted to
+frames from the whole path. Given their shifts it is linear least squares, and the frames enter it by a few sums
+alone: with h_i the expansion of frame i's shift (see `cosine_basis`), sum h_i h_i' and sum h_i I_i stand for them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from frictrack.records import Array, Mask
+from frictrack.tracking.correlation import Patch
+from frictrack.tracking.cosine_basis import BAND_LIMIT, ShiftExpansion, shift_expansion
+from frictrack.tracking.subpixel_fit import SubpixelFit
+from frictrack.tracking.template import Template
+
+MAX_CG_STEPS = 15
+# Px of the border that do not count: of a single frame, and where all frames show the same (there slopes are off by
+# 0.4 % two pixels from the border of a target of 24 x 40 px, by 0.1 % four pixels from it).
+RIM_PX, WIDE_RIM_PX = (2,), (2, 4)
+PRIOR_GROUP_SIZE = 16  # neighbouring waves along either axis that share what is expected of them
+MAX_PRIOR_PRECISION = 10.0  # over what the frames show of a wave: more would only slow the conjugate gradients
+CG_TOLERANCE = 1e-9  # of the squared gradient of no picture at all; less is below the noise
+RIDGE_FRAMES = 2.5e-4  # frames' worth of doubt whether there is any picture: keeps what lies outside the window finite
+MIN_MOVING_SHARE = 0.2  # of the rectangle that must move with the target before anything is masked
+MIN_VARIANCE_RATIO = (
+    4.0  # times better, for so many pixels: of a target that hardly moves, noise makes a fifth twice better
+)
+MEDIAN_FRAMES = 60  # frames
+MIN_VISIBLE_SHARE = 0.5  # share of the frames in which a pixel of the target must show it
+LEAK_PX = 2  # px from the background within which the lens and the sub-pixel shifts mix it in
+MIN_INSIDE_CONTRAST = 0.5  # share of the contrast that must lie inside; else the outline is used as well
+MAX_NOISE_RATIO = 1.5  # times the noise: such a pixel is not just noisy, it shows something that comes and goes
+ROUNDING_VARIANCE = 1 / 12  # variance of rounding to whole grey values, which a film without noise still has
+
+
+def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
+    """The template that one cut-out (h, w) makes, of which some pixels (h, w) belong to the target, or all."""
+    pixels_shown = cut if mask is None else cut[mask]
+    weight = np.ones(cut.shape) / max(float(np.var(pixels_shown)), 1.0)
+    weight = weight if mask is None else weight * mask
+    level = float(np.mean(pixels_shown))
+    grid = shift_expansion((cut.shape[0], cut.shape[1]))
+    at_rest = grid.design(np.zeros((1, 2)))[0]
+    coefficients = _solve_coefficients(
+        grid,
+        at_rest,
+        (cut - level).reshape(1, -1),
+        weight,
+        np.zeros(grid.n_coefficients),
+        _min_prior_precision(weight, 1),
+    )
+    return Template(coefficients, weight, level, mask=mask)
+
+
+def without_border(template: Template, rims: Sequence[int] = RIM_PX) -> Template:
+    """The template whose border counts nothing: as the target moves, its border shows what one frame has not seen.
+
+    The border is the widest of `rims` (px) that leaves three quarters of a side, else one pixel.
+    """
+    shape = template.weight.shape
+    rim = [max((r for r in rims if 8 * r <= side), default=1) for side in shape]
+    whole = np.ones(shape, np.uint8) if template.mask is None else template.mask.astype(np.uint8)
+    around = np.ones([2 * r + 1 for r in rim], np.uint8)
+    counts = cv2.erode(whole, around, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return replace(template, weight=template.weight * counts)
+
+
+def learn_template(
+    cuts: Patch, fit: SubpixelFit, template: Template, scene: Patch | None = None, share: Patch | None = None
+) -> Template:
+    """The template that fits the cut-outs (n, h, w) best where `fit` found the target in them.
+
+    `scene` (n, h, w) is the still background behind each cut-out, where it is known; `share` (n, h, w) how much of
+    each pixel shows the target, the rest is taken to be as expected.
+    """
+    fit = replace(fit, gain=fit.gain / np.median(fit.gain))  # the picture is that of the usual light
+    pixels = cuts.reshape(len(cuts), -1).astype(np.float32) - fit.offset.astype(np.float32)[:, None]
+    columns, rotation = _columns(template, fit)
+    pixels -= rotation
+    k = columns.shape[1]
+    pixels_used = pixels
+    if share is not None:
+        expected = columns.astype(np.float32) @ template.basis_images[:k].astype(np.float32)
+        pixels_used = expected + share.reshape(pixels.shape) * (pixels - expected)
+    coefficients, n_parameters = _fit_coefficients(template, columns, pixels_used)
+    learnt = replace(template, coefficients=coefficients, level=float(np.median(fit.offset)))
+    residual = pixels - columns.astype(np.float32) @ learnt.basis_images[:k].astype(np.float32)
+    residual = (residual / fit.gain.astype(np.float32)[:, None]).reshape(cuts.shape)
+    moving = None if scene is None else _moving_pixels(cuts, scene, residual, learnt.image)
+    variance = _pixel_variance(residual, share, n_parameters)
+    variance = variance if template.mask is None else np.where(template.mask, variance, np.inf)
+    return replace(learnt, weight=_pixel_weights(variance, learnt.image, moving))
+
+
+def _pixel_variance(residual: Patch, share: Patch | None, n_parameters: float) -> Array:
+    """Variance (h, w) of each pixel about the picture, DN^2; infinite where it seldom shows the target."""
+    n, size = len(residual), residual[0].size
+    lost_frames = min(n_parameters / size, 0.5 * n)  # frames' worth of noise that the picture has taken up
+    if share is None:
+        return np.mean(residual**2, axis=0) * (n / (n - lost_frames)) + ROUNDING_VARIANCE
+    counted = np.sum(share, axis=0)
+    variance = (
+        np.einsum("nij,nij,nij->ij", share, residual, residual) / np.maximum(counted, 1.0) * (n / (n - lost_frames))
+    )
+    return np.where(counted > MIN_VISIBLE_SHARE * n, variance + ROUNDING_VARIANCE, np.inf)
+
+
+def _columns(template: Template, fit: SubpixelFit) -> tuple[Array, Patch]:
+    """Gain times the expansion of every frame's shift (n, k), and what its turn changes (n, h w)."""
+    picture, _, _, rotation = template.shift_expansion.design(fit.unrotated())
+    k = picture.shape[1]
+    rotation_weights = (rotation * (fit.gain * fit.angle)[:, None]).astype(np.float32)
+    return picture * fit.gain[:, None], rotation_weights @ template.basis_images[k:-1].astype(np.float32)
+
+
+def _fit_coefficients(template: Template, columns: Array, pixels: Patch) -> tuple[Array, float]:
+    """The picture's waves in frames' pixels (n, h w) with columns (n, k), and how many numbers the frames have given.
+
+    Short waves are doubted: they have steep slopes, and their noise, which every frame shares, would be the place's.
+    """
+    n, weight = len(columns), template.weight
+    min_precision = _min_prior_precision(weight, n)
+    coefficients = _solve_coefficients(
+        template.shift_expansion, columns, pixels, weight, template.coefficients, min_precision
+    )
+    if max(template.bands) <= BAND_LIMIT:
+        return coefficients, coefficients.size
+    prior_precision = _prior_precision(coefficients, weight, n)
+    coefficients = _solve_coefficients(template.shift_expansion, columns, pixels, weight, coefficients, prior_precision)
+    return coefficients, float(np.sum(1 / (1 + prior_precision / _data_precision(weight, n))))
+
+
+def _min_prior_precision(weight: Array, n: int) -> float:
+    return RIDGE_FRAMES * n * float(weight.mean())
+
+
+def _data_precision(weight: Array, n: int) -> float:
+    """How surely n frames show a wave: one over the variance of its coefficient, 1 / DN^2."""
+    return n * float(weight.sum()) / 4  # the squares of two cosines
+
+
+def _prior_precision(coefficients: Array, weight: Array, n: int) -> Array:
+    """One over the expected square of every wave's coefficient, 1 / DN^2, from coefficients without doubt.
+
+    Waves of about the same length share theirs: what they hold on average, less what noise alone would make of it
+    (Wiener 1949; the expectation from the data themselves, Efron & Morris 1973, J. Am. Stat. Assoc. 68:117).
+    """
+    down, across = (_group_mean_matrix(count) for count in coefficients.shape)
+    power, pixels_shown = down @ coefficients**2 @ across, _data_precision(weight, n)
+    return np.clip(
+        1 / np.maximum(power - 1 / pixels_shown, 1e-300),
+        _min_prior_precision(weight, n),
+        MAX_PRIOR_PRECISION * pixels_shown,
+    )
+
+
+def _group_mean_matrix(count: int) -> Array:
+    """What takes the mean over each `PRIOR_GROUP_SIZE` neighbours (count, count)."""
+    group = np.arange(count) // PRIOR_GROUP_SIZE
+    same = group[:, None] == group
+    return same / same.sum(axis=0)
+
+
+def _solve_coefficients(
+    grid: ShiftExpansion, columns: Array, pixels: Patch, weight: Array, start: Array, prior_precision: Array | float
+) -> Array:
+    """Coefficients of the picture by weighted least squares of pixels (n, h w) = columns (n, k) B.
+
+    `prior_precision`, 1 / DN^2, holds each of them to zero.
+
+    Conjugate gradients on a small problem: as many pseudo-frames as there are shifts to tell apart stand for the
+    frames, columns' columns = L L'.
+    """
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    keep = values > 1e-7 * values[-1]
+    mix = vectors[:, keep] * np.sqrt(values[keep])
+    sums = (columns.T.astype(np.float32) @ pixels.astype(np.float32)).astype(np.float64)
+    pseudo = ((vectors[:, keep] / np.sqrt(values[keep])).T @ sums).astype(np.float32)
+    mix, rate = mix.astype(np.float32), weight.ravel().astype(np.float32)
+    ridge = np.float32(prior_precision)
+
+    def forward(coefficients: Patch) -> Patch:
+        return mix.T @ grid.basis_images(coefficients).reshape(len(mix), -1)
+
+    def back(pictures: Patch) -> Patch:
+        return grid.adjoint((mix @ (pictures * rate)).reshape(-1, *weight.shape))
+
+    coefficients: Patch = start.astype(np.float32)
+    residual = back(pseudo - forward(coefficients)) - ridge * coefficients
+    direction, size = residual, float(np.sum(residual**2))
+    tolerance = CG_TOLERANCE * float(np.sum(back(pseudo) ** 2))
+    for _ in range(MAX_CG_STEPS):
+        if size <= tolerance:
+            break
+        curvature = back(forward(direction)) + ridge * direction
+        length = np.float32(size / float(np.sum(direction * curvature)))
+        coefficients, residual = coefficients + length * direction, residual - length * curvature
+        before, size = size, float(np.sum(residual**2))
+        direction = residual + np.float32(size / before) * direction
+    return coefficients.astype(np.float64)
+
+
+def _moving_pixels(cuts: Patch, scene: Patch, residual: Patch, image: Array) -> Mask | None:
+    """Pixels that move with the target: better explained by it than by the still scene; None where too few do.
+
+    Medians over some of the frames, since a rod before the target is no background.
+    """
+    subset = slice(None, None, -(-len(cuts) // MEDIAN_FRAMES))
+    variance = np.median(residual[subset] ** 2, axis=0)
+    differs = np.median((cuts[subset].astype(np.float32) - scene[subset]) ** 2, axis=0)
+    if np.quantile(differs / np.maximum(variance, ROUNDING_VARIANCE), 1 - MIN_MOVING_SHARE) < MIN_VARIANCE_RATIO:
+        return None
+    moving = _trim_edge((variance < 0.5 * differs).astype(np.uint8), image)
+    return moving if moving.mean() > MIN_MOVING_SHARE else None
+
+
+def _trim_edge(moving: Array, picture: Array) -> Mask:
+    """What moves, less the edge across which background leaks in; with it where the edge is all there is."""
+    moving = np.asarray(cv2.medianBlur(moving, 3))
+    framed = cv2.copyMakeBorder(moving, LEAK_PX, LEAK_PX, LEAK_PX, LEAK_PX, cv2.BORDER_REPLICATE)
+    eroded = cv2.erode(framed, np.ones((2 * LEAK_PX + 1, 2 * LEAK_PX + 1), np.uint8))
+    inside = np.asarray(eroded[LEAK_PX:-LEAK_PX, LEAK_PX:-LEAK_PX]) > 0
+    outlined = np.asarray(cv2.dilate(moving, np.ones((3, 3), np.uint8))) > 0
+    energy = np.sum(np.square(np.gradient(picture)), axis=0)
+    return inside if energy[inside].sum() > MIN_INSIDE_CONTRAST * energy[outlined].sum() else outlined
+
+
+def _pixel_weights(variance: Array, image: Array, moving: Mask | None) -> Array:
+    """One over the variance of each pixel (h, w): the photon-transfer line, or its own where it scatters more.
+
+    Shot noise grows with the light: variance = read noise + light / (electrons per DN), Janesick 2007, Photon Transfer.
+    """
+    line = _photon_transfer_line(variance, image)
+    noisy = variance > MAX_NOISE_RATIO * line
+    weight = 1 / np.where(noisy, variance, line)
+    return weight if moving is None else weight * moving
+
+
+def _photon_transfer_line(variance: Array, image: Array) -> Array:
+    """The line through variance against light, that of the pixels which follow one; nowhere below half its median."""
+    good = np.isfinite(variance)
+    line = np.full(variance.shape, np.median(variance[good]) if good.any() else 1.0)
+    for _ in range(3):
+        good = variance < MAX_NOISE_RATIO * line
+        if np.count_nonzero(good) < 20 or np.ptp(image[good]) <= 0:
+            break
+        slope, level = np.polynomial.Polynomial.fit(image[good], variance[good], 1).convert().coef[::-1]
+        line = np.maximum(level + max(slope, 0.0) * image, 0.5 * np.median(variance[good]))
+    return line
