@@ -124,17 +124,15 @@ def _learn_and_track(
             f"{film.path.name}: the target {list(rectangle)} has no contrast in frame {template}; "
             "choose a rectangle that shows texture or an outline"
         )
-    template_frame_model = template_from_frame(cut, mask)
-    picture, start = RotatableTemplate(template_frame_model, blocked), np.array([x, y])
-    raw_track = BatchTracker(film, template_frame_model, with_obstacles(None, blocked)).follow(
-        start, template, progress
-    )
-    min_frames = min_frames_if_rotating(film, raw_track, picture, start, template)
+    first_template = template_from_frame(cut, mask)
+    rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
+    raw_track = BatchTracker(film, first_template, with_obstacles(None, blocked)).follow(start, template, progress)
+    min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
     if min_frames is not None:
-        pose_track = track_rotating(film, picture, start, template, min_frames, progress)
+        pose_track = track_rotating(film, rotatable, start, template, min_frames, progress)
         if pose_track is not None:
             return rectangle, template, pose_track.to_raw_track(), TargetModel(pose_track.template, rotates=True)
-    return rectangle, template, raw_track, learn_target_model(film, raw_track, template_frame_model, blocked)
+    return rectangle, template, raw_track, learn_target_model(film, raw_track, first_template, blocked)
 
 
 def _track_known(
@@ -197,13 +195,13 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
     """Why each frame's position cannot be trusted; "" where it can."""
     fit, at = result.fit[rows], result.position[rows]
     out = np.any((at < -0.5) | (at > max_corner + 0.5), axis=1)
-    min_frames = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
+    min_score = MIN_SCORE_SHARE * float(np.nanmedian(fit.score))
     reasons = []
     for outside, converged, score in zip(out, fit.converged, fit.score, strict=True):
         if outside:
             reasons.append(LEAVES)
-        elif not score >= min_frames:
-            reasons.append(f"match score {score:.2f} below {min_frames:.2f}")
+        elif not score >= min_score:
+            reasons.append(f"match score {score:.2f} below {min_score:.2f}")
         else:
             reasons.append("" if converged else NOT_CONVERGED)
     return reasons

@@ -2,6 +2,6 @@
 
 from frictrack.tracking.detection.moving_bodies import find_target
 from frictrack.tracking.detection.reference_patch import find_reference
-from frictrack.tracking.detection.resolve_target import Target, resolve_target
+from frictrack.tracking.detection.target_input import Target, resolve_target
 
 __all__ = ["Target", "find_reference", "find_target", "resolve_target"]
