@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Along:
+class MotionAxis:
     """One axis."""
 
-    word: str  # in a sentence
-    label: str  # of a drawn axis, which says it once more in full
+    name: str  # in a sentence
+    label: str  # of the axis of a figure
     unit: str
 
 
 AXES = {
-    "t": Along("time since release", "time since release t", "s"),
-    "x": Along("place", "displacement x", "m"),
-    "v": Along("speed", "speed |v|", "m/s"),
-    "a": Along("acceleration", "acceleration along the motion", "m/s^2"),
-    "phase": Along("phase", "phase", "cycles"),
+    "t": MotionAxis("time since release", "time since release t", "s"),
+    "x": MotionAxis("place", "displacement x", "m"),
+    "v": MotionAxis("speed", "speed |v|", "m/s"),
+    "a": MotionAxis("acceleration", "acceleration along the motion", "m/s^2"),
+    "phase": MotionAxis("phase", "phase", "cycles"),
 }

@@ -74,7 +74,6 @@ def test_a_missing_number_reads_as_asked():
         (-0.62, 0.03, "rad", f"{MINUS}0.62 ± 0.03 rad"),
         (123.4, 26.0, "Hz", "123 ± 26 Hz"),
         (1.0, 0.0, "1", "1"),
-        (None, None, "N", "not determined"),
         (9.2e-6, 1e-7, "1/m^2", f"(9.20 ± 0.10){THIN}×{THIN}10⁻⁶ 1/m²"),
         (3.0e7, 2.0e5, "N/m", f"(3.00 ± 0.02){THIN}×{THIN}10⁷ N/m"),
     ],

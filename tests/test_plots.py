@@ -191,7 +191,7 @@ def test_same_figure_gives_same_svg():
 
 
 def test_looks_of_eighteen_runs_differ():
-    looks = [(look["color"], look["linestyle"]) for look in style.RUNS]
+    looks = [(look["color"], look["linestyle"]) for look in style.RUN_STYLES]
     assert len(set(looks)) == len(looks) == 18
 
 
@@ -311,7 +311,7 @@ def test_candidates_that_pass_are_filled():
     shown = bars(figure)
     assert [name for name, bar in shown.items() if not bar.get_hatch()] == ["texture"]
     assert shown["texture"].get_width() == pytest.approx(812.0)
-    assert "cannot be\ntold apart" not in drawn(figure)
+    assert "cannot be\ndistinguished" not in drawn(figure)
     assert figure.get_suptitle() == "texture explains most"
     assert figure.axes[0].get_xscale() == "linear"
 
@@ -324,18 +324,18 @@ def test_candidates_far_apart_get_a_logarithmic_axis():
 def test_rivals_are_joined_once():
     found = [candidate("a", 0.001, 90.0, ["b"]), candidate("b", 0.001, 89.0, ["a"]), candidate("c", 0.3, 2.0, ["a"])]
     figure = plots.candidates(diagnosis("ambiguous", found, ["a"]))
-    assert drawn(figure).count("cannot be\ntold apart") == 1
-    assert figure.get_suptitle() == "a explains most, but b cannot be told apart from it"
+    assert drawn(figure).count("cannot be\ndistinguished") == 1
+    assert figure.get_suptitle() == "a explains most, but b cannot be distinguished from it"
 
 
 def test_a_weaker_candidate_does_not_draw_the_best_into_its_group():
     found = [candidate("a", 0.001, 90.0), candidate("b", 0.001, 40.0, ["a"])]
-    assert "cannot be\ntold apart" not in drawn(plots.candidates(diagnosis("missing", found, ["a"])))
+    assert "cannot be\ndistinguished" not in drawn(plots.candidates(diagnosis("missing", found, ["a"])))
 
 
 def test_no_candidate_passes():
     figure = plots.candidates(diagnosis("complete", [candidate("lens", 0.9, -5.0)]))
-    assert figure.get_suptitle() == "No candidate passes: chance explains as much"
+    assert figure.get_suptitle() == "No candidate is significant for the whole search"
 
 
 def test_scan_marks_the_best_setting_over_all_others():
@@ -381,7 +381,7 @@ def test_limits_show_what_depends_on_a_setting():
     [("m/s", "q / (m/s)"), ("N s^2/m^2", "q / (N s²/m²)"), ("µm", "q / µm"), ("1", "q")],
 )
 def test_axis_labels_are_quantity_over_unit(written, label):
-    assert style.axis("q", written) == label
+    assert style.axis_label("q", written) == label
 
 
 @pytest.mark.parametrize(

@@ -271,7 +271,7 @@ def test_every_span_is_marked_in_its_runs_colour(patched):
     runs, solution = patched
     pieces, line = deconvolve_force(solution)
     spans = failing_spans(solution, runs)
-    looks = style.run_looks(runs)
+    looks = style.run_styles(runs)
     found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
     figure = plots.missing_force(residual_figures(pieces, line), spans, looks, found)
     assert figure.get_suptitle() == "The force that the model misses repeats with place"

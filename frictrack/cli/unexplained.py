@@ -20,7 +20,7 @@ def unexplained(out: Console, left: dict[str, Any] | None) -> None:
     """The axis, the formulas, and what to paste into the study file."""
     if not left:
         return
-    said = f"what no effect explains repeats best along {AXES[left['axis']].word}"
+    said = f"what no effect explains repeats best along {AXES[left['axis']].name}"
     out.print(escape(left.get("words") or said))
     for f in left["formulas"]:
         beside = f" beside {', '.join(f['beside'])}" if f.get("beside") else ""

@@ -62,6 +62,6 @@ def _words(first: Mapping[str, Any], added: int, *, decisive: bool) -> str:
     much, than = ("more", "than") if decisive else ("as much", "as")
     count = "one number" if first["unknowns"] == 1 else f"{first['unknowns']} numbers"
     return (
-        f"a force of {AXES[first['axis']].word} alone explains {much} with {count}, the same in all runs, "
+        f"a force of {AXES[first['axis']].name} alone explains {much} with {count}, the same in all runs, "
         f"{than} what was found with {added}: {first['formula']}"
     )

@@ -1,24 +1,27 @@
-"""Records and results -> matplotlib figures. Nothing here computes physics or opens a file.
+"""Draw records and results as matplotlib figures. Nothing here computes physics or opens a file.
 
 plots.motion(run).savefig("v3.pdf")
 """
 
 from frictrack.plots.budget import budget
+from frictrack.plots.campaign import trends
 from frictrack.plots.cutoff import cutoff
 from frictrack.plots.evidence import candidates, has_limits, has_scan, history, limits, passes, scan
 from frictrack.plots.loops import loops
 from frictrack.plots.measured import film, friction, motion
 from frictrack.plots.missing_force import has_missing_force, missing_force
-from frictrack.plots.model import failing, fit, noise_um, routes
+from frictrack.plots.model import failing, fit, modelled_force, noise_um, residual_unit, residuals, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.next_experiments import next_experiments
+from frictrack.plots.plan import pair_separation, remaining_pairs
 from frictrack.plots.profiles import profiles
 from frictrack.plots.style import numbered_name, plain_name, png, svg
-from frictrack.plots.unexplained import in_step, unexplained
+from frictrack.plots.unexplained import correlated_signal, unexplained
 
 __all__ = [
     "budget",
     "candidates",
+    "correlated_signal",
     "cutoff",
     "failing",
     "film",
@@ -28,21 +31,26 @@ __all__ = [
     "has_missing_force",
     "has_scan",
     "history",
-    "in_step",
     "limits",
     "loops",
     "missing_force",
     "modelled",
+    "modelled_force",
     "motion",
     "next_experiments",
     "noise_um",
     "numbered_name",
+    "pair_separation",
     "passes",
     "plain_name",
     "png",
     "profiles",
+    "remaining_pairs",
+    "residual_unit",
+    "residuals",
     "routes",
     "scan",
     "svg",
+    "trends",
     "unexplained",
 ]

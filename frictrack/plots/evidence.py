@@ -1,4 +1,4 @@
-"""What is missing: evidence for each candidate, how the error falls, and what these runs could not have shown."""
+"""Draw the evidence for each candidate effect, the held-out error of each model, and the detection limits."""
 
 from __future__ import annotations
 
@@ -16,40 +16,59 @@ from frictrack.errors import FrictrackError
 from frictrack.number_format import format_change, format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.model import noise_um
-from frictrack.plots.style import axis, blank, plain_name, styled
+from frictrack.plots.style import axis_label, new_figure, plain_name, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults
 
-SIGNIFICANT = 0.005  # half of alpha = 0.01: the share of the candidates (DESIGN section 7)
-SPREAD = 30.0  # ratio of the largest to the smallest evidence from which the axis is logarithmic
-FAR_BELOW = 0.02  # of the smallest error: noise that is less is told in the title alone
-SPREAD_ERRORS = 8.0  # the same for held-out errors
-RESULTS = ("limit", "rise")  # curves of a candidate that are no settings
+MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
+LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
+MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is given in the title only
+LOG_AXIS_RATIO_ERRORS = 8.0  # largest over smallest held-out error, from which the axis is logarithmic
+RESULT_CURVES = ("limit", "rise")  # curves of a candidate; the other curves are its settings
 
 
 def passes(candidate: Mapping[str, Any]) -> bool:
-    """Whether a candidate stands by itself: significant for the whole search, worth its parameters, and plausible."""
-    return bool(candidate["p"] < SIGNIFICANT and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
+    """Whether a candidate is significant for the whole search, improves the BIC, and is plausible.
+
+    Parameters
+    ----------
+    candidate : mapping
+        A candidate of a diagnosis: `p`, `delta_bic` and, where it is not plausible, `implausible`.
+
+    Examples
+    --------
+    >>> passes({"p": 0.001, "delta_bic": 40.0}), passes({"p": 0.2, "delta_bic": 40.0})
+    (True, False)
+
+    """
+    return bool(candidate["p"] < MAX_P and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
 
 
 @styled
 def candidates(diagnosis: Mapping[str, Any]) -> Figure:
-    """Evidence of every candidate as a horizontal bar of delta BIC, best on top.
+    """Draw delta BIC of every candidate as a bar, the best on top.
 
-    Those that pass are filled, the others hatched; those that predict the same data are joined at the right.
+    Bars of candidates that pass are filled, the others hatched. A bracket joins candidates that these runs cannot
+    distinguish.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        A diagnosis with its `candidates`.
+
     """
     found = diagnosis["candidates"]
-    figure = blank(0.45 * max(len(found), 2) + 1.5, _candidates_title(diagnosis))
+    figure = new_figure(0.45 * max(len(found), 2) + 1.5, _candidates_title(diagnosis))
     ax = figure.subplots()
     gains = np.array([max(c["delta_bic"], 0.0) for c in found])
-    logarithmic = _spreads(gains)
+    logarithmic = _needs_log_axis(gains)
     floor = 1.0 if logarithmic else 0.0
     for y, c in enumerate(found):
         good = passes(c)
         look: dict[str, Any] = {"color": style.BLUE} if good else {"fc": "white", "ec": "#777777", "hatch": "////"}
         ax.barh(y, max(c["delta_bic"], floor) - floor, left=floor, height=0.62, **look)
-        told = f" {format_change(c['delta_bic'])}, p = {format_number(c['p'], 1)}"
-        ax.text(max(c["delta_bic"], floor), y, told, va="center", fontsize=9)
+        label = f" {format_change(c['delta_bic'])}, p = {format_number(c['p'], 1)}"
+        ax.text(max(c["delta_bic"], floor), y, label, va="center", fontsize=9)
     if logarithmic:
         ax.set_xscale("log")
     top = float(gains.max()) if len(gains) and gains.max() > 0 else 1.0
@@ -57,7 +76,7 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     ax.set_yticks(range(len(found)), [c["effect"] for c in found])
     ax.set_ylim(len(found) - 0.4, -0.6)
     ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
-    _join(ax, found)
+    _draw_brackets(ax, found)
     handles = [
         Patch(color=style.BLUE, label="passes: significant for the whole search"),
         Patch(fc="white", ec="#777777", hatch="////", label="does not pass"),
@@ -66,9 +85,9 @@ def candidates(diagnosis: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _spreads(gains: Array) -> bool:
+def _needs_log_axis(gains: Array) -> bool:
     positive = gains[gains > 1]
-    return len(positive) > 1 and float(positive.max() / positive.min()) > SPREAD
+    return len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
 
 
 def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
@@ -76,15 +95,15 @@ def _candidates_title(diagnosis: Mapping[str, Any]) -> str:
     if not diagnosis["candidates"]:
         return "No effect of the library could be tried"
     if not good:
-        return "No candidate passes: chance explains as much"
+        return "No candidate is significant for the whole search"
     rivals = diagnosis["candidates"][0].get("indistinguishable_from") or []
     if rivals:
-        return f"{good[0]} explains most, but {' and '.join(rivals)} cannot be told apart from it"
-    return f"{good[0]} explains most" + (f", {len(good) - 1} more pass but less well" if len(good) > 1 else "")
+        return f"{good[0]} explains most, but {' and '.join(rivals)} cannot be distinguished from it"
+    return f"{good[0]} explains most" + (f", {len(good) - 1} more pass with less evidence" if len(good) > 1 else "")
 
 
-def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
-    """A bracket at the right over each group whose members predict the same data."""
+def _draw_brackets(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
+    """Draw a bracket at the right of each group whose members predict the same data."""
     drawn: set[frozenset[int]] = set()
     for c in found:
         group = _peers(found, c)
@@ -97,13 +116,13 @@ def _join(ax: Axes, found: Sequence[Mapping[str, Any]]) -> None:
         for y in group:
             ax.plot([x - 0.012, x], [y, y], transform=across, color="black", lw=1.5)
         ax.text(
-            x - 0.018, (min(group) + max(group)) / 2, "cannot be\ntold apart",
+            x - 0.018, (min(group) + max(group)) / 2, "cannot be\ndistinguished",
             transform=across, ha="right", va="center", fontsize=8.5, style="italic",
         )  # fmt: skip
 
 
 def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozenset[int]:
-    """Places of a passing candidate and of its rivals; a better one counts only where it names this one too."""
+    """Rows of a passing candidate and of its rivals; a better rival counts only if it names this one too."""
     place = found.index(c)
     named = [
         y
@@ -115,18 +134,33 @@ def _peers(found: Sequence[Mapping[str, Any]], c: Mapping[str, Any]) -> frozense
 
 
 def has_scan(curves: Mapping[str, Array]) -> str | None:
-    """The setting along which a candidate's rise can be drawn; None where there is nothing to draw."""
+    """Name of the scanned setting with the most values, over which `scan` draws; None if there is nothing to draw."""
     if "rise" not in curves:
         return None
-    settings = [name for name in curves if name not in RESULTS and len(np.unique(curves[name])) > 4]
+    settings = [name for name in curves if name not in RESULT_CURVES and len(np.unique(curves[name])) > 4]
     return max(settings, key=lambda name: len(np.unique(curves[name])), default=None)
 
 
 @styled
-def scan(effect: str, curves: Mapping[str, Array], width: float = style.WIDTH) -> Figure:
-    """How far chi-squared falls with the effect, against the setting at which it was tried; others at their best.
+def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WIDTH_IN) -> Figure:
+    """Draw how far chi-squared falls with an effect, over the setting that was scanned.
 
-    Raises ValueError for an effect without a setting that was scanned.
+    Other settings have their best values.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    curves : mapping
+        Its settings and the fall of chi-squared, `rise`, all (n,).
+    width : float
+        Width of the figure, inches.
+
+    Raises
+    ------
+    ValueError
+        If no setting of the effect was scanned.
+
     """
     name = has_scan(curves)
     if name is None:
@@ -134,28 +168,28 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.WIDTH) -
     at, rise = envelope(curves[name], curves["rise"], np.maximum)
     best = float(at[np.argmax(rise)])
     written = _unit(effect, name)
-    factor, shown = style.scaled(at, written)
+    factor, shown = style.axis_scale(at, written)
     where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
-    title = f"{effect} stands out at a {_words(name)} near {where}"
-    figure = blank(3.2, title if width == style.WIDTH else f"{_words(name)} near {where}", width)
+    title = f"{effect} stands out at a {_setting_name(name)} near {where}"
+    figure = new_figure(3.2, title if width == style.PAGE_WIDTH_IN else f"{_setting_name(name)} near {where}", width)
     ax = figure.subplots()
     ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
     ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)
     ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILLION, markersize=8)
-    _abscissa(ax, name, shown)
+    _set_x_axis(ax, name, shown)
     ax.set(ylabel="fall of chi-squared", ylim=(0, None))
     return figure
 
 
 def envelope(at: Array, values: Array, best: Any) -> tuple[Array, Array]:
-    """Best value over all other settings at each setting, sorted: (k,), (k,)."""
+    """Sorted distinct values (k,) of `at`, and the largest or smallest (k,) of `values` at each of them."""
     places, which = np.unique(at, return_inverse=True)
     out = np.full(len(places), -np.inf if best is np.maximum else np.inf)
     best.at(out, which, values)
     return places, out
 
 
-def _words(name: str) -> str:
+def _setting_name(name: str) -> str:
     return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
 
 
@@ -166,46 +200,53 @@ def _unit(effect: str, name: str) -> str:
         return ""
 
 
-def _abscissa(ax: Axes, name: str, written: str) -> None:
-    """The axis of a setting: frequencies and periods logarithmic, with 10 and 100 rather than powers of ten."""
+def _set_x_axis(ax: Axes, name: str, written: str) -> None:
+    """Set up the axis of a setting; frequencies and periods are logarithmic, with plain numbers at the ticks."""
     if name in ("frequency", "period"):
         low, high = ax.dataLim.intervalx
         ax.set_xscale("log")
         ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 200 * low else (1,)))
         ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_xlabel(axis(_words(name), written))
+    ax.set_xlabel(axis_label(_setting_name(name), written))
     ax.margins(x=0.01)
 
 
 @styled
 def history(models: Sequence[ModelResults]) -> Figure:
-    """Held-out error of every model in the order tried, with the noise as a line."""
+    """Draw the held-out error of every model in the order in which they were fitted, and the noise.
+
+    Parameters
+    ----------
+    models : sequence of ModelResults
+        All models of the study.
+
+    """
     unit, values, noise = _held_out(models)
-    figure = blank(3.3, _history_title(models, values, noise, unit))
+    figure = new_figure(3.3, _history_title(models, values, noise, unit))
     ax = figure.subplots()
     places = np.arange(len(models))
     ax.plot(places, values, color=style.BLUE, marker="o", markersize=8, lw=1.8)
     for x, y in zip(places, values, strict=True):
         ax.annotate(format_number(y), (x, y), (0, 9), textcoords="offset points", ha="center", fontweight="bold")
-    if noise is not None and noise > FAR_BELOW * float(np.nanmin(values)):
+    if noise is not None and noise > MIN_NOISE_SHOWN * float(np.nanmin(values)):
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2)
         ax.annotate(f"noise {format_number(noise)} {unit}", (1, noise), (-4, 4), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", va="bottom")  # fmt: skip
     ax.set_xticks(places, [_wrapped(plain_name(m.name)) for m in models])
     ax.set_xlim(-0.5, len(models) - 0.5)
-    _falling_axis(ax, values, noise)
-    ax.set_ylabel(axis("held-out error, rms", unit))
+    _set_error_axis(ax, values, noise)
+    ax.set_ylabel(axis_label("held-out error, rms", unit))
     return figure
 
 
-def _falling_axis(ax: Axes, values: Array, noise: float | None) -> None:
-    """From zero, or logarithmic where the error falls so far that its end could not be seen."""
+def _set_error_axis(ax: Axes, values: Array, noise: float | None) -> None:
+    """Start the axis at zero, or make it logarithmic if the last errors could not be seen otherwise."""
     known = values[np.isfinite(values)]
-    if noise is not None and len(known) and noise > FAR_BELOW * float(known.min()):
+    if noise is not None and len(known) and noise > MIN_NOISE_SHOWN * float(known.min()):
         known = np.append(known, noise)
     top = float(known.max(initial=0.0)) or 1.0
-    if len(known) and 0 < float(known.min()) < top / SPREAD_ERRORS:
+    if len(known) and 0 < float(known.min()) < top / LOG_AXIS_RATIO_ERRORS:
         ax.set_yscale("log")
         ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -239,16 +280,16 @@ def _wrapped(name: str) -> str:
 
 
 def has_limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
-    """Effects whose detection limit depends on a setting, so that a curve says more than the table."""
+    """Names of the effects whose detection limit was computed over a setting, so that `limits` can draw it."""
     return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) > 4]
 
 
 def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
-    """The setting on which a limit depends most, its values (n,), and the limit where it is worst otherwise (n,).
+    """Setting with the most values, these values (n,), and the worst detection limit (n,) at each of them.
 
-    Values at which no size could be seen are left out.
+    Values at which no size is detectable are left out.
     """
-    settings = [name for name in curves if name not in RESULTS]
+    settings = [name for name in curves if name not in RESULT_CURVES]
     if not settings:
         return "", np.empty(0), np.empty(0)
     name = max(settings, key=lambda n: len(np.unique(curves[n])))
@@ -259,16 +300,27 @@ def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
 
 @styled
 def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> Figure:
-    """The smallest amplitude that would be found, against the setting on which it depends, one panel per effect.
+    """Draw the detection limit of each effect over the setting on which it depends, one panel per effect.
 
-    Raises ValueError when no limit depends on a setting.
+    Parameters
+    ----------
+    diagnosis : mapping
+        A diagnosis with its `detection_limits`.
+    figures : mapping
+        Curves of the stored diagnosis by effect.
+
+    Raises
+    ------
+    ValueError
+        If no limit depends on a setting.
+
     """
     shown = has_limits(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")
-    columns = style.across(len(shown))
+    columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = blank(2.3 * rows + 0.6, "What would have been found: amplitudes above the line, 95 times in 100")
+    figure = new_figure(2.3 * rows + 0.6, "Detection limits: 95 of 100 repeats detect an amplitude above the line")
     panels = figure.subplots(rows, columns, squeeze=False)
     for ax, effect in zip(np.ravel(panels), shown, strict=False):
         _limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])
@@ -279,8 +331,8 @@ def limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Arra
 
 def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
     name, at, limit = _scan_axis(curves)
-    factor, shown = style.scaled(at, _unit(effect, name))
-    size, size_unit = style.scaled(limit, written)
+    factor, shown = style.axis_scale(at, _unit(effect, name))
+    size, size_unit = style.axis_scale(limit, written)
     ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)
     ax.fill_between(factor * at, size * limit, 1.3 * size * limit.max(), color=style.SKY, alpha=0.25, lw=0)
     ax.set_yscale("log")
@@ -289,5 +341,5 @@ def _limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> 
     if limit.max() / limit.min() < 10:
         ax.set_yscale("linear")
     ax.set_title(effect, fontweight="normal")
-    ax.set_ylabel(axis("amplitude", size_unit))
-    _abscissa(ax, name, shown)
+    ax.set_ylabel(axis_label("amplitude", size_unit))
+    _set_x_axis(ax, name, shown)

@@ -1,4 +1,4 @@
-"""What was measured: the film with its track, the motion with its bands, the friction force."""
+"""Draw what was measured: the film with its track, the motion with its bands, the friction force."""
 
 from __future__ import annotations
 
@@ -12,84 +12,99 @@ from matplotlib.patches import Patch, Polygon
 
 from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, band, blank, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.polygons import polygon
-from frictrack.records import Array, Motion
+from frictrack.records import Array, Motion, stretches
 from frictrack.results import RunResults
 
-MARK, PATH = style.ORANGE, style.SKY
-DWARFED = 4.0  # times the reach of the free section: beyond it, the push is cut off
-MAX_NAMED, NAME_WIDTH = 8, 0.12  # events that are named, and the share of the width that a name takes
-RESTS = 0.02  # of the highest speed: below it a motion has as good as stopped
+TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
+MAX_PUSH_RATIO = 4.0  # range of all accelerations over that of the free section; beyond it the push is not shown
+MAX_NAMED_EVENTS = 8
+NAME_WIDTH = 0.12  # of the panel's width
+REST_SPEED_SHARE = 0.02  # of the highest speed: below it the mass counts as stopped
 
 
 @styled
 def film(run: RunResults, *, wide: bool = True) -> Figure:
-    """The first frame of the film with the target's rectangle and the path of its centre, over the page or half of it.
+    """Draw the first frame of the film with the target's outline and the path of its centre.
 
-    Raises ValueError for a run without a film or without a track.
+    Parameters
+    ----------
+    run : RunResults
+        A run with a film and a track.
+    wide : bool
+        Whether the figure takes the whole width of the page or half of it.
+
+    Raises
+    ------
+    ValueError
+        If the run has no film or no track.
+
     """
     if run.film is None or run.track is None:
         raise ValueError(f'expected a run with a film and a track but "{run.name}" is a table')
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    precision = f", ± {format_number(_typical(track.sigma_px), 2)} px" if wide else ""
+    precision = f", ± {format_number(_median(track.sigma_px), 2)} px" if wide else ""
     title = f"{run.name}: target found in {found} of {frames} frames{precision}"
-    width = style.WIDTH if wide else style.WIDTH / 2
-    figure = blank(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
+    width = style.PAGE_WIDTH_IN if wide else style.PAGE_WIDTH_IN / 2
+    figure = new_figure(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
     ax = figure.subplots()
     low, high = np.percentile(picture, [0.5, 99.5])
     ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
     ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
-    ax.plot(track.x_px, track.y_px, color=PATH, lw=1.8)
+    ax.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.8)
     if track.target is not None:
-        for color, lw, dash in (("black", 3.8, "-"), (MARK, 2.0, "--")):
+        for color, lw, dash in (("black", 3.8, "-"), (TARGET_COLOUR, 2.0, "--")):
             outline = track.outline or polygon(list(track.target))
             ax.add_patch(Polygon(outline, fill=False, ec=color, lw=lw, ls=dash))
-    ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=axis("x", "px"), ylabel=axis("y", "px"))
+    ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
     handles = [
-        Line2D([], [], color=PATH, lw=1.8, label="path of its centre"),
-        Patch(fill=False, ec=MARK, lw=2.0, ls="--", label="target"),
+        Line2D([], [], color=PATH_COLOUR, lw=1.8, label="path of its centre"),
+        Patch(fill=False, ec=TARGET_COLOUR, lw=2.0, ls="--", label="target"),
     ]
     figure.legend(handles=handles, loc="outside lower right", ncols=2)
     return figure
 
 
-def _typical(values: Array) -> float:
+def _median(values: Array) -> float:
     return float(np.nanmedian(values)) if np.any(np.isfinite(values)) else float("nan")
 
 
 @styled
 def motion(run: RunResults) -> Figure:
-    """x, v and a against time with their bands; the free section shaded, the ends the filter smears hatched."""
+    """Draw displacement, velocity and acceleration of a run over time, with bands of two standard deviations.
+
+    The free section is shaded. Ends that the low-pass filter smears are hatched; events are marked and named.
+    """
     m = run.motion
-    figure = blank(6.2, _motion_title(run), width=style.WIDTH / 2)
+    figure = new_figure(6.2, _motion_title(run), width=style.PAGE_WIDTH_IN / 2)
     panels = figure.subplots(3, 1, sharex=True)
-    inside = _inside(m)
+    inside = _unsmeared(m)
     for ax, values, sigma, label in zip(
         panels,
         (m.x, m.v, m.a),
         (m.sigma_x, m.sigma_v, m.sigma_a),
-        (axis("displacement x", "m"), axis("velocity v", "m/s"), axis("acceleration a", "m/s^2")),
+        (axis_label("displacement x", "m"), axis_label("velocity v", "m/s"), axis_label("acceleration a", "m/s^2")),
         strict=True,
     ):
-        _ground(ax, run)
-        band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
-        ax.plot(1e3 * m.t, values, color=style.MEASURED, lw=1.3)
+        _shade_sections(ax, run)
+        draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
+        ax.plot(1e3 * m.t, values, color=style.MEASURED_COLOUR, lw=1.3)
         ax.set_ylabel(label)
-        style.robust(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
-    _close_up(panels[-1], run)
-    _marked(panels, run)
+        style.set_y_limits(ax, (values[inside] - sigma[inside], values[inside] + sigma[inside]))
+    _zoom_to_free_section(panels[-1], run)
+    _mark_events(panels, run)
     figure.align_ylabels(panels)
-    panels[-1].set_xlabel(axis("time t", "ms"))
+    panels[-1].set_xlabel(axis_label("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
-    figure.legend(handles=_ground_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
+    figure.legend(handles=_section_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
     return figure
 
 
-def _marked(panels: Sequence[Axes], run: RunResults) -> None:
-    """A line at everything that happens, its name above the first panel."""
+def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
+    """Mark every event by a line, with its name in the first panel."""
     named: list[tuple[float, str]] = []
     for kind, begins, ends in run.happenings.events:
         at = 1e3 * 0.5 * (begins + ends)
@@ -97,7 +112,7 @@ def _marked(panels: Sequence[Axes], run: RunResults) -> None:
             ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)
         named.append((at, kind))
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
-    for k, (at, kind) in enumerate(named[:MAX_NAMED]):
+    for k, (at, kind) in enumerate(named[:MAX_NAMED_EVENTS]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
         panels[0].annotate(
             kind, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9 - 10 * (crowded and k % 2)),
@@ -113,7 +128,7 @@ def _motion_title(run: RunResults) -> str:
         return f"{run.name} moves to and fro at up to {format_number(float(np.max(np.abs(v))), 2)} m/s"
     start, end = abs(float(v[0])), abs(float(v[-1]))
     change = "slows" if end < start else "speeds up"
-    if min(start, end) < RESTS * max(start, end):
+    if min(start, end) < REST_SPEED_SHARE * max(start, end):
         return (
             f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_extreme_speed(start, end)}"
         )
@@ -124,66 +139,75 @@ def _extreme_speed(start: float, end: float) -> str:
     return f"{format_number(start)} m/s to a stop" if end < start else f"{format_number(end)} m/s"
 
 
-def _close_up(ax: Axes, run: RunResults) -> None:
-    """Show the acceleration of the free section where that of a push would dwarf it."""
+def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
+    """Limit the axis to the acceleration of the free section if that of the push is much larger."""
     if run.friction is None or not np.any(run.friction.free):
         return
-    a = run.motion.a[style.clear(run.friction, run.motion.guard)]
+    a = run.motion.a[style.unsmeared_frames(run.friction, run.motion.guard)]
     low, high = ax.get_ylim()
     room = float(np.ptp(a)) + 0.5 * float(np.max(np.abs(a)))
-    if high - low > DWARFED * room:
+    if high - low > MAX_PUSH_RATIO * room:
         ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
 
 
-def _inside(m: Motion) -> slice:
-    """Frames away from the smeared ends; all of them in a record too short to have any."""
+def _unsmeared(m: Motion) -> slice:
+    """Frames away from the smeared ends; all frames of a very short record."""
     return slice(m.guard, len(m) - m.guard) if len(m) > 2 * m.guard + 2 else slice(None)
 
 
-def _ground(ax: Axes, run: RunResults) -> None:
-    """Free section shaded, smeared ends hatched, behind everything else."""
+def _shade_sections(ax: Axes, run: RunResults) -> None:
+    """Shade the free section and hatch the smeared ends."""
     t, guard = 1e3 * run.motion.t, run.motion.guard
     if run.friction is not None:
-        for s in style.stretches(run.friction):
-            ax.axvspan(t[s.start], t[s.stop - 1], color=style.FREE, lw=0, zorder=0)
+        for s in stretches(run.friction.free):
+            ax.axvspan(t[s.start], t[s.stop - 1], color=style.FREE_COLOUR, lw=0, zorder=0)
     if guard:
         for a, b in ((t[0], t[min(guard, len(t) - 1)]), (t[max(len(t) - 1 - guard, 0)], t[-1])):
             ax.axvspan(a, b, fill=False, hatch="///", lw=0, ec="#AAAAAA", zorder=0.5)
 
 
-def _ground_handles(run: RunResults) -> list[Patch]:
-    handles = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.SIGMAS:g} std")]
+def _section_handles(run: RunResults) -> list[Patch]:
+    handles = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.BAND_SIGMAS:g} std")]
     if run.friction is not None:
-        handles.append(Patch(color=style.FREE, label="free section"))
+        handles.append(Patch(color=style.FREE_COLOUR, label="free section"))
     if run.motion.guard:
-        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="not to be trusted"))
+        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="smeared by the filter"))
     return handles
 
 
 @styled
 def friction(runs: Sequence[RunResults]) -> Figure:
-    """Friction force of all runs on their free sections, against time and against velocity, with bands.
+    """Draw the friction force of all runs on their free sections, against time and against velocity.
 
-    Raises ValueError when no run has a friction force.
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study.
+
+    Raises
+    ------
+    ValueError
+        If no run has a friction force.
+
     """
     able = [run for run in runs if run.friction is not None and np.any(run.friction.free)]
     if not able:
         raise ValueError("expected a run with a friction force but got none; a mass is needed")
-    figure = blank(4.4, _friction_title(able))
+    figure = new_figure(4.4, _friction_title(able))
     left, right = figure.subplots(1, 2, sharey=True)
     everything = []
-    looks = style.run_looks(runs)
+    styles = style.run_styles(runs)
     for run in able:
-        f, look = run.friction, looks[run.name]
+        f, look = run.friction, styles[run.name]
         assert f is not None
-        shown = style.broken(f.F, style.clear(f, run.motion.guard))
+        shown = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
-            band(ax, at, shown, f.sigma_F, color=look["color"], alpha=0.18)
+            draw_band(ax, at, shown, f.sigma_F, color=look["color"], alpha=0.18)
             ax.plot(at, shown, lw=1.0, alpha=0.85, label=run.name, **look)
         everything += [shown - f.sigma_F, shown + f.sigma_F]
-    style.robust(left, everything)
-    left.set(xlabel=axis("time since the free section begins", "ms"), ylabel=axis("friction force F", "N"))
-    right.set_xlabel(axis("velocity v", "m/s"))
+    style.set_y_limits(left, everything)
+    left.set(xlabel=axis_label("time since the free section begins", "ms"), ylabel=axis_label("friction force F", "N"))
+    right.set_xlabel(axis_label("velocity v", "m/s"))
     for ax in (left, right):
         ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
     right.axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
@@ -194,7 +218,7 @@ def friction(runs: Sequence[RunResults]) -> Figure:
 
 
 def _friction_title(runs: Sequence[RunResults]) -> str:
-    rows = [style.clear(run.friction, run.motion.guard) for run in runs if run.friction is not None]
+    rows = [style.unsmeared_frames(run.friction, run.motion.guard) for run in runs if run.friction is not None]
     size = np.concatenate(
         [np.abs(r.friction.F[at]) for r, at in zip(runs, rows, strict=True) if r.friction is not None]
     )

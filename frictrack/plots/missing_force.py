@@ -1,4 +1,4 @@
-"""Where a model fails: the force that it misses, against every axis along which a failure may repeat."""
+"""Draw the force that a model misses, over every axis along which it may repeat."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from matplotlib.patches import Patch
 from frictrack.axes import AXES
 from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, band, blank, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Mask
 
-MAX_GAP_STEPS = 20.0  # usual steps along an axis beyond which a line is broken
-MARK_HEIGHT = 0.03  # of a panel's height between the marks of two runs
-BELOW = 0.05  # of a panel's height, free at its foot
+MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the step is longer
+MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
+FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
 
 
 def has_missing_force(figures: Mapping[str, Mapping[str, Array]]) -> bool:
-    """Whether a diagnosis kept the missing force."""
+    """Whether the stored diagnosis contains the missing force."""
     return "residual_force" in figures
 
 
@@ -31,78 +31,95 @@ def has_missing_force(figures: Mapping[str, Mapping[str, Array]]) -> bool:
 def missing_force(
     figures: Mapping[str, Mapping[str, Array]],
     spans: Sequence[Mapping[str, Any]],
-    looks: Mapping[str, Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
     repeats: Sequence[Mapping[str, Any]] = (),
 ) -> Figure:
-    """The missing force of all runs over time, place, velocity, acceleration and phase, with what they have in common.
+    """Draw the missing force of all runs over time, place, speed, acceleration and phase.
 
-    `looks` are those of the fitted runs, in order; `spans` are marked at the foot of every panel. Bands: 2 standard
-    deviations. Raises KeyError where no such force was kept.
+    A black line shows the part that is common to all runs. Bands are two standard deviations wide on each side.
+
+    Parameters
+    ----------
+    figures : mapping
+        Curves of the stored diagnosis. `residual_force` has one row per sample of all runs: `run` (index), `F` and
+        `sigma_F` in N, and one column per axis; `common_<axis>` has `at`, `F` and `sigma_F`.
+    spans : sequence of mappings
+        Where the model fails; marked at the foot of every panel.
+    styles : mapping
+        Line styles of the fitted runs by name, in order.
+    repeats : sequence of mappings
+        Results of the repeatability tests, the clearest axis first.
+
+    Raises
+    ------
+    KeyError
+        If the diagnosis has no missing force; see `has_missing_force`.
+
     """
     whole = figures["residual_force"]
     shown = [name for name in AXES if name in whole]
-    figure = blank(6.6, _title(repeats))
+    figure = new_figure(6.6, _title(repeats))
     panels = figure.subplots(2, 3)
-    factor, unit = style.scaled(whole["F"], "N")
+    factor, unit = style.axis_scale(whole["F"], "N")
     low, high = _reach(whole)
     shares = {r["axis"]: r for r in repeats}
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        _runs(ax, whole, name, factor, list(looks.values()))
+        _runs(ax, whole, name, factor, list(styles.values()))
         _common(ax, figures.get(f"common_{name}"), factor)
-        _rug(ax, whole, name, spans, looks)
+        _mark_spans(ax, whole, name, spans, styles)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-        foot = (BELOW + MARK_HEIGHT * len(looks)) * (high - low) if spans else 0.0
+        foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
         ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
         ax.set_xlabel(_label(name, whole))
         ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
     for ax in panels[:, 0]:
-        ax.set_ylabel(axis("missing force", unit))
+        ax.set_ylabel(axis_label("missing force", unit))
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
-    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, looks, spans)
+    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
     return figure
 
 
 def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
     if not repeats or not repeats[0]["holds"]:
         return "The force that the model misses"
-    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].word}"
+    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].name}"
 
 
 def _repeat_note(found: Mapping[str, Any] | None) -> str:
-    """What the other runs foretell along this axis."""
+    """How much of a run's misfit the other runs predict over this axis."""
     if found is None:
         return ""
-    return f"other runs foretell {100 * found['share']:.0f} % of the misfit"
+    return f"other runs predict {100 * found['share']:.0f} % of the misfit"
 
 
 def _label(name: str, whole: Mapping[str, Array]) -> str:
-    along = AXES[name]
+    axis = AXES[name]
     if name == "phase" and "frequency" in whole:
-        return f"{along.label} at {format_number(float(whole['frequency'][0]))} Hz / {along.unit}"
-    return axis(along.label, along.unit)
+        return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
+    return axis_label(axis.label, axis.unit)
 
 
 def _reach(whole: Mapping[str, Array]) -> tuple[float, float]:
-    """How far the force goes either way, N; a band wider than the force itself does not set the scale."""
+    """Limits of the force axis, N; a band wider than the force itself does not set them."""
     usual = float(np.median(whole["sigma_F"]))
-    room = style.SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
+    room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
     low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
     margin = 0.05 * max(high - low, 1e-12)
     return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
-def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, looks: Sequence[Mapping[str, Any]]) -> None:
-    """One thin line with its band per run, broken where the axis jumps."""
+def _runs(ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]) -> None:
+    """Draw one thin line with its band per run, with gaps where the axis jumps."""
     for k in np.unique(whole["run"]).astype(int):
         mine = whole["run"] == k
-        along, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
-        steps = np.abs(np.diff(along, prepend=along[0]))
+        x, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+        steps = np.abs(np.diff(x, prepend=x[0]))
         usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
-        force = style.broken(force, steps <= usual)
-        look = looks[k]
-        band(ax, along, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
-        ax.plot(along, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
+        force = style.masked(force, steps <= usual)
+        look = styles[k]
+        draw_band(ax, x, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
 
 
 def _common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
@@ -110,30 +127,30 @@ def _common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
         return
     known = np.isfinite(curve["F"])
     at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
-    band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+    draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
     ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4)
 
 
-def _rug(
+def _mark_spans(
     ax: Axes,
     whole: Mapping[str, Array],
     name: str,
     spans: Sequence[Mapping[str, Any]],
-    looks: Mapping[str, Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """A bar for every span at the foot of the panel, in its run's colour."""
+    """Draw a bar for every span at the foot of the panel, in its run's colour."""
     if name == "phase":
         return
     foot = ax.get_xaxis_transform()
-    names = list(looks)
-    for s in (s for s in spans if s["run"] in looks):
+    names = list(styles)
+    for s in (s for s in spans if s["run"] in styles):
         k = names.index(s["run"])
         inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
         if inside.any():
-            reach, y = whole[name][inside], BELOW / 2 + MARK_HEIGHT * k
+            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
             ends = [float(reach.min()), float(reach.max())]
             ax.plot(
-                ends, [y, y], transform=foot, color=looks[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
+                ends, [y, y], transform=foot, color=styles[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
             )
 
 
@@ -142,10 +159,10 @@ def _within(values: Array, reach: Sequence[float]) -> Mask:
     return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
 
 
-def _legend(figure: Figure, ax: Axes | None, looks: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
-    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in looks.items()]
+def _legend(figure: Figure, ax: Axes | None, styles: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
+    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in styles.items()]
     handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
-    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.SIGMAS:g} std"))
+    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.BAND_SIGMAS:g} std"))
     if spans:
         handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
     if ax is None:

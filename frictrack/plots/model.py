@@ -1,8 +1,8 @@
-"""The model against the measurement: force over force, and what is left over.
+"""Draw the model against the measurement: both forces, and the residual.
 
-Displacement itself is too close by eye: over a slide of half a metre an error of 30 um is a hair's breadth. So
-the force is shown, and the displacement only as measured minus modelled. Where a load cell measured friction,
-what is left over is a force.
+Modelled and measured displacement look the same: an error of 30 um over a slide of half a metre cannot be seen. So
+these figures show the force, and of the displacement only the residual. Where a load cell measured friction, the
+residual is a force.
 """
 
 from __future__ import annotations
@@ -19,19 +19,30 @@ from matplotlib.patches import Patch
 
 from frictrack.number_format import format_number
 from frictrack.plots import style
-from frictrack.plots.style import axis, band, blank, plain_name, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 
-GAP = 1.5  # usual steps of time beyond which a line is broken
-CLOSE = 0.12  # of a panel, within which two labels would touch
-MAX_PANELS = 12  # runs drawn; of more, those that fit worst
-AFTER: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
+MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
+MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
+MAX_PANELS = 12  # runs drawn; of more runs, those that fit worst
+BETTER_MODEL_STYLE: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Measured minus modelled over one segment, with its noise: um of displacement, or N; t in ms, all (n,)."""
+    """Residual of one segment: measured minus modelled displacement in um, or force in N.
+
+    Attributes
+    ----------
+    t : Array
+        (n,) time, ms.
+    values : Array
+        (n,) residual, um or N.
+    sigma : Array
+        (n,) standard deviation of the noise, um or N.
+
+    """
 
     t: Array
     values: Array
@@ -40,28 +51,37 @@ class Residual:
 
 @styled
 def fit(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
-    """Per run, F of the model on the measured F(t), and below it the residual on the noise band."""
+    """Draw per run the modelled and the measured friction force over time, and the residual below.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    runs : sequence of RunResults
+        All runs of the study.
+
+    """
     shown = worst_runs(model, runs)
-    columns = style.across(len(shown))
+    columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = blank(3.3 * rows + 0.7, fit_title(model))
+    figure = new_figure(3.3 * rows + 0.7, fit_title(model))
     panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1.1] * rows)
     by_name = {run.name: run for run in runs}
     for k, name in enumerate(shown):
         above, left = panels[2 * (k // columns) : 2 * (k // columns) + 2, k % columns]
-        _force(above, model, by_name[name])
-        _dots(left, residuals(model, by_name[name]))
+        _draw_force(above, model, by_name[name])
+        _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
         above.sharex(left)
         above.tick_params(labelbottom=False)
     _share_y(panels[1::2])
-    _label_grid(panels, ("friction force F / N", axis("residual", residual_unit(model))), len(shown))
+    _label_grid(panels, ("friction force F / N", axis_label("residual", residual_unit(model))), len(shown))
     figure.align_ylabels(panels[:, 0])
     handles: list[Any] = [
-        Line2D([], [], color=style.MEASURED, lw=1.0, label="measured"),
-        Line2D([], [], color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)), label="model"),
-        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOTS),
-        Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"),
+        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
+        Line2D([], [], color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)), label="model"),
+        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
+        Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
     ]
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
@@ -74,54 +94,64 @@ def failing(
     spans: Sequence[dict[str, Any]],
     better: ModelResults | None = None,
 ) -> Figure:
-    """Residual of every run with the failing spans marked and labelled with their share of the error.
+    """Draw the residual of every run, with the spans where the model fails.
 
-    `better` is a later model, whose residual is drawn behind.
+    Parameters
+    ----------
+    model : ModelResults
+        The model that fails.
+    runs : sequence of RunResults
+        All runs of the study.
+    spans : sequence of dict
+        Where it fails: each has `run`, `t` (start and end, s) and `share_of_error`, which is written on it.
+    better : ModelResults, optional
+        A later model, whose residual is drawn in grey.
+
     """
     by_name = {run.name: run for run in runs}
-    colors = {name: look["color"] for name, look in style.run_looks(runs).items()}
+    colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
     shown = worst_runs(model, runs)
-    columns = style.across(len(shown))
+    columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = blank(2.0 * rows + 0.9, _failing_title(model, runs, spans))
+    figure = new_figure(2.0 * rows + 0.9, _failing_title(model, runs, spans))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for k, name in enumerate(shown):
         ax = panels[k // columns, k % columns]
         if better is not None:
-            _dots(ax, residuals(better, by_name[name]), with_band=False, **AFTER)
-        _dots(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
+            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
+        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
         ax.set_title(_panel_title(model, name), fontweight="normal")
-        _mark(ax, [s for s in spans if s["run"] == name], colors[name])
-    _label_grid(panels, (axis("residual", residual_unit(model)),), len(shown))
-    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOTS)]
+        _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name])
+    _label_grid(panels, (axis_label("residual", residual_unit(model)),), len(shown))
+    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
     if better is not None:
-        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOTS | AFTER)))
-    handles.append(Patch(color=style.NOISE, label=f"noise, ± {style.SIGMAS:g} std"))
+        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
+    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
     if spans:
-        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="fails here; share of the misfit"))
+        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
 
 @styled
 def routes(default: ModelResults, papers: ModelResults, run: RunResults) -> Figure:
-    """Measured force of one run beside the force of both routes: displacement domain and the papers' own."""
-    figure = blank(3.4, f"{run.name}: both routes on the measured force")
+    """Draw the friction force of one run: measured, fitted in the displacement domain, and by the papers' route."""
+    figure = new_figure(3.4, f"{run.name}: measured force and both fits")
     ax = figure.subplots()
-    _measured(ax, run)
+    _draw_measured_force(ax, run)
     for model, look in (
-        (default, {"color": style.MODEL, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
+        (default, {"color": style.MODEL_COLOUR, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
         (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
     ):
         for k, curve in enumerate(c for c in model.curves if c.run == run.name):
-            ax.plot(1e3 * curve.t, force(model, curve), lw=2.0, **(look if k == 0 else look | {"label": None}))
-    ax.set(xlabel=axis("time t", "ms"), ylabel="friction force F / N")
+            ax.plot(1e3 * curve.t, modelled_force(model, curve), lw=2.0, **(look if k == 0 else look | {"label": None}))
+    ax.set(xlabel=axis_label("time t", "ms"), ylabel="friction force F / N")
     figure.legend(loc="outside lower left", ncols=3)
     return figure
 
 
 def fit_title(model: ModelResults) -> str:
-    """The finding in words: residual against noise, and whether that is as good as it can be."""
+    """Title of `fit`: the verdict, and the residual against the noise."""
     errors, noise = model.summary["errors"], noise_um(model)
     name, rms = plain_name(model.name), errors["rms_displacement_um"]
     figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
@@ -134,7 +164,7 @@ def fit_title(model: ModelResults) -> str:
     return f"{name} {word}: {figures}"
 
 
-def _residual_words(model: ModelResults, runs: Sequence[RunResults]) -> str:
+def _residual_title(model: ModelResults, runs: Sequence[RunResults]) -> str:
     most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
     noise = noise_um(model)
     against = "" if noise is None else f"; the noise is {format_number(noise)} µm"
@@ -143,7 +173,7 @@ def _residual_words(model: ModelResults, runs: Sequence[RunResults]) -> str:
 
 def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
     if not spans:
-        return _residual_words(model, runs)
+        return _residual_title(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
     t0, t1 = (format_number(1e3 * t) for t in worst["t"])
     share = f"{100 * worst['share_of_error']:.0f} % of the error"
@@ -151,7 +181,7 @@ def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Seque
 
 
 def noise_um(model: ModelResults) -> float | None:
-    """Noise of the fitted runs together, um; None where no displacement was fitted."""
+    """Standard deviation of the noise of all fitted runs, um; None if no displacement was fitted."""
     if model.diagnosis and model.diagnosis.get("noise_um"):
         return float(model.diagnosis["noise_um"])
     levels = [row.get("noise_um") for row in model.summary["per_run"] if row["role"] == "fit"]
@@ -160,7 +190,7 @@ def noise_um(model: ModelResults) -> float | None:
 
 
 def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
-    """Runs in their order; of more than `MAX_PANELS`, those with the largest residual over its noise."""
+    """Names of the fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise."""
     names = list(dict.fromkeys(curve.run for curve in model.curves))
     if len(names) <= MAX_PANELS:
         return names
@@ -174,12 +204,12 @@ def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
 
 
 def residual_unit(model: ModelResults) -> str:
-    """What the model leaves over: um of displacement, or N where only forces were measured."""
+    """Unit of the model's residual: um of displacement, or N if only forces were measured."""
     return "N" if model.summary["errors"]["rms_displacement_um"] is None else "µm"
 
 
 def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
-    """What the model leaves over of one run, segment by segment."""
+    """Residuals of one run, one per segment of the fit; none if the run was not fitted."""
     curves = [c for c in model.curves if c.run == run.name]
     if residual_unit(model) == "µm":
         return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x) for c in curves]
@@ -189,76 +219,91 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
     return [Residual(1e3 * c.t, np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves]
 
 
-def _dots(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
-    """Residual over its noise band; a picture where the points are too many for a drawing."""
+def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
+    """Draw residuals over their noise band; many points as a bitmap, to keep the file small."""
     many = sum(len(part.t) for part in parts) > 4 * style.MAX_POINTS
     for part in parts:
         if with_band:
-            band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE, zorder=0)
-        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOTS | look
+            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE_COLOUR, zorder=0)
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOT_STYLE | look
         ax.plot(part.t, part.values, **dots)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 
 
-def _force(ax: Axes, model: ModelResults, run: RunResults) -> None:
-    _measured(ax, run)
+def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
+    _draw_measured_force(ax, run)
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(1e3 * c.t, force(model, c), color=style.MODEL, lw=2.0, ls=(0, (4, 1.2)))
+            ax.plot(1e3 * c.t, modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
 
 
-def force(model: ModelResults, curve: Curve) -> Array:
-    """The model's force, NaN in a blow too short to be resolved: its impulse is known, its peak is not."""
-    own = next((told for told in model.motion if told.run == curve.run), None)
+def modelled_force(model: ModelResults, curve: Curve) -> Array:
+    """Friction force of the model on one fitted segment.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    curve : Curve
+        One segment of the fit, n samples.
+
+    Returns
+    -------
+    Array
+        (n,) force, N. It is NaN at gaps in time, and during a blow that is too short to be resolved: only its
+        impulse is known.
+
+    """
+    own = next((motion for motion in model.motion if motion.run == curve.run), None)
     if own is None:
         steps = np.diff(curve.t, prepend=curve.t[0])
-        return style.broken(curve.F_model, steps <= GAP * np.median(steps))
-    return style.broken(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
+        return style.masked(curve.F_model, steps <= MAX_GAP_STEPS * np.median(steps))
+    return style.masked(curve.F_model, ~np.isin(curve.t, own.t[own.blow]))
 
 
-def _measured(ax: Axes, run: RunResults) -> None:
-    """Measured friction force of the free section with its band; what the filter smears is not drawn."""
+def _draw_measured_force(ax: Axes, run: RunResults) -> None:
+    """Draw the measured friction force of the free section with its band, without smeared frames."""
     f = run.friction
     if f is None:
         return
-    F = style.broken(f.F, style.clear(f, run.motion.guard))
-    band(ax, 1e3 * f.t, F, f.sigma_F, color="#BBBBBB", alpha=0.6)
-    ax.plot(1e3 * f.t, F, color=style.MEASURED, lw=1.0, label="measured")
+    F = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
+    draw_band(ax, 1e3 * f.t, F, f.sigma_F, color="#BBBBBB", alpha=0.6)
+    ax.plot(1e3 * f.t, F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
 
 
 def _panel_title(model: ModelResults, name: str) -> str:
     row = next((r for r in model.summary["per_run"] if r["run"] == name), None)
     if row is None or row["errors"].get("rms_displacement_um") is None:
         return name
-    told = ", not fitted" if row["role"] == "validation" else ""
-    return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{told}"
+    remark = ", not fitted" if row["role"] == "validation" else ""
+    return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{remark}"
 
 
-def _mark(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
-    """Every span as a shade in its run's colour, with its share; of neighbours that would overlap, the larger one's."""
+def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
+    """Shade each span and label it with its share; a label that would overlap an earlier one is left out."""
     top = ax.get_xaxis_transform()
     low, high = ax.get_xlim()
-    told: list[float] = []
+    labelled: list[float] = []
     for s in spans:
         a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
         ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
-        if any(abs((a + b) / 2 - t) < CLOSE * (high - low) for t in told):
+        if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue
-        told.append((a + b) / 2)
+        labelled.append((a + b) / 2)
         share = f"{100 * s['share_of_error']:.0f} %"
         label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
         label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
 
 
 def _share_y(panels: Any) -> None:
-    """One scale for all."""
+    """Give all panels the same y axis."""
     reach = [ax.get_ylim() for ax in np.ravel(panels) if ax.has_data()]
     for ax in np.ravel(panels):
         ax.set_ylim(min(low for low, _ in reach), max(high for _, high in reach))
 
 
 def _label_grid(panels: Any, labels: Sequence[str], used: int) -> None:
-    """Labels at the left and below the lowest panel of each column; panels without a run are taken out."""
+    """Label the left and the lowest panels; remove panels without a run."""
     each = len(labels)
     rows, columns = panels.shape[0] // each, panels.shape[1]
     for k in range(rows * columns):
@@ -267,7 +312,7 @@ def _label_grid(panels: Any, labels: Sequence[str], used: int) -> None:
             for ax in cell:
                 ax.set_axis_off()
         elif k + columns >= used:
-            cell[-1].set_xlabel(axis("time t", "ms"))
+            cell[-1].set_xlabel(axis_label("time t", "ms"))
         if k % columns == 0 and k < used:
             for ax, label in zip(cell, labels, strict=True):
                 ax.set_ylabel(label)

@@ -1,4 +1,4 @@
-"""The motion that a fitted model itself tells, on the smoothed one: acceleration and force, each with its band."""
+"""Draw the motion that a fitted model predicts over the smoothed motion: acceleration and friction force."""
 
 from __future__ import annotations
 
@@ -14,31 +14,48 @@ from matplotlib.patches import Patch
 from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.model import worst_runs
-from frictrack.plots.style import axis, band, blank, plain_name, styled
+from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
 from frictrack.records import Array, Mask, Modelled, stretches
 from frictrack.results import ModelResults, RunResults
 
-MAX_PANELS = 6  # runs drawn; of more, those that fit worst
-SMOOTHED: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
-BAND: dict[str, Any] = {"facecolor": style.ORANGE, "edgecolor": style.MODEL, "alpha": 0.4, "hatch": "////"}
-LINE: dict[str, Any] = {"color": style.MODEL, "lw": 1.6, "ls": (0, (4, 1.2))}
+MAX_PANELS = 6  # runs drawn; of more runs, those that fit worst
+SMOOTHED_STYLE: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
+MODEL_BAND_STYLE: dict[str, Any] = {
+    "facecolor": style.ORANGE,
+    "edgecolor": style.MODEL_COLOUR,
+    "alpha": 0.4,
+    "hatch": "////",
+}
+MODEL_STYLE: dict[str, Any] = {"color": style.MODEL_COLOUR, "lw": 1.6, "ls": (0, (4, 1.2))}
 
 
 @styled
 def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
-    """Per run: acceleration, smoothed less modelled acceleration, and friction force, both with their bands.
+    """Draw per run the acceleration, smoothed minus modelled acceleration, and friction force, with their bands.
 
-    Frames of a blow that is too short to be resolved are hatched and left out of the model's lines: its impulse stands
-    there instead. Raises ValueError for a model without a motion of its own.
+    A blow that is too short to be resolved is hatched, without the model's line; its impulse is written there.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model, with its own motion.
+    runs : sequence of RunResults
+        All runs of the study.
+
+    Raises
+    ------
+    ValueError
+        If the model has no motion of its own.
+
     """
     own = {motion.run: motion for motion in model.motion}
     shown = [name for name in worst_runs(model, runs) if name in own][:MAX_PANELS]
     if not shown:
         raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
     by_name = {run.name: run for run in runs}
-    columns = style.across(len(shown))
+    columns = style.panel_columns(len(shown))
     rows = -(-len(shown) // columns)
-    figure = blank(5.4 * rows + 0.8, modelled_title(model))
+    figure = new_figure(5.4 * rows + 0.8, modelled_title(model))
     panels: Any = figure.subplots(3 * rows, columns, squeeze=False, sharex="col" if rows == 1 else False)
     for k in range(rows * columns):
         cell = panels[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
@@ -46,9 +63,9 @@ def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
             for ax in cell:
                 ax.set_axis_off()
             continue
-        _run(cell, own[shown[k]], by_name[shown[k]], _impulses(model, shown[k]))
+        _draw_run(cell, own[shown[k]], by_name[shown[k]], _impulses(model, shown[k]))
         if k % columns == 0:
-            _label(cell)
+            _label_axes(cell)
     figure.align_ylabels(panels[:, 0])
     figure.legend(
         handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
@@ -57,13 +74,13 @@ def modelled(model: ModelResults, runs: Sequence[RunResults]) -> Figure:
 
 
 def modelled_title(model: ModelResults) -> str:
-    """The finding in words: how well the model tells the acceleration, and how well smoothing does."""
+    """Title of `modelled`: standard deviations of the acceleration by the model and by smoothing."""
     rows = [row["motion"] for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
-        return f"{plain_name(model.name)}: its own motion on the smoothed one"
+        return f"{plain_name(model.name)}: its own motion over the smoothed motion"
     own, smooth = (format_number(_rms([row[key] for row in rows]), 2) for key in ("sigma_a", "sigma_a_smoothed"))
     motion = f"{plain_name(model.name)}: std of a {own} m/s²; by smoothing {smooth} m/s²"
-    return f"{motion}; it misses something" if any(row["notes"] for row in rows) else motion
+    return f"{motion}; the model misses something" if any(row["notes"] for row in rows) else motion
 
 
 def _rms(values: Sequence[float | None]) -> float | None:
@@ -71,31 +88,31 @@ def _rms(values: Sequence[float | None]) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
-def _run(cell: Sequence[Axes], motion: Modelled, run: RunResults, impulses: str) -> None:
-    """One run in its three panels."""
+def _draw_run(cell: Sequence[Axes], motion: Modelled, run: RunResults, impulses: str) -> None:
+    """Draw one run in its three panels."""
     a, left, force = cell
     m, rows = run.motion, np.searchsorted(run.motion.t, motion.t - 1e-9)
     t, at = 1e3 * motion.t, 1e3 * m.t[rows]
-    judged = _judged(run, rows)
-    band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED)
-    a.plot(at, m.a[rows], color=style.MEASURED, lw=1.0)
+    unsmeared = _unsmeared(run, rows)
+    draw_band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED_STYLE)
+    a.plot(at, m.a[rows], color=style.MEASURED_COLOUR, lw=1.0)
     _draw_model(a, motion, motion.a, motion.sigma_a)
-    band(left, at, m.a[rows] - motion.a, m.sigma_a[rows], **SMOOTHED)
-    left.plot(at, m.a[rows] - motion.a, color=style.MEASURED, lw=1.0)
+    draw_band(left, at, m.a[rows] - motion.a, m.sigma_a[rows], **SMOOTHED_STYLE)
+    left.plot(at, m.a[rows] - motion.a, color=style.MEASURED_COLOUR, lw=1.0)
     _draw_model(left, motion, np.zeros(len(motion)), motion.sigma_a)
     if run.friction is not None:
         f = run.friction
-        band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED)
-        force.plot(at, f.F[rows], color=style.MEASURED, lw=1.0)
+        draw_band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED_STYLE)
+        force.plot(at, f.F[rows], color=style.MEASURED_COLOUR, lw=1.0)
     _draw_model(force, motion, motion.F, motion.sigma_F)
     for ax, smooth, own, sigma in (
         (a, m.a[rows], motion.a, motion.sigma_a),
         (left, m.a[rows] - motion.a, np.zeros(len(motion)), np.hypot(motion.sigma_a, np.median(m.sigma_a[rows]))),
         (force, motion.F, motion.F, motion.sigma_F),
     ):
-        _limit(ax, smooth[judged & ~motion.blow], (own[~motion.blow], sigma[~motion.blow]))
+        _set_limits(ax, smooth[unsmeared & ~motion.blow], (own[~motion.blow], sigma[~motion.blow]))
     for ax in cell:
-        _hatch(ax, t, motion.blow)
+        _hatch_blows(ax, t, motion.blow)
         ax.set_xlim(t[0], t[-1])
     a.set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
     if impulses and np.any(motion.blow):
@@ -103,18 +120,18 @@ def _run(cell: Sequence[Axes], motion: Modelled, run: RunResults, impulses: str)
         a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
             {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
         )
-    cell[-1].set_xlabel(axis("time t", "ms"))
+    cell[-1].set_xlabel(axis_label("time t", "ms"))
 
 
-def _limit(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
-    """Show the model's band, and of the smoothed line all but what a filter smears of a blow."""
+def _set_limits(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
+    """Limit the axis to the model's band and most of the smoothed line; a smeared blow must not set the scale."""
     middle, sigma = own
     reach = np.quantile(smooth, [0.02, 0.98]), middle - 2 * sigma, middle + 2 * sigma
-    style.robust(ax, reach)
+    style.set_y_limits(ax, reach)
 
 
-def _judged(run: RunResults, rows: Any) -> Mask:
-    """Frames whose smoothed motion is not smeared by the filter; all, where none is."""
+def _unsmeared(run: RunResults, rows: Any) -> Mask:
+    """Frames whose motion the filter does not smear; all frames if it smears every one."""
     inside = np.zeros(len(run.motion), dtype=bool)
     inside[run.motion.guard : len(run.motion) - run.motion.guard] = True
     kept: Mask = inside[rows]
@@ -122,40 +139,40 @@ def _judged(run: RunResults, rows: Any) -> Mask:
 
 
 def _draw_model(ax: Axes, motion: Modelled, values: Array, sigma: Array) -> None:
-    """The model's line with its band, stretch by stretch, open where a blow is not resolved."""
+    """Draw the model's line with its band, segment by segment, with a gap at an unresolved blow."""
     for k in np.unique(motion.segment):
         at = motion.segment == k
-        shown = style.broken(values, ~motion.blow)[at]
-        band(ax, 1e3 * motion.t[at], shown, sigma[at], **BAND, zorder=2.5)
-        ax.plot(1e3 * motion.t[at], shown, zorder=3, **LINE)
+        shown = style.masked(values, ~motion.blow)[at]
+        draw_band(ax, 1e3 * motion.t[at], shown, sigma[at], **MODEL_BAND_STYLE, zorder=2.5)
+        ax.plot(1e3 * motion.t[at], shown, zorder=3, **MODEL_STYLE)
 
 
-def _hatch(ax: Axes, t: Array, blow: Mask) -> None:
+def _hatch_blows(ax: Axes, t: Array, blow: Mask) -> None:
     for s in stretches(blow):
         ax.axvspan(t[s.start], t[s.stop - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
 
 
 def _impulses(model: ModelResults, run: str) -> str:
-    """Impulses of a run's collisions in a few words."""
+    """Impulses of a run's collisions as text."""
     motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
     return ", ".join(
         f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
     )
 
 
-def _label(cell: Sequence[Axes]) -> None:
-    labels = (axis("a", "m/s^2"), axis("a − model", "m/s^2"), axis("friction F", "N"))
+def _label_axes(cell: Sequence[Axes]) -> None:
+    labels = (axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"), axis_label("friction F", "N"))
     for ax, label in zip(cell, labels, strict=True):
         ax.set_ylabel(label)
 
 
 def _handles(blow: bool) -> list[Any]:
     handles: list[Any] = [
-        Line2D([], [], color=style.MEASURED, lw=1.0, label="smoothed"),
-        Patch(label=f"± {style.SIGMAS:g} std", **SMOOTHED),
-        Line2D([], [], label="model", **LINE),
-        Patch(label=f"± {style.SIGMAS:g} std", **BAND),
+        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="smoothed"),
+        Patch(label=f"± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
+        Line2D([], [], label="model", **MODEL_STYLE),
+        Patch(label=f"± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
     ]
     if blow:
-        handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to be resolved"))
+        handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to resolve"))
     return handles

@@ -1,4 +1,4 @@
-"""Experiments that would part what the runs cannot: the evidence to be expected of each."""
+"""Draw the evidence that each proposed experiment is expected to give."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from frictrack.plots import style
-from frictrack.plots.style import blank, styled
+from frictrack.plots.style import new_figure, styled
 
-CLEAR_BIC = 10.0  # expected difference of BIC from which two effects are told apart
-MARKS = ("o", "s", "^", "D", "v", "P")
+MIN_DELTA_BIC = 10.0  # expected difference of BIC from which two effects are distinguished
+MARKERS = ("o", "s", "^", "D", "v", "P")
 MIN_SHOWN_BIC = 2.0  # where the axis begins
 
 
 @styled
 def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
-    """One row per experiment, one mark per effect: how surely it is told from the others if it is the true one."""
-    figure = blank(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
+    """Draw one row per experiment and one marker per effect: the evidence for that effect if it is the true one.
+
+    Parameters
+    ----------
+    steps : sequence of mappings
+        Proposed experiments, best first: `key`, and `expected_if_true`, the expected difference of BIC by effect.
+
+    """
+    figure = new_figure(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
     ax = figure.subplots()
     names = list(dict.fromkeys(name for step in steps for name in step["expected_if_true"]))
     for row, step in enumerate(steps):
@@ -30,11 +37,13 @@ def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
             for r, s in enumerate(steps)
             if name in s["expected_if_true"]
         ]
-        look = style.RUNS[k % len(style.RUNS)]["color"]
+        look = style.RUN_STYLES[k % len(style.RUN_STYLES)]["color"]
         x, y = zip(*points, strict=True)
-        ax.plot(x, y, linestyle="none", marker=MARKS[k % len(MARKS)], color=look, ms=8, label=f"if {name} is true")
-    ax.axvline(CLEAR_BIC, color=style.MEASURED, lw=1.0, linestyle="--")
-    ax.annotate("told apart", (CLEAR_BIC, -0.62), xytext=(4, 0), textcoords="offset points", fontsize=9, va="center")
+        ax.plot(x, y, linestyle="none", marker=MARKERS[k % len(MARKERS)], color=look, ms=8, label=f"if {name} is true")
+    ax.axvline(MIN_DELTA_BIC, color=style.MEASURED_COLOUR, lw=1.0, linestyle="--")
+    ax.annotate(
+        "distinguished", (MIN_DELTA_BIC, -0.62), xytext=(4, 0), textcoords="offset points", fontsize=9, va="center"
+    )
     ax.set_xscale("log")
     ax.set_ylim(len(steps) - 0.5, -0.85)
     ax.set_yticks(range(len(steps)), [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)])

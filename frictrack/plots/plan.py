@@ -1,4 +1,4 @@
-"""A plan of runs: how the pairs that cannot be told apart become fewer, and how far any two effects are apart."""
+"""Draw a plan of runs: pairs of effects that remain indistinguishable, and the evidence between any two effects."""
 
 from __future__ import annotations
 
@@ -11,23 +11,37 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from frictrack.plots import style
-from frictrack.plots.style import blank, styled
+from frictrack.plots.style import new_figure, styled
 
-UNSEEN = -1.0  # of a pair of which one is not seen at all
-STEPS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
-SHADES = ("#e3e5e7", "#8c2d04", "#fe9929", "#d9f0d3", "#7fbf7b", "#1b7837")  # not parted: browns; parted: greens
-WORDS = ("not seen", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
+UNSEEN = -1.0  # value of a pair of which one effect is not detectable
+SEPARATION_LEVELS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
+SEPARATION_COLOURS = (
+    "#e3e5e7",
+    "#8c2d04",
+    "#fe9929",
+    "#d9f0d3",
+    "#7fbf7b",
+    "#1b7837",
+)  # browns: not separated; greens: separated
+SEPARATION_LABELS = ("not detectable", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
 
 
 @styled
-def falling(plan: Mapping[str, Any]) -> Figure:
-    """Pairs left after every run, in the order in which the runs are to be filmed."""
+def remaining_pairs(plan: Mapping[str, Any]) -> Figure:
+    """Draw the number of indistinguishable pairs of effects after each planned run.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of a plan.
+
+    """
     runs, total = plan["runs"], plan["pairs_before"]
-    figure = blank(0.42 * len(runs) + 1.5, _title(plan))
+    figure = new_figure(0.42 * len(runs) + 1.5, _title(plan))
     ax = figure.subplots()
     left = [total, *(run["pairs_left"] for run in runs)]
     names = ["nothing more filmed", *(f"{k}. {run['what']}" for k, run in enumerate(runs, 1))]
-    ax.barh(range(len(left)), left, height=0.62, color=style.SKY, edgecolor=style.MEASURED, lw=0.6)
+    ax.barh(range(len(left)), left, height=0.62, color=style.SKY, edgecolor=style.MEASURED_COLOUR, lw=0.6)
     for i, n in enumerate(left):
         gone = "" if i == 0 else f"   ({left[i - 1] - n} fewer)"
         ax.annotate(f"{n}{gone}", (n, i), xytext=(5, 0), textcoords="offset points", va="center", fontsize=9)
@@ -35,43 +49,54 @@ def falling(plan: Mapping[str, Any]) -> Figure:
     ax.invert_yaxis()
     ax.set_xlim(0, 1.15 * max(total, 1))
     ax.tick_params(axis="y", length=0)
-    ax.set_xlabel("pairs of effects that cannot be told apart")
+    ax.set_xlabel("pairs of effects that cannot be distinguished")
     return figure
 
 
 def _title(plan: Mapping[str, Any]) -> str:
     runs = plan["runs"]
     if not runs:
-        return f"{plan['pairs_before']} of {plan['pairs']} pairs are open, and no run of the menu parts any"
+        return f"{plan['pairs_before']} of {plan['pairs']} pairs are open, and no run of the menu separates any"
     after = runs[-1]["pairs_left"]
-    return f"{len(runs)} runs part {plan['pairs_before'] - after} of {plan['pairs_before']} pairs"
+    return f"{len(runs)} runs separate {plan['pairs_before'] - after} of {plan['pairs_before']} pairs"
 
 
 @styled
-def apart(plan: Mapping[str, Any]) -> Figure:
-    """Expected chi-squared between any two effects with all planned runs."""
+def pair_separation(plan: Mapping[str, Any]) -> Figure:
+    """Draw the expected difference of chi-squared between any two effects with all planned runs.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of a plan.
+
+    """
     names = plan["evidence"]["effects"]
     table = np.array([[np.nan if e is None else e for e in row] for row in plan["evidence"]["table"]])
     hidden = np.isin(names, [one["effect"] for one in plan["unseen"]])
     table[hidden | hidden[:, None]] = UNSEEN
     table[np.triu_indices(len(names))] = np.nan
-    figure = blank(0.29 * len(names) + 2.2, "How far any two effects are apart with these runs", width=9.0)
+    figure = new_figure(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs", width=9.0)
     ax = figure.subplots()
-    picture = ax.imshow(table[1:, :-1], cmap=ListedColormap(list(SHADES)), norm=BoundaryNorm(STEPS, len(SHADES)))
+    picture = ax.imshow(
+        table[1:, :-1],
+        cmap=ListedColormap(list(SEPARATION_COLOURS)),
+        norm=BoundaryNorm(SEPARATION_LEVELS, len(SEPARATION_COLOURS)),
+    )
     ax.set_xticks(range(len(names) - 1), names[:-1], rotation=55, ha="right", rotation_mode="anchor")
     ax.set_yticks(range(len(names) - 1), names[1:])
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    _grid(ax, len(names) - 1)
+    _draw_cell_borders(ax, len(names) - 1)
     bar = figure.colorbar(picture, ax=ax, shrink=0.5, ticks=[], pad=0.02)
     bar.outline.set_visible(False)
-    for k, words in enumerate(WORDS):
-        bar.ax.text(1.4, (k + 0.5) / len(WORDS), words, transform=bar.ax.transAxes, va="center", fontsize=9)
+    for k, words in enumerate(SEPARATION_LABELS):
+        bar.ax.text(1.4, (k + 0.5) / len(SEPARATION_LABELS), words, transform=bar.ax.transAxes, va="center", fontsize=9)
     bar.ax.set_title("expected chi²", fontsize=9, fontweight="normal", loc="left")
     return figure
 
 
-def _grid(ax: Axes, n: int) -> None:
+def _draw_cell_borders(ax: Axes, n: int) -> None:
     """White lines between the cells."""
     ax.set_xticks(np.arange(n + 1) - 0.5, minor=True)
     ax.set_yticks(np.arange(n + 1) - 0.5, minor=True)

@@ -1,4 +1,4 @@
-"""How well every parameter is known: its profile, beside what the standard deviation alone would say."""
+"""Draw the likelihood profile of every parameter, and the parabola that its standard deviation gives."""
 
 from __future__ import annotations
 
@@ -15,22 +15,33 @@ from scipy.stats import norm
 
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
-from frictrack.plots.style import blank, scaled, styled
+from frictrack.plots.style import axis_scale, new_figure, styled
 from frictrack.records import Array
 
-MAX_SHOWN_RISE = 1.7  # of the limit: how high a panel goes
-DRAWN = 200  # points of a curve
-COLUMNS = 4
-WIDE = 30.0  # ratio of the ends of an interval from which the axis is logarithmic
+MAX_SHOWN_RISE = 1.7  # top of a panel over the limit
+N_CURVE_POINTS = 200
+MAX_COLUMNS = 4
+LOG_AXIS_RATIO = 30.0  # upper over lower end of an interval, from which the axis is logarithmic
 
 
 @styled
 def profiles(summary: Mapping[str, Any]) -> Figure:
-    """Rise of chi-squared along each parameter of a fit's JSON, all others fitted again: one small panel each."""
+    """Draw the rise of chi-squared over each parameter while all others are fitted again, one panel per parameter.
+
+    Parameters
+    ----------
+    summary : mapping
+        The JSON of a fit, with its `profiles` and `parameters`.
+
+    References
+    ----------
+    D. M. Bates, D. G. Watts (1988): Nonlinear Regression Analysis and Its Applications, ch. 6, profile t plots.
+
+    """
     found = summary["profiles"]
-    columns = min(COLUMNS, max(len(found), 1))
+    columns = min(MAX_COLUMNS, max(len(found), 1))
     rows = -(-len(found) // columns)
-    figure = blank(2.3 * rows + 0.8, _title(found))
+    figure = new_figure(2.3 * rows + 0.8, _title(found))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax, (name, profile) in zip(panels.flat, found.items(), strict=False):
         _panel(ax, name, profile, summary["parameters"].get(name, {}))
@@ -40,13 +51,13 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
         ax.set_ylabel("rise of chi²")
     handles: list[Any] = [
         Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),
-        Line2D([], [], color=style.MODEL, lw=1.2, ls=(0, (4, 1.5)), label="as the standard deviation has it"),
+        Line2D([], [], color=style.MODEL_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="parabola of the standard deviation"),
         Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
-        Patch(color=style.NOISE, label=f"{100 * _level(found):.0f} % interval"),
+        Patch(color=style.NOISE_COLOUR, label=f"{100 * _level(found):.0f} % interval"),
     ]
     if summary.get("misfit"):
-        label = "† with what the rejected model misses"
-        handles.append(Line2D([], [], color=style.MEASURED, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
+        label = "† standard deviation with the misfit"
+        handles.append(Line2D([], [], color=style.MEASURED_COLOUR, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
     figure.legend(handles=handles, loc="outside lower left", ncols=4)
     return figure
 
@@ -65,20 +76,23 @@ def _title(found: Mapping[str, Any]) -> str:
 def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
     limit = float(norm.ppf(0.5 + profile["level"] / 2)) ** 2
     values, rise = np.array(profile["values"]), np.array(profile["rise"])
-    factor, unit = scaled(values, profile["unit"])
+    factor, unit = axis_scale(values, profile["unit"])
     low, high = _reach(values, rise, profile, limit)
     ends = [end if profile[key] is None else profile[key] for key, end in (("low", low), ("high", high))]
-    ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE, lw=0, zorder=0)
-    for key, colour, dashes in (("std", style.MODEL, (4, 1.5)), ("std_misfit", style.MEASURED, (4, 1, 1, 1))):
+    ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE_COLOUR, lw=0, zorder=0)
+    for key, colour, dashes in (
+        ("std", style.MODEL_COLOUR, (4, 1.5)),
+        ("std_misfit", style.MEASURED_COLOUR, (4, 1, 1, 1)),
+    ):
         if quoted.get(key):
-            along = np.linspace(low, high, DRAWN)
-            curve = ((along - profile["value"]) / quoted[key]) ** 2
-            ax.plot(factor * along, curve, color=colour, lw=1.2, ls=(0, dashes))
-    along, curve = _smooth(values, rise, profile["value"])
-    ax.plot(factor * along, curve, color=style.BLUE, lw=1.5)
-    ax.plot(factor * values, rise, color=style.BLUE, **(style.DOTS | {"markersize": 5.0}))
+            x = np.linspace(low, high, N_CURVE_POINTS)
+            curve = ((x - profile["value"]) / quoted[key]) ** 2
+            ax.plot(factor * x, curve, color=colour, lw=1.2, ls=(0, dashes))
+    x, curve = _smooth(values, rise, profile["value"])
+    ax.plot(factor * x, curve, color=style.BLUE, lw=1.5)
+    ax.plot(factor * values, rise, color=style.BLUE, **(style.DOT_STYLE | {"markersize": 5.0}))
     ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
-    if ends[0] > 0 and ends[1] > WIDE * ends[0]:
+    if ends[0] > 0 and ends[1] > LOG_AXIS_RATIO * ends[0]:
         low, high = 0.8 * ends[0], 1.25 * ends[1]
         ax.set_xscale("log")
     else:
@@ -90,24 +104,24 @@ def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str,
 
 
 def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:
-    """What a panel shows: the interval and a little more; an open side as far as it was followed."""
-    seen = values[rise < 4 * limit]
-    low = seen.min() if profile["low"] is None else profile["low"]
-    high = seen.max() if profile["high"] is None else profile["high"]
+    """Ends of a panel: those of the interval and a margin; on an open side the last computed value."""
+    shown = values[rise < 4 * limit]
+    low = shown.min() if profile["low"] is None else profile["low"]
+    high = shown.max() if profile["high"] is None else profile["high"]
     room = 0.16 * ((high - low) or abs(high) or 1.0)
     return float(low - room), float(high + room)
 
 
 def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
-    """A curve through the points: the signed root of the rise is nearly a line."""
+    """Interpolate the points by their signed root, which is nearly a line."""
     if len(values) < 3:
         return values, rise
     root = np.sign(values - best) * np.sqrt(rise)
-    wide = values[0] > 0 and values[-1] > WIDE * values[0]
-    at = np.log(values) if wide else values
-    along = np.unique(np.concatenate([np.linspace(at[0], at[-1], DRAWN), at]))
-    curve = np.asarray(PchipInterpolator(at, root)(along)) ** 2
-    return (np.exp(along) if wide else along), curve
+    logarithmic = values[0] > 0 and values[-1] > LOG_AXIS_RATIO * values[0]
+    at = np.log(values) if logarithmic else values
+    x = np.unique(np.concatenate([np.linspace(at[0], at[-1], N_CURVE_POINTS), at]))
+    curve = np.asarray(PchipInterpolator(at, root)(x)) ** 2
+    return (np.exp(x) if logarithmic else x), curve
 
 
 def _interval(profile: Mapping[str, Any], factor: float) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 from markupsafe import Markup
 
+from frictrack import plots
 from frictrack.files import replace_text
 from frictrack.number_format import format_number, format_quantity
-from frictrack.plots.campaign import series
 from frictrack.report.page import SvgEmbedder
 from frictrack.report.tables import Cell, TextTable, code, table
 from frictrack.report.templates import now, template
@@ -24,7 +24,7 @@ ORDER = ("complete", "undetermined", "missing", "ambiguous", "unexplained")
 def write(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str], path: Path) -> Path:
     """Write the page of a batch to `path`, whole or not at all, and return the path.
 
-    `result` is the JSON of `batch`, `trends` what `plots.campaign.series` draws, `links` tells where a study's report
+    `result` is the JSON of `batch`, `trends` what `plots.trends` draws, `links` tells where a study's report
     is. Raises `FrictrackError` when the folder cannot be written.
     """
     return replace_text(path, render(result, trends, links))
@@ -41,7 +41,7 @@ def render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links
         says=_sentences(result),
         trends=_trends(trends),
         changing=sum(bool(one["holds"]) for one in trends),
-        series=SvgEmbedder()(series(clearest)) if clearest else Markup(""),
+        series=SvgEmbedder()(plots.trends(clearest)) if clearest else Markup(""),
         left_out=len(trends) - len(clearest),
         verdicts=_verdicts(result),
         lacking=_lacking(result),

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.axes import AXES
 from frictrack.number_format import format_change, format_number
-from frictrack.plots.style import run_looks
+from frictrack.plots.style import run_styles
 from frictrack.report.tables import TextTable, spans, table
 from frictrack.results import ModelResults, Results
 
@@ -36,9 +36,9 @@ def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Mark
     better = results.current if results.current is not model else None
     found, repeated = diagnosis.get("fails_at", []), diagnosis.get("repeats", [])
     fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
-    looks = {name: look for name, look in run_looks(results.runs).items() if name in fitted}
+    styles = {name: look for name, look in run_styles(results.runs).items() if name in fitted}
     pictured = (
-        plots.missing_force(model.figures, found, looks, repeated) if plots.has_missing_force(model.figures) else None
+        plots.missing_force(model.figures, found, styles, repeated) if plots.has_missing_force(model.figures) else None
     )
     return Failure(
         headline=headline,
@@ -59,14 +59,14 @@ def _fit(diagnosis: Mapping[str, Any]) -> str:
     often = "in none of 999 draws" if p <= 0.001 else f"in {format_number(100 * p, 2)} % of all draws"
     return (
         f"What the model leaves is {format_number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
-        f"{format_number(chi2, 3)}); noise alone looks as bad {often}."
+        f"{format_number(chi2, 3)}); noise alone styles as bad {often}."
     )
 
 
 def _repeats(found: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
-            AXES[r["axis"]].word + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            AXES[r["axis"]].name + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
             f"{100 * r['share']:.0f} %",
             f"{r['runs']} of {r['of']}",
             format_change(r["evidence"]),

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from frictrack import plots
 from frictrack.files import replace_text
 from frictrack.number_format import format_size
-from frictrack.plots.plan import apart, falling
 from frictrack.report.markup import mark_code
 from frictrack.report.page import SvgEmbedder
 from frictrack.report.tables import TextTable, code, table
@@ -31,8 +31,8 @@ def render(plan: Mapping[str, Any]) -> str:
         plan=plan,
         headline=headline(plan),
         written=now(),
-        falling=draw(falling(plan)),
-        apart=draw(apart(plan)),
+        remaining=draw(plots.remaining_pairs(plan)),
+        separation=draw(plots.pair_separation(plan)),
         runs=_runs(plan["runs"]),
         left=_left(plan["left"]),
         unseen=_unseen(plan["unseen"]),

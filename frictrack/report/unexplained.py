@@ -23,7 +23,7 @@ def first_evidence(
     for place, one in enumerate(diagnosis.get("evidence") or []):
         curve = figures.get(f"evidence_{place}")
         words = one["words"][:1].upper() + one["words"][1:]
-        out.append({"words": words, "picture": draw(plots.in_step(one, curve)) if curve else None})
+        out.append({"words": words, "picture": draw(plots.correlated_signal(one, curve)) if curve else None})
     return out
 
 

@@ -302,7 +302,7 @@ def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[
     elif not any(passes(c) for c in diagnosis["candidates"]):
         yield Markup("No effect of the library passes.")
     if left:
-        yield Markup("What is left repeats best along {}.").format(AXES[left["axis"]].word)
+        yield Markup("What is left repeats best along {}.").format(AXES[left["axis"]].name)
 
 
 _VERDICT_SENTENCES = {

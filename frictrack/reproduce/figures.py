@@ -33,7 +33,7 @@ def _room(ax: Axes) -> None:
 @style.styled
 def traces(title: str, panels: Mapping[str, tuple[Series, Sequence[Curve]]]) -> Figure:
     """Acceleration over time: the papers' chain in grey, laws upon it; one panel per recording, side by side."""
-    figure = style.blank(3.3, title)
+    figure = style.new_figure(3.3, title)
     for ax, (name, (series, curves)) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
     ):
@@ -48,10 +48,10 @@ def traces(title: str, panels: Mapping[str, tuple[Series, Sequence[Curve]]]) -> 
 @style.styled
 def motions(title: str, recordings: Mapping[str, Sequence[Recording]]) -> Figure:
     """True velocity and acceleration of recordings over time, one column per group."""
-    figure = style.blank(4.6, title)
+    figure = style.new_figure(4.6, title)
     axes = figure.subplots(2, len(recordings), squeeze=False, sharex="col")
     for column, (name, group) in zip(axes.T, recordings.items(), strict=True):
-        for recording, look in zip(group, style.RUNS, strict=False):
+        for recording, look in zip(group, style.RUN_STYLES, strict=False):
             t = 1e3 * recording.truth.t
             column[0].plot(t, recording.truth.v, label=recording.run.name, **look)
             column[1].plot(t, recording.truth.a, **look)
@@ -64,11 +64,11 @@ def motions(title: str, recordings: Mapping[str, Sequence[Recording]]) -> Figure
 @style.styled
 def forces(title: str, panels: Mapping[str, tuple[Series, Sequence[tuple[str, Array, Array]]]]) -> Figure:
     """Friction over speed: measured points, and laws as (label, v, F)."""
-    figure = style.blank(3.3, title)
+    figure = style.new_figure(3.3, title)
     for ax, (name, (series, curves)) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
     ):
-        ax.plot(series.v, series.force, label="measured", **(style.DOTS | {"color": "#999999"}))
+        ax.plot(series.v, series.force, label="measured", **(style.DOT_STYLE | {"color": "#999999"}))
         for (label, v, F), look in zip(curves, LOOKS, strict=False):
             ax.plot(v, F, label=label, **look)
         ax.set(title=name, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
@@ -79,7 +79,7 @@ def forces(title: str, panels: Mapping[str, tuple[Series, Sequence[tuple[str, Ar
 @style.styled
 def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Sequence[float]]) -> Figure:
     """Errors on a logarithmic axis, side by side: one cluster per group, one bar per method."""
-    figure = style.blank(3.6, title)
+    figure = style.new_figure(3.6, title)
     ax = figure.subplots()
     width = 0.8 / len(series)
     fills = (style.VERMILLION, "#FFFFFF", style.SKY, "#BBBBBB", style.BLUE, "#FFFFFF")
@@ -107,7 +107,7 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
 @style.styled
 def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
     """Fig. 17: the test function with its maximum."""
-    figure = style.blank(2.9, "Fig. 17  Test function, Eq. 8")
+    figure = style.new_figure(2.9, "Fig. 17  Test function, Eq. 8")
     ax = figure.subplots()
     ax.plot(x, y, color=style.BLUE, linewidth=1.2)
     ax.plot(*place, "o", color=style.VERMILLION, markersize=6)
@@ -119,10 +119,10 @@ def humps(x: Array, y: Array, place: tuple[float, float]) -> Figure:
 @style.styled
 def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figure:
     """Figs. 18 and 19: generation of the last improvement, run by run, with our mean and the printed one."""
-    figure = style.blank(3.0, "Figs. 18, 19  Generation of the last improvement")
+    figure = style.new_figure(3.0, "Figs. 18, 19  Generation of the last improvement")
     axes = figure.subplots(1, len(runs), sharey=True)
     for ax, (name, last) in zip(axes, runs.items(), strict=True):
-        ax.plot(np.arange(1, len(last) + 1), last, **(style.DOTS | {"color": style.BLUE, "markersize": 4}))
+        ax.plot(np.arange(1, len(last) + 1), last, **(style.DOT_STYLE | {"color": style.BLUE, "markersize": 4}))
         ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
         ax.axhline(printed[name], color=style.VERMILLION, linestyle=(0, (5, 1.5)), label=f"printed {printed[name]:g}")
         ax.set(title=name, xlabel="seed")
@@ -134,7 +134,7 @@ def generations(runs: Mapping[str, Array], printed: Mapping[str, float]) -> Figu
 @style.styled
 def lengths(curves: Mapping[str, Array]) -> Figure:
     """Code length over the generations, Eq. 7 as read and as printed."""
-    figure = style.blank(2.7, "Eq. 7  Code length", width=6.0)
+    figure = style.new_figure(2.7, "Eq. 7  Code length", width=6.0)
     ax = figure.subplots()
     for (name, bits), look in zip(curves.items(), LOOKS, strict=False):
         ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)
@@ -146,9 +146,9 @@ def lengths(curves: Mapping[str, Array]) -> Figure:
 @style.styled
 def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
     """How far above the lowest known error the runs of every setting end: cumulative shares."""
-    figure = style.blank(3.2, title, width=7.5)
+    figure = style.new_figure(3.2, title, width=7.5)
     ax = figure.subplots()
-    for (name, ratio), look in zip(finals.items(), style.RUNS, strict=False):
+    for (name, ratio), look in zip(finals.items(), style.RUN_STYLES, strict=False):
         steps = np.sort(ratio)
         dash = DASHES[list(finals).index(name) % len(DASHES)]
         ax.step(

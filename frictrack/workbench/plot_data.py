@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from frictrack import plots
-from frictrack.plots.model import force, residual_unit, residuals
-from frictrack.plots.style import BLUE, GREEN, ORANGE, PURPLE, RUNS, SIGMAS, SKY, VERMILLION
+from frictrack.plots import modelled_force, residual_unit, residuals
+from frictrack.plots.style import BAND_SIGMAS, BLUE, GREEN, ORANGE, PURPLE, RUN_STYLES, SKY, VERMILLION
 from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -79,8 +79,8 @@ def span(begin: float, end: float, colour: str, label: str = "", **more: Any) ->
 
 def _add_band(columns: dict[str, Array], name: str, middle: Array, sigma: Array) -> dict[str, Any]:
     """Columns of a band around a curve, and its layer."""
-    columns[f"{name}_low"], columns[f"{name}_high"] = middle - SIGMAS * sigma, middle + SIGMAS * sigma
-    return band(f"{name}_low", f"{name}_high", label=f"± {SIGMAS:g} std")
+    columns[f"{name}_low"], columns[f"{name}_high"] = middle - BAND_SIGMAS * sigma, middle + BAND_SIGMAS * sigma
+    return band(f"{name}_low", f"{name}_high", label=f"± {BAND_SIGMAS:g} std")
 
 
 # --- the tabs
@@ -192,7 +192,7 @@ def compared(results: Results, model: ModelResults, ghost: ModelResults | None =
     behind = [dots("ghost", "#bbbbbb", label=_called(ghost))] if ghost is not None else []
     noise = band("noise_low", "noise_high", label="noise")
     looks = [
-        _run(run, int(firsts[i]), len(run.motion), RUNS[i % len(RUNS)]["color"], frame=first_frame(run))
+        _run(run, int(firsts[i]), len(run.motion), RUN_STYLES[i % len(RUN_STYLES)]["color"], frame=first_frame(run))
         for i, run in enumerate(runs)
     ]
     order = {look["name"]: (i, look["colour"]) for i, look in enumerate(looks)}
@@ -241,7 +241,7 @@ def _rows(run: RunResults, model: ModelResults, ghost: ModelResults | None) -> d
     rows["F"] = np.full(len(m), np.nan) if f is None else np.where(f.free, f.F, np.nan)
     rows["left"], rows["F_model"], noise = _model_curves(run, model)
     rows["ghost"], rows["F_ghost"], _ = _model_curves(run, ghost)
-    rows["noise_low"], rows["noise_high"] = -SIGMAS * noise, SIGMAS * noise
+    rows["noise_low"], rows["noise_high"] = -BAND_SIGMAS * noise, BAND_SIGMAS * noise
     return rows
 
 
@@ -253,7 +253,7 @@ def _model_curves(run: RunResults, model: ModelResults | None) -> tuple[Array, A
         left[at], noise[at] = part.values, part.sigma
     for curve in model.curves if model else ():
         if model and curve.run == run.name:
-            modelled[_at(run.motion.t, curve.t)] = force(model, curve)
+            modelled[_at(run.motion.t, curve.t)] = modelled_force(model, curve)
     return left, modelled, noise
 
 

@@ -37,14 +37,14 @@ def explain_by_axes(solution: Solution) -> list[Explanation]:
             except FrictrackError:  # a curve under which no motion can be integrated
                 continue
             gain = max(solution.objective - made.objective, 0.0)
-            found.append(Explanation(AXES[smooth.axis.name].word, made, gain, made))
+            found.append(Explanation(AXES[smooth.axis.name].name, made, gain, made))
     return sorted(found, key=lambda e: -e.gain)
 
 
 def _explained(solution: Solution, smooth: SmoothForce, loose: float) -> Solution:
     """The law with any curve over one axis, from where the smooth one stands."""
     knots = np.linspace(smooth.at[0], smooth.at[-1], N_HATS)
-    effect = _curve(AXES[smooth.axis.name].word, smooth.axis, knots, loose)
+    effect = _curve(AXES[smooth.axis.name].name, smooth.axis, knots, loose)
     old = solution.problem.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     there = dict(zip(old.names, solution.p, strict=True))

@@ -76,6 +76,6 @@ def describe_axes(axes: Sequence[AxisRepeatability]) -> str:
     words = f"The failure repeats {where}{how_often}: {why}."
     like = [a.axis for a in _near(axes) if a is not best]
     if like:
-        names = " or ".join(AXES[name].word for name in like)
+        names = " or ".join(AXES[name].name for name in like)
         words += f" These runs hardly tell this from the same {names}; another speed would."
     return words

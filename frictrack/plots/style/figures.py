@@ -1,0 +1,78 @@
+"""Create figures and write them as SVG or PNG, without changing the settings of matplotlib or using pyplot."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from functools import wraps
+from threading import RLock
+from typing import ParamSpec
+
+import matplotlib as mpl
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from frictrack.plots.style.colours import RC_PARAMS
+
+PAGE_WIDTH_IN = 10.0  # inches: a figure over the whole page
+P = ParamSpec("P")
+_RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figure:
+    """Create an empty figure, its title at the left; height and width in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
+
+
+def svg(figure: Figure) -> str:
+    """Convert a figure to SVG that can be put into an HTML page.
+
+    Returns
+    -------
+    str
+        One `<svg>` element without header and metadata, coordinates rounded to 0.01 pt. The same figure gives the
+        same text.
+
+    """
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        buffer = io.StringIO()
+        figure.set_dpi(200)
+        canvas, engine = FigureCanvasSVG(figure), figure.get_layout_engine()
+        if engine is not None:  # laid out once here; `savefig` would draw the whole figure once more for that
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
+
+
+def png(figure: Figure, dpi: float = 110) -> bytes:
+    """Convert a figure to the content of a PNG file.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    dpi : float
+        Dots per inch.
+
+    """
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
