@@ -20,13 +20,13 @@ from frictrack.cli import show
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import (
-    Contest,
     Explanation,
+    ModelDiscrimination,
+    candidate_experiments,
     make_explanation,
-    menu,
-    next_experiment,
     plan_for_candidates,
     plan_for_unexplained,
+    propose_experiments,
     rate_runs,
 )
 from frictrack.diagnose.experiments.advice_text import describe_separation
@@ -67,23 +67,23 @@ def explanations(runs, *names):
     return [make_explanation(n, s, bare) for n, s in grown.items()]
 
 
-def take(film, law, scatter, *, seed=9):
+def take(design, law, scatter, *, seed=9):
     """The planned run as the truth would have it: same start, mass, tilt, rate and zoom, its own noise and level."""
     rng = np.random.default_rng(seed)
-    fps, mass = FPS * film.rate, MASS * film.mass
+    fps, mass = FPS * design.rate, MASS * design.mass
     t = np.arange(int(0.4 * fps)) / fps
     own = {k: dict(q) for k, q in law.items()}
     for q in own.values():
         if "phase" in q and "period" not in q:
             q["phase"] = rng.uniform(-np.pi, np.pi)
-    load = film.mass * np.cos(film.tilt) * (1 + scatter * rng.standard_normal())
-    held = Conditions(mass, load, film.mass, PITCH * film.pitch, film.tilt)
-    slide = simulate(models.of(own), own, held, t, film.start)
-    gone = (np.sign(film.start[1]) * slide.v < 0.02) | (slide.x < film.course[0]) | (slide.x > film.course[1])
+    load = design.mass * np.cos(design.tilt) * (1 + scatter * rng.standard_normal())
+    held = Conditions(mass, load, design.mass, PITCH * design.pitch, design.tilt)
+    slide = simulate(models.of(own), own, held, t, design.start)
+    gone = (np.sign(design.start[1]) * slide.v < 0.02) | (slide.x < design.course[0]) | (slide.x > design.course[1])
     n = int(np.argmax(gone)) or len(t)
     y, kept = (slide.x + slide.shift)[:n], t[:n]
-    known = {"mass": mass, "name": "new", "pitch": PITCH * film.pitch, "incline": film.tilt}
-    return measured(kept, y, sigma=SIGMA * film.pitch, rng=rng, **known)
+    known = {"mass": mass, "name": "new", "pitch": PITCH * design.pitch, "incline": design.tilt}
+    return measured(kept, y, sigma=SIGMA * design.pitch, rng=rng, **known)
 
 
 # truth, its values, the rival that these runs cannot tell from it, speeds
@@ -104,11 +104,13 @@ def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pai
     truth, rival, law, runs, among = pair
     _, before = explained(runs, truth, rival)
     assert abs(information_criterion(before[rival]) - information_criterion(before[truth])) < 25  # nobody could tell
-    offers = sorted((o for o in rate_runs(among) if o.parted()), key=lambda o: -o.least())
+    offers = sorted((o for o in rate_runs(among) if o.separated_pairs()), key=lambda o: -o.min_evidence())
     best = offers[0]
-    film = next(e.film for e in menu(among[0].solution) if e.key == best.key)
-    _, after = explained([*runs, take(film, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
-    observed = information_criterion(after[rival]) - information_criterion(after[truth])
+    design = next(e.design for e in candidate_experiments(among[0].solution) if e.key == best.key)
+    _, expected_delta_bic_after = explained([*runs, take(design, law, SCATTER if len(runs) > 3 else 0.0)], truth, rival)
+    observed = information_criterion(expected_delta_bic_after[rival]) - information_criterion(
+        expected_delta_bic_after[truth]
+    )
     expected = best.evidence[truth, rival]
     assert observed > 10
     spread = 4 * np.sqrt(expected)  # of a chi-squared of that non-centrality, two standard deviations
@@ -119,21 +121,21 @@ def test_a_repeat_of_the_same_run_promises_what_one_more_run_adds_and_no_more():
     values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
     runs = runs_with("vibration", values, (4.2, 4.6, 5.0, 5.5), duration=0.06)
     shake, vibration = explanations(runs, "camera_shake", "vibration")
-    for duel in (Contest(shake, vibration), Contest(vibration, shake)):
-        repeat = next(e.film for e in menu(shake.solution) if e.key == "repeat")
-        assert abs(duel.now) < 1
-        assert abs(duel.after(repeat)) < 1  # both have a phase of its own for it
-        heavy = next(e.film for e in menu(shake.solution) if e.key == "double mass")
+    for discrimination in (ModelDiscrimination(shake, vibration), ModelDiscrimination(vibration, shake)):
+        repeat = next(e.design for e in candidate_experiments(shake.solution) if e.key == "repeat")
+        assert abs(discrimination.expected_delta_bic_now) < 1
+        assert abs(discrimination.expected_delta_bic_after(repeat)) < 1  # both have a phase of its own for it
+        heavy = next(e.design for e in candidate_experiments(shake.solution) if e.key == "double mass")
         # a tie of the amplitudes is all that tells them apart: a rival with one per run pays for four more
         frames = sum(len(p.t) for p in shake.solution.problem.pieces)
-        assert 10 < duel.after(heavy) < 4 * np.log(2 * frames)
+        assert 10 < discrimination.expected_delta_bic_after(heavy) < 4 * np.log(2 * frames)
 
 
 def test_the_planned_run_is_the_one_that_the_law_makes():
     runs = runs_with("drag", {"c": 0.05}, (4.0, 4.2, 4.4))
     bare = fit(LAW, runs).solution
-    film = RunDesign((0.0, 3.0), (0.0, 0.3), mass=2.0)
-    piece = simulate_run(bare, film)
+    design = RunDesign((0.0, 3.0), (0.0, 0.3), mass=2.0)
+    piece = simulate_run(bare, design)
     f_c, f_v = (bare.p[bare.problem.layout.index(*a)] for a in (("coulomb", "F_c"), ("viscous", "F_v")))
     m, load = 2 * MASS, 2 * f_c  # m v' = -2 F_c - F_v v, by hand
     v = (3.0 + load / f_v) * np.exp(-f_v * piece.t / m) - load / f_v
@@ -141,7 +143,7 @@ def test_the_planned_run_is_the_one_that_the_law_makes():
     assert np.max(np.abs(piece.y - x)) < 1e-9
     assert piece.y[-1] <= 0.3
     assert v.min() > 0
-    tilted = simulate_run(bare, replace(film, mass=1.0, tilt=np.deg2rad(5.0)))
+    tilted = simulate_run(bare, replace(design, mass=1.0, tilt=np.deg2rad(5.0)))
     a = np.gradient(np.gradient(tilted.y, tilted.t), tilted.t)[5]
     lean = GRAVITY * np.sin(np.deg2rad(5.0)) + (f_c * np.cos(np.deg2rad(5.0)) + f_v * 3.0) / MASS
     assert a == pytest.approx(-lean, rel=0.01)
@@ -149,12 +151,12 @@ def test_the_planned_run_is_the_one_that_the_law_makes():
 
 def test_the_menu_keeps_within_what_the_set_up_has_shown():
     runs = runs_with("drag", {"c": 0.05}, (3.0, 6.0))
-    entries = {e.key: e for e in menu(fit(LAW, runs).solution)}
-    assert entries["slower"].film.start[1] == pytest.approx(1.5, rel=0.01)
-    assert entries["faster"].film.start[1] == 8.0  # not nine
-    assert entries["reversed"].film.start[1] < 0
+    entries = {e.key: e for e in candidate_experiments(fit(LAW, runs).solution)}
+    assert entries["slower"].design.start[1] == pytest.approx(1.5, rel=0.01)
+    assert entries["faster"].design.start[1] == 8.0  # not nine
+    assert entries["reversed"].design.start[1] < 0
     assert "no run has had so far" in entries["reversed"].words
-    assert entries["to a stop"].film.start[1] ** 2 / 2 / 24.0 < 0.6  # it stops on the course: (8 + 1.2 v)/m and more
+    assert entries["to a stop"].design.start[1] ** 2 / 2 / 24.0 < 0.6  # it stops on the course: (8 + 1.2 v)/m and more
     assert {"half mass", "double mass", "tilt +1", "tilt -1", "frame rate", "zoom", "longer"} <= entries.keys()
 
 
@@ -166,7 +168,7 @@ def test_a_level_tells_a_slope_by_its_own_accuracy():
     signal = (value / (MASS * GRAVITY * LEVEL_STD_RAD)) ** 2
     assert found["level"][0] == pytest.approx(signal)
     assert found["level"][1] == pytest.approx(slope.gain * signal / (slope.gain + signal))
-    told = next_experiment([slope, asymmetry])
+    told = propose_experiments([slope, asymmetry])
     assert told[0]["key"] == "level"
     assert "level" in told[0]["what"]
 
@@ -185,12 +187,12 @@ def test_a_pair_that_no_run_parts_is_told_what_else_does():
     bare, grown = explained(runs, "slope", "spring")
     assert plan_for_candidates(bare, [], ()) == []  # nothing passes, nothing to part
     one = Explanation("spring", grown["spring"], 0.0, grown["spring"])
-    told = next_experiment([one, replace(one, effect="spring")])
+    told = propose_experiments([one, replace(one, effect="spring")])
     assert [(step["kind"], step["separates"], step["expected_delta_bic"]) for step in told] == [("none", [], 0.0)]
     pair = [make_explanation(n, s, bare) for n, s in grown.items()]
-    told = next_experiment(pair)  # in one direction neither has brought anything: a cable pulls like a slope
+    told = propose_experiments(pair)  # in one direction neither has brought anything: a cable pulls like a slope
     assert told[-1]["kind"] == "none"
-    assert told[-1]["what"].startswith("No run of this menu parts slope and spring")
+    assert told[-1]["what"].startswith("No candidate run separates slope and spring")
     assert "lay a level on the course, and take the cable off" in told[-1]["what"]
 
 
@@ -255,7 +257,7 @@ STEPS = [
         "key": "half mass",
     },
     {
-        "what": "No run of this menu parts slope and spring; lay a level on the course",
+        "what": "No candidate run separates slope and spring; lay a level on the course",
         "separates": [],
         "expected_delta_bic": 0.0,
         "expected_if_true": {},
@@ -273,7 +275,7 @@ def test_terminal_and_report_say_the_same():
     said = out.getvalue()
     assert "1. Film a run with half the mass: why" in said
     assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said
-    assert "2. No run of this menu parts slope and spring" in said
+    assert "2. No candidate run separates slope and spring" in said
     assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}
     rows = next_experiments.experiment_table(next_experiments.separating_experiments(found)).rows

@@ -26,9 +26,9 @@ from frictrack.fit import fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
-from frictrack.plan import Stand, choose, menu, of_fit, summary, usual
-from frictrack.plan.experiment_setup import BRAKING, NOISE
-from frictrack.plan.traces import film_all
+from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default_setup, fitted_setup, summarise_plan
+from frictrack.plan.experiment_setup import COULOMB_DECELERATION, DEFAULT_NOISE_PX
+from frictrack.plan.traces import simulate_runs
 from frictrack.results import plain
 from frictrack.simulate.slide import Conditions, simulate
 
@@ -37,30 +37,32 @@ LAW = ["coulomb", "stribeck", "viscous"]
 
 
 @pytest.fixture(scope="module")
-def chosen():
-    return choose(usual(MASS, FPS, PITCH))
+def run_plan():
+    return choose_runs(default_setup(MASS, FPS, PITCH))
 
 
 @pytest.fixture(scope="module")
-def told(chosen):
-    return json.loads(json.dumps(plain(summary(chosen)), allow_nan=False))
+def told(run_plan):
+    return json.loads(json.dumps(plain(summarise_plan(run_plan)), allow_nan=False))
 
 
-def test_the_usual_set_up_is_stated_and_is_what_is_simulated(chosen, told):
-    stand = chosen.stand
-    assert stand.noise == NOISE * PITCH
-    assert stand.values["coulomb"]["F_c"] == MASS * BRAKING
+def test_the_usual_set_up_is_stated_and_is_what_is_simulated(run_plan, told):
+    setup = run_plan.setup
+    assert setup.noise == DEFAULT_NOISE_PX * PITCH
+    assert setup.values["coulomb"]["F_c"] == MASS * COULOMB_DECELERATION
     assert any("0.02 px (10 µm)" in line for line in told["assumed"])
     assert any("5 m/s²" in line for line in told["assumed"])
-    fast = next(r for r in chosen.tables.runs if r.entry.key == "8 m/s")
+    fast = next(r for r in run_plan.tables.runs if r.experiment.key == "8 m/s")
     t, x = fast.piece.t, fast.response.motion.x_edge[fast.piece.at]
     a = -(x[2] - 2 * x[1] + x[0]) / (t[1] - t[0]) ** 2
-    assert a == pytest.approx(BRAKING + 0.1 * BRAKING * 8.0, rel=1e-3)  # F_c and F_v v over m; Stribeck is gone
+    assert a == pytest.approx(
+        COULOMB_DECELERATION + 0.1 * COULOMB_DECELERATION * 8.0, rel=1e-3
+    )  # F_c and F_v v over m; Stribeck is gone
 
 
-def test_every_run_brings_pairs_apart_until_nothing_more_helps(chosen, told):
+def test_every_run_brings_pairs_apart_until_nothing_more_helps(run_plan, told):
     left = [told["pairs_before"], *(run["pairs_left"] for run in told["runs"])]
-    assert left[0] == told["pairs"] == len(chosen.tables.names) * (len(chosen.tables.names) - 1) // 2
+    assert left[0] == told["pairs"] == len(run_plan.tables.names) * (len(run_plan.tables.names) - 1) // 2
     assert all(b <= a for a, b in pairwise(left))
     assert sum(run["adds"] for run in told["runs"]) >= left[0] - left[-1]
     assert len(told["runs"]) <= 8
@@ -68,26 +70,26 @@ def test_every_run_brings_pairs_apart_until_nothing_more_helps(chosen, told):
     assert any(run["mass"] != MASS for run in told["runs"])  # a vibration against a shake of the camera
 
 
-def test_more_runs_never_tell_less(chosen):
-    few = chosen.tables.evidence([0, 5], reference=False)
-    more = chosen.tables.evidence([0, 5, 9], reference=False)
+def test_more_runs_never_tell_less(run_plan):
+    few = run_plan.tables.evidence([0, 5], reference=False)
+    more = run_plan.tables.evidence([0, 5, 9], reference=False)
     assert np.all(more[:, -1] >= few[:, -1] - 1e-6)
 
 
-def test_a_mark_at_rest_rules_the_camera_out(chosen):
-    k = chosen.tables.names.index("camera_shake")
-    v = chosen.tables.names.index("vibration")
-    without = chosen.tables.evidence([2], reference=False)
-    with_it = chosen.tables.evidence([2], reference=True)
+def test_a_mark_at_rest_rules_the_camera_out(run_plan):
+    k = run_plan.tables.names.index("camera_shake")
+    v = run_plan.tables.names.index("vibration")
+    without = run_plan.tables.evidence([2], reference=False)
+    with_it = run_plan.tables.evidence([2], reference=True)
     assert without[v, k] < 10 < with_it[v, k]
-    assert with_it[k, v] >= without[k, v] + chosen.tables.shown[2, k] * 0.999
+    assert with_it[k, v] >= without[k, v] + run_plan.tables.raw_chi2[2, k] * 0.999
 
 
 def test_a_slope_and_a_direction_stay_together_and_a_level_settles_it(told):
     left = {frozenset(one["effects"]): one for one in told["left"]}
     alike = left[frozenset({"asymmetry", "slope"})]
     assert alike["expected_chi2"] < 1e-3
-    assert alike["why"] == "every run of the menu is moved in the same way by both"
+    assert alike["why"] == "both change every candidate run in the same way"
     assert "level" in alike["settle"]
 
 
@@ -99,48 +101,50 @@ def test_memory_is_not_seen_in_runs_that_only_slide_one_way(told):
     assert "drive_error" in told["not_planned"]
 
 
-def film_planned(chosen, name, factor=1.0, seed=4):
+def film_planned(run_plan, name, factor=1.0, seed=4):
     """Every planned run simulated with one effect at its planned size, seen with noise, levels scattering."""
-    rng, stand = np.random.default_rng(seed), chosen.stand
-    k = chosen.tables.names.index(name)
-    cause, size = chosen.tables.causes[k], chosen.tables.sizes[k] * factor
-    law = {n: dict(q) for n, q in stand.values.items()}
+    rng, setup = np.random.default_rng(seed), run_plan.setup
+    k = run_plan.tables.names.index(name)
+    cause, size = run_plan.tables.causes[k], run_plan.tables.sizes[k] * factor
+    law = {n: dict(q) for n, q in setup.values.items()}
     own = dict(cause.setting) | {p.name: 0.0 for p in cause.effect.linear}
     first = next(p.name for p in cause.effect.parameters if p.linear or p.role == "depth")
     made = []
-    for i, run in enumerate(chosen.runs):
-        film = run.entry.film
+    for i, run in enumerate(run_plan.runs):
+        design = run.experiment.design
         law[name] = (
             own
             | {first: size}
             | {p.name: rng.uniform(-3, 3) for p in cause.effect.parameters if p.role == "phase" and p.per_run}
         )
-        held = Conditions(MASS * film.mass, film.mass * (1 + stand.scatter * rng.standard_normal()), film.mass, PITCH)
+        held = Conditions(
+            MASS * design.mass, design.mass * (1 + setup.scatter * rng.standard_normal()), design.mass, PITCH
+        )
         t = run.piece.t
-        slide = simulate(models.of(law), law, held, t, film.start)
-        moving = int(np.argmin(np.sign(film.start[1]) * slide.v > 0.02)) or len(t)
+        slide = simulate(models.of(law), law, held, t, design.start)
+        moving = int(np.argmin(np.sign(design.start[1]) * slide.v > 0.02)) or len(t)
         x = (slide.x + slide.shift)[:moving]
-        made.append(measured(t[:moving], x, sigma=stand.noise, mass=held.mass, name=f"p{i}", rng=rng))
+        made.append(measured(t[:moving], x, sigma=setup.noise, mass=held.mass, name=f"p{i}", rng=rng))
     return made
 
 
 @pytest.mark.parametrize(
     ("name", "rival"), [("vibration", "camera_shake"), ("spring", "drift"), ("texture", "vibration")]
 )
-def test_films_of_the_planned_runs_keep_what_the_plan_promised(chosen, name, rival):
-    a, b = (chosen.tables.names.index(n) for n in (name, rival))
-    assert chosen.evidence[a, b] > 10
-    bare = fit(LAW, film_planned(chosen, name)).solution
+def test_films_of_the_planned_runs_keep_what_the_plan_promised(run_plan, name, rival):
+    a, b = (run_plan.tables.names.index(n) for n in (name, rival))
+    assert run_plan.evidence[a, b] > 10
+    bare = fit(LAW, film_planned(run_plan, name)).solution
     true, other = (refine_to_end(add_effect(bare, effects.get(n))) for n in (name, rival))
     assert information_criterion(other) - information_criterion(true) > 10
     assert information_criterion(bare) - information_criterion(true) > 10
 
 
-def test_the_detection_limit_is_where_the_effect_begins_to_show(chosen, told):
+def test_the_detection_limit_is_where_the_effect_begins_to_show(run_plan, told):
     limit = told["detection_limits"]["texture"]
     assert limit["unit"] == "N"
     for factor, shows in ((3 * limit["share"], True), (0.1 * limit["share"], False)):
-        bare = fit(LAW, film_planned(chosen, "texture", factor)).solution
+        bare = fit(LAW, film_planned(run_plan, "texture", factor)).solution
         rise = bare.objective - refine_to_end(add_effect(bare, effects.get("texture"))).objective
         assert (rise > 40) is shows
 
@@ -148,25 +152,25 @@ def test_the_detection_limit_is_where_the_effect_begins_to_show(chosen, told):
 def test_runs_that_were_filmed_count_and_their_law_is_assumed():
     law = {n: BASE[n] for n in ("coulomb", "viscous")}
     runs, _ = study(models.of(law), law, specs=(Spec(3.0, 1, 0.1), Spec(5.0, 1, 0.1)), sigma=2e-5)
-    stand = of_fit(fit(list(law), runs))
-    assert stand.values["coulomb"]["F_c"] == pytest.approx(8.0, rel=0.01)
-    assert stand.noise == pytest.approx(2e-5, rel=0.1)
-    assert [e.key for e in stand.done] == ["run r0", "run r1"]
-    assert stand.done[0].film.start[1] == pytest.approx(3.0, rel=0.01)
-    filmed = film_all(stand, list(stand.done))
+    setup = fitted_setup(fit(list(law), runs))
+    assert setup.values["coulomb"]["F_c"] == pytest.approx(8.0, rel=0.01)
+    assert setup.noise == pytest.approx(2e-5, rel=0.1)
+    assert [e.key for e in setup.completed] == ["run r0", "run r1"]
+    assert setup.completed[0].design.start[1] == pytest.approx(3.0, rel=0.01)
+    run = simulate_runs(setup, list(setup.completed))
     seen = fit(list(law), runs).solution.responses
-    for planned, real in zip(filmed, seen, strict=True):  # the run as it was, up to the frames that were fitted
+    for planned, real in zip(run, seen, strict=True):  # the run as it was, up to the frames that were fitted
         n = min(len(real.piece.t), len(planned.piece.t)) - 20
         gone = real.model_y[:n] - real.model_y[0]
         assert np.max(np.abs(planned.piece.y[:n] - planned.piece.y[0] - gone)) < 1e-3
-    assert len(menu(stand)) > 10
+    assert len(candidate_runs(setup)) > 10
 
 
 def test_a_course_too_short_for_any_run_is_said():
-    short = usual(MASS, 100.0, 1e-6)
-    with pytest.raises(FrictrackError, match="expected a course on which the mass can slide"):
-        choose(short)
-    assert isinstance(short, Stand)
+    short = default_setup(MASS, 100.0, 1e-6)
+    with pytest.raises(FrictrackError, match="expected a course long enough for a run"):
+        choose_runs(short)
+    assert isinstance(short, ExperimentSetup)
 
 
 @pytest.fixture

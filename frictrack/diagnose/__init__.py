@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from frictrack.diagnose.detection_limits import noncentrality
+from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.search import diagnose
 from frictrack.diagnose.verdict import Candidate, Diagnosis
 
-__all__ = ["Candidate", "Diagnosis", "diagnose"]
+__all__ = ["ALPHA", "MIN_CHI2_SEPARATED", "Candidate", "Diagnosis", "diagnose", "noncentrality"]

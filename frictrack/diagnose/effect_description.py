@@ -285,8 +285,8 @@ def _late(fitted: FittedEffect) -> str:
 
 
 def _turned(fitted: FittedEffect) -> str:
-    along_track, above = fitted.value("along"), fitted.value("across")
-    return f"the followed point would lie {_length(along_track)} along and {_length(above)} above the centre of mass"
+    behind, above = fitted.value("along"), fitted.value("across")
+    return f"the followed point would lie {_length(behind)} along and {_length(above)} above the centre of mass"
 
 
 def _driven(fitted: FittedEffect) -> str:

@@ -23,14 +23,14 @@ def plan(study: Study, progress: Progress = silent) -> dict[str, Any]:
     """
     from frictrack.report import plan_page  # noqa: PLC0415 - loads matplotlib
 
-    stand = _fitted(study, progress) if study.runs else _bare(study)
-    chosen = planning.choose(stand, progress)
-    told = plain({**planning.summary(chosen), "name": study.name})
+    setup = _fitted(study, progress) if study.runs else _bare(study)
+    run_plan = planning.choose_runs(setup, progress)
+    told = plain({**planning.summarise_plan(run_plan), "name": study.name})
     page = plan_page.write(told, study.output / "plan.html")
     return {**told, "page": str(page), "output": str(study.output)}
 
 
-def _bare(study: Study) -> planning.Stand:
+def _bare(study: Study) -> planning.ExperimentSetup:
     """The set-up of a study of which nothing was filmed: mass and camera, the rest assumed."""
     faults = []
     if study.mass is None:
@@ -49,13 +49,13 @@ def _bare(study: Study) -> planning.Stand:
             "expected a scale that can be told before filming but got one that needs a picture; give about what it "
             'will be, scale = "0.5 mm/px"'
         )
-    return planning.usual(study.mass[0], study.fps, pitch)
+    return planning.default_setup(study.mass[0], study.fps, pitch)
 
 
-def _fitted(study: Study, progress: Progress) -> planning.Stand:
+def _fitted(study: Study, progress: Progress) -> planning.ExperimentSetup:
     session = Session(study, progress)
     session.bring_up_to("friction")
     fitted = session.tried.fit(session.tried.current()[0])
     if not isinstance(fitted, Fit):
         raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")
-    return planning.of_fit(fitted)
+    return planning.fitted_setup(fitted)

@@ -1,16 +1,30 @@
-"""Before any film is taken: which runs make the library tell its effects apart, at this camera's noise.
+"""Plan runs before filming: choose those that let the library's effects be told apart at this camera's noise.
 
-    stand = plan.usual(mass=0.35, fps=4000, pitch=5e-4)
-    plan.summary(plan.choose(stand))["runs"]
+    setup = plan.default_setup(mass=0.35, fps=4000, pitch=5e-4)
+    plan.summarise_plan(plan.choose_runs(setup))["runs"]
 
-Every run of a menu is simulated under the law that is assumed. Every effect of the library is put on it at a stated
-size, and every other effect in its best form is fitted to what it leaves. Runs are then chosen one after the other so
-that the pairs that cannot be told apart become fewest.
+Every candidate run is simulated with the assumed friction law. Each effect of the library is added at a planned size,
+and every other effect is fitted to it over its whole scan (linearised). The expected chi-squared that the best fit
+leaves is the criterion of T-optimal designs. Runs are chosen greedily so that the fewest pairs stay inseparable.
+
+References
+----------
+Hunter & Reiner (1965), Technometrics 7, 307-323.
+Atkinson & Fedorov (1975), Biometrika 62, 57-70.
+
 """
 
-from frictrack.plan.experiment_setup import Entry, Stand, film, menu, usual
-from frictrack.plan.plan_summary import summary
-from frictrack.plan.selection import PARTED, Chosen, choose
-from frictrack.plan.setup_from_fit import of_fit
+from frictrack.plan.experiment_setup import ExperimentSetup, candidate_runs, default_setup
+from frictrack.plan.plan_summary import summarise_plan
+from frictrack.plan.selection import RunPlan, choose_runs
+from frictrack.plan.setup_from_fit import fitted_setup
 
-__all__ = ["PARTED", "Chosen", "Entry", "Stand", "choose", "film", "menu", "of_fit", "summary", "usual"]
+__all__ = [
+    "ExperimentSetup",
+    "RunPlan",
+    "candidate_runs",
+    "choose_runs",
+    "default_setup",
+    "fitted_setup",
+    "summarise_plan",
+]

@@ -1,4 +1,4 @@
-"""The effects that a plan tries to tell apart: each at a stated size and a usual setting, and its rivals' forms."""
+"""List the effects that a plan separates, each with its typical setting and the grid on which it is fitted."""
 
 from __future__ import annotations
 
@@ -12,65 +12,91 @@ from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
 
-SHARE = 0.05  # of the friction force (rms), of the momentum of a blow
-FRAMES = 1.0  # frames lost
-PICTURE = 1.0  # times the noise of a frame (rms), of a fault of the picture
-MOST_FORMS = 150  # of one effect
-HIGHEST = 250.0  # Hz, up to which lines are looked for
-MOMENTS = 24  # of a run, at which an event may come
-NEEDED = {
+FORCE_SHARE = 0.05  # of the friction force (rms), of the momentum of a blow
+LOST_FRAMES = 1.0  # frames lost
+MEASUREMENT_NOISE_RATIO = 1.0  # times the noise of a frame (rms), of a fault of the picture
+MAX_GRID_POINTS = 150  # of one effect
+MAX_FREQUENCY_HZ = 250.0  # Hz, up to which lines are looked for
+N_EVENT_TIMES = 24  # of a run, at which an event may come
+REASON_BY_NEED = {
     "drive": "needs a measured drive",
-    "lift": "needs a mass that is seen to move up and down",
-    "angle": "needs a target that is seen to turn",
-    "clamp_x": "needs the place of the clamp",
+    "lift": "needs the vertical motion of the mass",
+    "angle": "needs the rotation of the target",
+    "clamp_x": "needs the position of the clamp",
 }
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One effect as a plan has it: where it stands if it is true, and all forms (G) in which it may explain another."""
+    """One effect in a plan.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    setting
+        Its non-linear parameters if it is the true cause.
+    grid
+        The settings (G) at which it is fitted as a rival.
+
+    """
 
     effect: Effect
     setting: dict[str, float]
-    forms: tuple[dict[str, float], ...]
+    grid: tuple[dict[str, float], ...]
 
     @property
-    def event(self) -> bool:
-        """Whether it comes at a moment of its own in every run."""
+    def is_event(self) -> bool:
+        """Whether it happens at a time of its own in every run."""
         return any(p.per_run and p.scan is not None for p in self.effect.nonlinear)
 
 
-def library(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
-    """Causes that a plan looks at beside a law, and those it does not, with the reason."""
-    there = {e.kind for e in law.effects}
+def list_causes(law: Model, span: Span) -> tuple[list[Cause], dict[str, str]]:
+    """List the effects that a plan examines beside a friction law.
+
+    Parameters
+    ----------
+    law
+        The assumed friction law.
+    span
+        Duration, course, speeds and frame rate of the candidate runs.
+
+    Returns
+    -------
+    causes : list of Cause
+    excluded : dict of str
+        Effects that are left out, with the reason.
+
+    """
+    present = {e.kind for e in law.effects}
     taken = frozenset[str]().union(*(e.replaces for e in law.effects))
-    causes, out = [], {}
+    causes, excluded = [], {}
     for effect in effects.LIBRARY.values():
-        if effect.name in there or effect.kind in taken or effect.replaces:
+        if effect.name in present or effect.kind in taken or effect.replaces:
             continue
-        if effect.modifies and not there & effect.modifies:
-            out[effect.name] = f"reshapes {' or '.join(sorted(effect.modifies))}, which the law lacks"
-        elif lacking := [NEEDED[need] for need in effect.needs if need != "pixel_pitch"]:
-            out[effect.name] = lacking[0]
+        if effect.modifies and not present & effect.modifies:
+            excluded[effect.name] = f"modifies {' or '.join(sorted(effect.modifies))}, which the model does not contain"
+        elif lacking := [REASON_BY_NEED[need] for need in effect.needs if need != "pixel_pitch"]:
+            excluded[effect.name] = lacking[0]
         else:
-            causes.append(Cause(effect, _setting(effect, span), _forms(effect, span)))
-    return causes, out
+            causes.append(Cause(effect, _typical_setting(effect, span), _grid(effect, span)))
+    return causes, excluded
 
 
-def _setting(effect: Effect, span: Span) -> dict[str, float]:
-    """Where an effect stands: the middle of a place or moment, the geometric middle of a size."""
-    out = {}
+def _typical_setting(effect: Effect, span: Span) -> dict[str, float]:
+    """Typical setting: the middle of a range, the geometric middle of a positive one."""
+    excluded = {}
     for p in effect.nonlinear:
         if p.role == "phase":
-            out[p.name] = 0.0
+            excluded[p.name] = 0.0
         elif p.role == "depth":
-            out[p.name] = 1.0
+            excluded[p.name] = 1.0
         elif p.scan is None or not p.free:
-            out[p.name] = p.fixed if p.fixed is not None else _middle(*p.bounds, signed=p.signed)
+            excluded[p.name] = p.fixed if p.fixed is not None else _middle(*p.bounds, signed=p.signed)
         else:
-            grid = _axis(p.name, p.scan(span), span)
-            out[p.name] = _middle(float(grid.min()), float(grid.max()), signed=p.signed)
-    return out
+            grid = _scan_values(p.name, p.scan(span), span)
+            excluded[p.name] = _middle(float(grid.min()), float(grid.max()), signed=p.signed)
+    return excluded
 
 
 def _middle(low: float, high: float, *, signed: bool) -> float:
@@ -79,28 +105,28 @@ def _middle(low: float, high: float, *, signed: bool) -> float:
     return float(np.sqrt(low * high)) if low > 0 and not signed else 0.5 * (low + high)
 
 
-def _axis(name: str, grid: Array, span: Span) -> Array:
-    """One axis of a scan, the part of a line's frequencies left out that no such film shows well."""
+def _scan_values(name: str, grid: Array, span: Span) -> Array:
+    """Scan values of one parameter, without frequencies that such runs resolve badly."""
     grid = np.asarray(grid, dtype=float)
-    return grid[grid <= HIGHEST] if name == "frequency" and np.any(grid <= HIGHEST) else grid
+    return grid[grid <= MAX_FREQUENCY_HZ] if name == "frequency" and np.any(grid <= MAX_FREQUENCY_HZ) else grid
 
 
-def _forms(effect: Effect, span: Span) -> tuple[dict[str, float], ...]:
-    """The grid of an effect, thinned to `MOST_FORMS` points, its own setting among them."""
-    own = _setting(effect, span)
+def _grid(effect: Effect, span: Span) -> tuple[dict[str, float], ...]:
+    """Grid of an effect, thinned to `MAX_GRID_POINTS` points, with its typical setting."""
+    own = _typical_setting(effect, span)
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
-    axes = [_axis(p.name, p.scan(span), span) for p in scanned if p.scan is not None]
+    axes = [_scan_values(p.name, p.scan(span), span) for p in scanned if p.scan is not None]
     if any(p.per_run for p in scanned):  # moments are sought in every run by themselves
-        axes = [np.linspace(0.05, 0.95, MOMENTS) if p.per_run else a for p, a in zip(scanned, axes, strict=True)]
-    most = [_many(len(a), [len(b) for b in axes]) for a in axes]
-    thin = [np.unique(a[np.linspace(0, len(a) - 1, m).astype(int)]) for a, m in zip(axes, most, strict=True)]
-    points = [own | dict(zip((p.name for p in scanned), map(float, q), strict=True)) for q in product(*thin)]
+        axes = [np.linspace(0.05, 0.95, N_EVENT_TIMES) if p.per_run else a for p, a in zip(scanned, axes, strict=True)]
+    counts = [_points_per_axis(len(a), [len(b) for b in axes]) for a in axes]
+    thinned = [np.unique(a[np.linspace(0, len(a) - 1, m).astype(int)]) for a, m in zip(axes, counts, strict=True)]
+    points = [own | dict(zip((p.name for p in scanned), map(float, q), strict=True)) for q in product(*thinned)]
     return tuple(points if any(p.per_run for p in scanned) else [own, *points])
 
 
-def _many(mine: int, all_of_them: list[int]) -> int:
-    """Points kept of an axis so that the grid keeps to `MOST_FORMS`: each by the same share of its digits."""
-    total = float(np.prod(all_of_them))
-    if total <= MOST_FORMS:
-        return mine
-    return max(min(mine, 3), int(mine ** (np.log(MOST_FORMS) / np.log(total))))
+def _points_per_axis(count: int, counts: list[int]) -> int:
+    """Points kept of one axis: the same fraction of its logarithm for every axis."""
+    total = float(np.prod(counts))
+    if total <= MAX_GRID_POINTS:
+        return count
+    return max(min(count, 3), int(count ** (np.log(MAX_GRID_POINTS) / np.log(total))))

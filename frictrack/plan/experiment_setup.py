@@ -1,4 +1,4 @@
-"""The set-up as it is known before a film is taken, what is assumed of it, and the runs that could be filmed on it."""
+"""Describe the experimental setup before filming: known and assumed values, and the runs that could be filmed."""
 
 from __future__ import annotations
 
@@ -8,29 +8,53 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frictrack import models
-from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign
+from frictrack.diagnose.experiments import DEFAULT_SCATTER, Experiment, RunConditions, RunDesign
 from frictrack.effects import Path
 from frictrack.models import Model
 from frictrack.records import GRAVITY
 
-PICTURE = 800  # px that a picture is wide, of which the course is as long
-NOISE = 0.02  # px, of a frame
-SCATTER = 0.03  # of dry friction from run to run
-SPEEDS = (1.0, 2.0, 4.0, 6.0, 8.0)  # m/s
-BACK = (2.0, 4.0, 8.0)  # m/s, the other way
-MIDDLE = 4.0  # m/s, at which mass, tilt and frame rate are varied
-TILT = np.deg2rad(5.0)
-WITHIN = 0.85  # of the course, within which a run is to stop
-BRAKING = 5.0  # m/s^2, by Coulomb friction
-STATIC, STRIBECK, VISCOUS = 0.3, 0.3, 0.1  # rise at rest over Coulomb's level; m/s; per m/s of that level
+PICTURE_WIDTH_PX = 800  # px that a picture is wide, of which the course is as long
+DEFAULT_NOISE_PX = 0.02  # px, of a frame
+SPEEDS_M_S = (1.0, 2.0, 4.0, 6.0, 8.0)  # m/s
+RETURN_SPEEDS_M_S = (2.0, 4.0, 8.0)  # m/s, the other way
+MIDDLE_SPEED_M_S = 4.0  # m/s, at which mass, tilt and frame rate are varied
+TILT_RAD = np.deg2rad(5.0)
+STOP_WITHIN_SHARE = 0.85  # of the course, within which a run is to stop
+COULOMB_DECELERATION = 5.0  # m/s^2, by Coulomb friction
+STATIC_RISE_RATIO = 0.3  # static over Coulomb friction, minus one
+STRIBECK_VELOCITY = 0.3  # m/s
+VISCOUS_RATIO = 0.1  # viscous friction per m/s, over Coulomb friction
 
 
 @dataclass(frozen=True)
-class Stand:
-    """What a plan rests on: mass kg, frames per second, metres per pixel, noise m, the law with its values, scatter.
+class ExperimentSetup:
+    """Values on which a plan rests.
 
-    `values` are those that the fit seeks (of `stribeck` the rise over Coulomb's level). `course` is how far the camera
-    sees, m. `done` are runs that were filmed already. `assumed` says in words what nobody measured.
+    Parameters
+    ----------
+    mass
+        Mass of the slider, kg.
+    fps
+        Frames per second.
+    pitch
+        Pixel pitch, m/px.
+    noise
+        Standard deviation of the position per frame, m.
+    law
+        The assumed friction law.
+    values
+        Its parameters as the fit uses them (`stribeck`: rise over the Coulomb level).
+    scatter
+        Relative standard deviation of dry friction from run to run.
+    course
+        Length of the course in view, m.
+    start
+        Position where the course begins, m.
+    completed
+        Runs that were filmed already.
+    assumed
+        Assumptions as sentences.
+
     """
 
     mass: float
@@ -39,79 +63,107 @@ class Stand:
     noise: float
     law: Model
     values: dict[str, dict[str, float]]
-    scatter: float = SCATTER
-    course: float = PICTURE * 5e-4
+    scatter: float = DEFAULT_SCATTER
+    course: float = PICTURE_WIDTH_PX * 5e-4
     start: float = 0.0
-    done: tuple[Entry, ...] = ()
+    completed: tuple[Experiment, ...] = ()
     assumed: tuple[str, ...] = ()
 
     @property
     def friction(self) -> float:
         """Dry friction at speed, N."""
-        return self.values.get("coulomb", {}).get("F_c", self.mass * BRAKING)
+        return self.values.get("coulomb", {}).get("F_c", self.mass * COULOMB_DECELERATION)
 
     @property
-    def bench(self) -> RunConditions:
-        """What holds for every planned run."""
-        still = np.zeros(1)
-        path = Path(t=still, x=still, v=still, s=still + 1, mass=self.mass, pixel_pitch=self.pitch, gravity=GRAVITY)
+    def conditions(self) -> RunConditions:
+        """Conditions common to all planned runs."""
+        zeros = np.zeros(1)
+        path = Path(t=zeros, x=zeros, v=zeros, s=zeros + 1, mass=self.mass, pixel_pitch=self.pitch, gravity=GRAVITY)
         return RunConditions(self.fps, self.noise, self.mass, max(self.friction / self.mass, 0.1), path)
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One run of the menu: what to do, and how it would be made."""
+def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
+    """Make a setup of which only mass and camera are known; the friction law is typical.
 
-    key: str
-    words: str
-    film: RunDesign
+    Parameters
+    ----------
+    mass
+        Mass, kg.
+    fps
+        Frames per second.
+    pitch
+        Pixel pitch, m/px.
 
+    Returns
+    -------
+    ExperimentSetup
 
-def usual(mass: float, fps: float, pitch: float) -> Stand:
-    """A set-up of which only mass and camera are known, with the usual law."""
-    level = mass * BRAKING
+    Examples
+    --------
+    >>> default_setup(0.35, 4000, 5e-4).values["coulomb"]
+    {'F_c': 1.75}
+
+    """
+    level = mass * COULOMB_DECELERATION
     values = {
         "coulomb": {"F_c": level},
-        "stribeck": {"F_s": STATIC * level, "v_s": STRIBECK, "delta": 1.0},
-        "viscous": {"F_v": VISCOUS * level},
+        "stribeck": {"F_s": STATIC_RISE_RATIO * level, "v_s": STRIBECK_VELOCITY, "delta": 1.0},
+        "viscous": {"F_v": VISCOUS_RATIO * level},
     }
-    course = PICTURE * pitch
+    course = PICTURE_WIDTH_PX * pitch
     assumed = (
-        f"law: Coulomb friction that slows the mass by {BRAKING:g} m/s² ({level:.3g} N), {100 * STATIC:g} % more at "
-        f"rest, gone within {STRIBECK:g} m/s, and {100 * VISCOUS:g} % more for every m/s",
-        f"noise of a frame {NOISE:g} px ({1e6 * NOISE * pitch:.3g} µm), white",
-        f"course of {course:.2g} m: a picture {PICTURE} px wide",
-        f"dry friction that scatters by {100 * SCATTER:g} % from run to run",
+        f"friction law: Coulomb friction decelerates the mass by {COULOMB_DECELERATION:g} m/s² ({level:.3g} N); static "
+        f"friction is {100 * STATIC_RISE_RATIO:g} % higher (Stribeck velocity {STRIBECK_VELOCITY:g} m/s); viscous "
+        f"friction adds {100 * VISCOUS_RATIO:g} % per m/s",
+        f"position noise per frame: {DEFAULT_NOISE_PX:g} px ({1e6 * DEFAULT_NOISE_PX * pitch:.3g} µm), white",
+        f"course length: {course:.2g} m, a picture {PICTURE_WIDTH_PX} px wide",
+        f"scatter of dry friction from run to run: {100 * DEFAULT_SCATTER:g} %",
     )
     law = models.of(list(values))
-    return Stand(mass, fps, pitch, NOISE * pitch, law, values, course=course, assumed=assumed)
+    return ExperimentSetup(mass, fps, pitch, DEFAULT_NOISE_PX * pitch, law, values, course=course, assumed=assumed)
 
 
-def menu(stand: Stand) -> list[Entry]:
-    """Runs that could be filmed: speeds both ways, other masses, to a stop, tilted, at twice the frame rate."""
-    return [*_speeds(stand), *_changes(stand)]
+def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
+    """List runs that could be filmed: speeds in both directions, other masses, a stop, a tilt, twice the frame rate.
+
+    Parameters
+    ----------
+    setup
+        The experimental setup.
+
+    Returns
+    -------
+    list of Experiment
+
+    Examples
+    --------
+    >>> [run.key for run in candidate_runs(default_setup(0.35, 4000, 5e-4))][:3]
+    ['1 m/s', '2 m/s', '4 m/s']
+
+    """
+    return [*_speeds(setup), *_changes(setup)]
 
 
-def film(stand: Stand, speed: float) -> RunDesign:
-    """A plain run at a speed (m/s), negative the other way."""
-    far = stand.start + stand.course
-    return RunDesign((stand.start if speed > 0 else far, speed), (stand.start, far))
+def plain_run(setup: ExperimentSetup, speed: float) -> RunDesign:
+    """Design of a plain run at a speed, m/s; negative speeds go the other way."""
+    far = setup.start + setup.course
+    return RunDesign((setup.start if speed > 0 else far, speed), (setup.start, far))
 
 
-def _speeds(stand: Stand) -> Iterator[Entry]:
-    for v in SPEEDS:
-        yield Entry(f"{v:g} m/s", f"one run at {v:g} m/s", film(stand, v))
-    for v in BACK:
-        yield Entry(f"{-v:g} m/s", f"one run at {v:g} m/s the other way", film(stand, -v))
-    stop = float(np.sqrt(2 * stand.bench.slowing * WITHIN * stand.course))
-    yield Entry("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", film(stand, stop))
+def _speeds(setup: ExperimentSetup) -> Iterator[Experiment]:
+    for v in SPEEDS_M_S:
+        yield Experiment(f"{v:g} m/s", f"one run at {v:g} m/s", plain_run(setup, v))
+    for v in RETURN_SPEEDS_M_S:
+        yield Experiment(f"{-v:g} m/s", f"one run at {v:g} m/s the other way", plain_run(setup, -v))
+    stop = float(np.sqrt(2 * setup.conditions.deceleration * STOP_WITHIN_SHARE * setup.course))
+    yield Experiment("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", plain_run(setup, stop))
 
 
-def _changes(stand: Stand) -> Iterator[Entry]:
-    plain, at = film(stand, MIDDLE), f"at {MIDDLE:g} m/s"
-    yield Entry("double mass", f"one run {at} with the mass doubled", replace(plain, mass=2.0))
-    yield Entry("half mass", f"one run {at} with half the mass", replace(plain, mass=0.5))
+def _changes(setup: ExperimentSetup) -> Iterator[Experiment]:
+    plain, at = plain_run(setup, MIDDLE_SPEED_M_S), f"at {MIDDLE_SPEED_M_S:g} m/s"
+    yield Experiment("double mass", f"one run {at} with the mass doubled", replace(plain, mass=2.0))
+    yield Experiment("half mass", f"one run {at} with half the mass", replace(plain, mass=0.5))
     for sign, word in ((1, "raised"), (-1, "lowered")):
         words = f"one run {at} with the far end of the course {word} by 5 degrees (give incline)"
-        yield Entry(f"tilt {5 * sign:+d}", words, replace(plain, tilt=sign * TILT))
-    yield Entry("frame rate", f"one run {at} at twice the frame rate", replace(plain, rate=2.0))
+        yield Experiment(f"tilt {5 * sign:+d}", words, replace(plain, tilt=sign * TILT_RAD))
+    yield Experiment("frame rate", f"one run {at} at twice the frame rate", replace(plain, rate=2.0))

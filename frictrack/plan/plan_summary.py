@@ -1,4 +1,4 @@
-"""A plan in words and numbers: the runs in order, what each adds, what stays open and what settles it."""
+"""Summarise a plan: the runs in order, what each one separates, what stays inseparable and how to settle it."""
 
 from __future__ import annotations
 
@@ -6,106 +6,119 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.experiments.advice_text import OTHER_MEASUREMENTS
-from frictrack.diagnose.experiments.direct_checks import CHECK_BY_EFFECT
+from frictrack.diagnose.experiments import CHECK_BY_EFFECT, OTHER_MEASUREMENTS
 from frictrack.effects import Effect
-from frictrack.plan.causes import FRAMES, PICTURE, SHARE
-from frictrack.plan.selection import PARTED, Chosen, Step, pairs, threshold
+from frictrack.plan.causes import FORCE_SHARE, LOST_FRAMES, MEASUREMENT_NOISE_RATIO
+from frictrack.plan.selection import MIN_CHI2_SEPARATED, PlanStep, RunPlan, detection_threshold, unseparated_pairs
 from frictrack.records import Array
 
-ALIKE = 1.0  # expected chi-squared below which two traces are one
-ABSORBED = 1e-6  # of what a cause leaves in the picture: less is rounding
-REFERENCE = "a mark at rest in every picture, given as `reference`"
-SIZES = (
-    f"every force at {100 * SHARE:g} % of friction (rms), a blow at {100 * SHARE:g} % of the momentum, a fault of the "
-    f"picture at {PICTURE:g} times the noise of a frame (rms), {FRAMES:g} lost frame; what has no size (presliding, "
-    "lag) in the middle of what is looked for"
+MAX_CHI2_IDENTICAL = 1.0  # expected chi-squared below which two traces are one
+MIN_VISIBLE_SHARE = 1e-6  # of what a cause leaves in the picture: less is rounding
+REFERENCE_INSTRUCTION = "a mark at rest in every picture, given as `reference`"
+PLANNED_SIZES = (
+    f"sizes: every force {100 * FORCE_SHARE:g} % of friction (rms), a blow {100 * FORCE_SHARE:g} % of the momentum, a "
+    f"measurement fault {MEASUREMENT_NOISE_RATIO:g} times the noise per frame (rms), {LOST_FRAMES:g} lost frame; "
+    "effects without a size (presliding, lag): the middle of the scanned range"
 )
 
 
-def summary(chosen: Chosen) -> dict[str, Any]:
-    """JSON of `frictrack plan`, without the files."""
-    stand = chosen.stand
-    unseen = _unseen(chosen)
+def summarise_plan(plan: RunPlan) -> dict[str, Any]:
+    """Return the JSON of `frictrack plan`, without paths.
+
+    Parameters
+    ----------
+    plan
+        The runs chosen.
+
+    Returns
+    -------
+    dict
+        Assumptions, chosen runs, pairs left, undetected effects, detection limits and the table of evidence.
+
+    """
+    setup = plan.setup
+    unseen = _unseen(plan)
     return {
-        "assumed": [*stand.assumed, SIZES],
-        "law": {f"{e}.{p}": v for e, own in stand.values.items() for p, v in own.items()},
-        "noise_um": 1e6 * stand.noise,
-        "done": [entry.words for entry in stand.done],
-        "pairs": len(chosen.tables.names) * (len(chosen.tables.names) - 1) // 2,
-        "pairs_before": chosen.before,
-        "runs": [_run(chosen, step) for step in chosen.steps],
-        "left": [_left(chosen, a, b) for a, b in pairs(chosen.evidence) if not {a, b} & unseen.keys()],
+        "assumed": [*setup.assumed, PLANNED_SIZES],
+        "law": {f"{e}.{p}": v for e, own in setup.values.items() for p, v in own.items()},
+        "noise_um": 1e6 * setup.noise,
+        "done": [experiment.words for experiment in setup.completed],
+        "pairs": len(plan.tables.names) * (len(plan.tables.names) - 1) // 2,
+        "pairs_before": plan.n_pairs_before,
+        "runs": [_run(plan, step) for step in plan.steps],
+        "left": [_left(plan, a, b) for a, b in unseparated_pairs(plan.evidence) if not {a, b} & unseen.keys()],
         "unseen": [unseen[k] for k in sorted(unseen)],
-        "detection_limits": {name: _limit(chosen, k) for k, name in enumerate(chosen.tables.names)},
-        "not_planned": chosen.left_out,
-        "evidence": {"effects": chosen.tables.names, "table": _table(chosen)},
+        "detection_limits": {name: _limit(plan, k) for k, name in enumerate(plan.tables.names)},
+        "not_planned": plan.excluded,
+        "evidence": {"effects": plan.tables.names, "table": _table(plan)},
     }
 
 
-def _table(chosen: Chosen) -> list[list[float | None]]:
-    """Expected chi-squared between any two causes, whichever is true; None on the diagonal."""
-    e = chosen.evidence[:, :-1]
+def _table(plan: RunPlan) -> list[list[float | None]]:
+    """Expected chi-squared between any two effects, whichever is true; None on the diagonal."""
+    e = plan.evidence[:, :-1]
     square = np.minimum(e, e.T)
     return [[None if a == b else float(square[a, b]) for b in range(len(e))] for a in range(len(e))]
 
 
-def _run(chosen: Chosen, step: Step) -> dict[str, Any]:
-    entry = step.entry
-    what = REFERENCE if entry is None else entry.words
-    film = None if entry is None else entry.film
+def _run(plan: RunPlan, step: PlanStep) -> dict[str, Any]:
+    """Entry of one chosen run."""
+    experiment = step.experiment
+    what = REFERENCE_INSTRUCTION if experiment is None else experiment.words
+    design = None if experiment is None else experiment.design
     return {
         "what": what,
-        "speed": None if film is None else film.start[1],
-        "mass": None if film is None else chosen.stand.mass * film.mass,
-        "incline_deg": None if film is None else float(np.rad2deg(film.tilt)),
-        "fps": None if film is None else chosen.stand.fps * film.rate,
-        "separates": [list(pair) for pair in step.parted],
-        "adds": len(step.parted),
-        "shows": step.shown,
-        "pairs_left": step.left,
+        "speed": None if design is None else design.start[1],
+        "mass": None if design is None else plan.setup.mass * design.mass,
+        "incline_deg": None if design is None else float(np.rad2deg(design.tilt)),
+        "fps": None if design is None else plan.setup.fps * design.rate,
+        "separates": [list(pair) for pair in step.separated],
+        "adds": len(step.separated),
+        "shows": step.detected,
+        "pairs_left": step.n_pairs_left,
     }
 
 
-def _unseen(chosen: Chosen) -> dict[int, dict[str, Any]]:
-    """Causes that these runs would not show at their stated size."""
-    out, enough = {}, threshold()
-    for k, (name, e) in enumerate(zip(chosen.tables.names, chosen.evidence[:, -1], strict=True)):
-        if e < enough:
-            effect = chosen.tables.causes[k].effect
-            why = f"at its stated size it changes chi-squared by {e:.2g} beside the law; {enough:.2g} would show it"
-            out[k] = {"effect": name, "why": why, "settle": _settles(effect)}
+def _unseen(plan: RunPlan) -> dict[int, dict[str, Any]]:
+    """Effects that these runs would not detect at their planned size."""
+    out, needed = {}, detection_threshold()
+    for k, (name, e) in enumerate(zip(plan.tables.names, plan.evidence[:, -1], strict=True)):
+        if e < needed:
+            effect = plan.tables.causes[k].effect
+            why = f"at its planned size it raises chi-squared by {e:.2g}; detection needs {needed:.2g}"
+            out[k] = {"effect": name, "why": why, "settle": _direct_check(effect)}
     return out
 
 
-def _left(chosen: Chosen, a: int, b: int) -> dict[str, Any]:
-    names, causes = chosen.tables.names, chosen.tables.causes
-    e = min(chosen.evidence[a, b], chosen.evidence[b, a])
-    if e < ALIKE:
-        why = "every run of the menu is moved in the same way by both"
+def _left(plan: RunPlan, a: int, b: int) -> dict[str, Any]:
+    """Entry of one pair that stays inseparable."""
+    names, causes = plan.tables.names, plan.tables.causes
+    e = min(plan.evidence[a, b], plan.evidence[b, a])
+    if e < MAX_CHI2_IDENTICAL:
+        why = "both change every candidate run in the same way"
     else:
-        why = f"their best fits differ by an expected chi-squared of {e:.2g}; {PARTED:g} part them"
+        why = f"expected chi-squared difference of their best fits: {e:.2g}; separation needs {MIN_CHI2_SEPARATED:g}"
     kinds = frozenset({names[a], names[b]})
-    means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(filter(None, (_settles(causes[k].effect) for k in (a, b))))
+    means = OTHER_MEASUREMENTS.get(kinds) or "; ".join(filter(None, (_direct_check(causes[k].effect) for k in (a, b))))
     return {"effects": [names[a], names[b]], "expected_chi2": float(e), "why": why, "settle": means}
 
 
-def _settles(effect: Effect) -> str:
-    """What beside a film shows a cause."""
+def _direct_check(effect: Effect) -> str:
+    """Instruction for a direct measurement that shows an effect."""
     check = CHECK_BY_EFFECT.get(effect.kind)
     words = check.words if check else effect.confirm.split(":")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 
 
-def _limit(chosen: Chosen, k: int) -> dict[str, Any]:
-    """Smallest size of a cause that these runs show, in its own unit and as a share of what it was planned at."""
-    cause, size, e = chosen.tables.causes[k], float(chosen.tables.sizes[k]), float(chosen.evidence[k, -1])
+def _limit(plan: RunPlan, k: int) -> dict[str, Any]:
+    """Detection limit of an effect, in its own unit and relative to its planned size."""
+    cause, size, e = plan.tables.causes[k], float(plan.tables.sizes[k]), float(plan.evidence[k, -1])
     amplitude = next((p for p in cause.effect.parameters if p.linear or p.role == "depth"), None)
-    shown: Array = np.sum([r for r in chosen.tables.shown], axis=0)
-    at = {p.name: cause.setting[p.name] for p in cause.effect.nonlinear if p.scan is not None and not cause.event}
+    whole: Array = np.sum([r for r in plan.tables.raw_chi2], axis=0)
+    at = {p.name: cause.setting[p.name] for p in cause.effect.nonlinear if p.scan is not None and not cause.is_event}
     where = {"at": at, "at_words": ", ".join(f"{n} {v:.2g} {cause.effect.parameter(n).unit}" for n, v in at.items())}
-    if amplitude is None or e <= ABSORBED * shown[k]:
-        reason = "it has no size of its own" if amplitude is None else "the law absorbs it whatever its size"
+    if amplitude is None or e <= MIN_VISIBLE_SHARE * whole[k]:
+        reason = "it has no size parameter" if amplitude is None else "the model absorbs it whatever its size"
         return {"value": None, "unit": "", **where, "share": None, "power": 0.95, "reason": reason}
-    factor = float(np.sqrt(threshold() / e))
+    factor = float(np.sqrt(detection_threshold() / e))
     return {"value": factor * size, "unit": amplitude.unit, **where, "share": factor, "power": 0.95, "reason": None}

@@ -1,4 +1,4 @@
-"""Which runs to film: one after the other, each the one after which fewest pairs of effects are left."""
+"""Choose runs greedily: each is the one after which the fewest pairs of effects are inseparable."""
 
 from __future__ import annotations
 
@@ -9,180 +9,245 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-from frictrack.diagnose.detection_limits import noncentrality
-from frictrack.diagnose.hypothesis_tests import ALPHA
+from frictrack.diagnose import ALPHA, MIN_CHI2_SEPARATED, noncentrality
 from frictrack.effects import Span
-from frictrack.plan.causes import Cause, library
-from frictrack.plan.experiment_setup import Entry, Stand, menu
-from frictrack.plan.normal_matrices import Reduced, nothing, rival, total
-from frictrack.plan.traces import Filmed, amplitude, film_all, trace
+from frictrack.plan.causes import Cause, list_causes
+from frictrack.plan.experiment_setup import Experiment, ExperimentSetup, candidate_runs
+from frictrack.plan.normal_matrices import NormalMatrices, reduce_against_rival, reduce_without_rival, sum_runs
+from frictrack.plan.traces import PlannedRun, effect_trace, planned_size, simulate_runs
 from frictrack.records import Array
 from frictrack.threads import one_thread
 
-PARTED = 10.0  # expected chi-squared from which two effects are told apart
-MOST = 8  # runs
-LITTLE = 0.5  # of a pair that a run must bring nearer where it parts none
-FORMS = 1000  # independent forms that a search of the library looks at, about
-FREEDOM = 2  # coefficients of a form
-SHAKE = "camera_shake"
+MAX_RUNS = 8  # runs
+MIN_PROGRESS_PAIRS = 0.5  # of a pair that a run must bring nearer where it parts none
+N_INDEPENDENT_FORMS = 1000  # independent forms that a search of the library looks at, about
+DEGREES_OF_FREEDOM = 2  # coefficients of a form
+CAMERA_SHAKE = "camera_shake"
 
 Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
-class Tables:
-    """Every run of the menu against every cause: `rivals[run][cause]`; `alone[run]` against nothing.
+class EvidenceTables:
+    """Normal matrices of every candidate run for every effect.
 
-    `shown` (R, D) is chi-squared of each trace before anything explains it, for a mark at rest in the picture.
+    Parameters
+    ----------
+    runs
+        The simulated runs, R of them.
+    causes
+        The effects, D of them.
+    sizes
+        Planned size of each effect, (D,).
+    without_rival
+        Matrices of each run without a rival.
+    rivals
+        Matrices of each run against each effect: ``rivals[run][cause]``.
+    raw_chi2
+        Chi-squared of every trace before anything is fitted to it, (R, D): what a mark at rest in the picture shows.
+
     """
 
-    runs: list[Filmed]
+    runs: list[PlannedRun]
     causes: list[Cause]
     sizes: Array
-    alone: list[Reduced]
-    rivals: list[list[Reduced]]
-    shown: Array
+    without_rival: list[NormalMatrices]
+    rivals: list[list[NormalMatrices]]
+    raw_chi2: Array
 
     @property
     def names(self) -> list[str]:
-        """The causes in order."""
+        """Names of the effects."""
         return [c.effect.name for c in self.causes]
 
     def evidence(self, chosen: list[int], *, reference: bool) -> Array:
-        """Expected chi-squared by which cause a (row) is told from cause b (column), nothing (last): (D, D + 1)."""
+        """Expected chi-squared that separates each true effect from each rival.
+
+        Parameters
+        ----------
+        chosen
+            Indices of runs.
+        reference
+            Whether a mark at rest is filmed too.
+
+        Returns
+        -------
+        ndarray, shape (D, D + 1)
+            Row: the true effect; column: the rival, the last one none.
+
+        """
         d = len(self.causes)
         if not chosen:
             return np.zeros((d, d + 1))
-        left = [total([self.rivals[r][b] for r in chosen]).left() for b in range(d)]
-        bare = total([self.alone[r] for r in chosen]).left()
-        out = np.column_stack([*left, bare])
-        if reference and SHAKE in self.names:
-            k = self.names.index(SHAKE)
-            out[k] += self.shown[chosen, k].sum()
+        unexplained = [sum_runs([self.rivals[r][b] for r in chosen]).unexplained_chi2() for b in range(d)]
+        bare = sum_runs([self.without_rival[r] for r in chosen]).unexplained_chi2()
+        out = np.column_stack([*unexplained, bare])
+        if reference and CAMERA_SHAKE in self.names:
+            k = self.names.index(CAMERA_SHAKE)
+            out[k] += self.raw_chi2[chosen, k].sum()
             out[:, k] = np.where(np.arange(d) == k, out[:, k], bare)
         out[np.arange(d), np.arange(d)] = np.inf
         return np.maximum(out, 0.0)
 
 
 @dataclass(frozen=True)
-class Step:
-    """One choice: the run, and what is told apart once it is filmed."""
+class PlanStep:
+    """One chosen run (None: the mark at rest), and what is separated and detected once it is filmed."""
 
-    entry: Entry | None  # None: the reference
+    experiment: Experiment | None  # None: the reference
     evidence: Array
-    parted: list[tuple[str, str]]
-    shown: list[str]  # effects that are seen from here on
-    left: int
+    separated: list[tuple[str, str]]
+    detected: list[str]  # effects that are seen from here on
+    n_pairs_left: int
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """The runs in the order in which they should be filmed, and what they were chosen from."""
+class RunPlan:
+    """The chosen runs in order, with the tables that they were chosen from."""
 
-    stand: Stand
-    tables: Tables
-    steps: list[Step]
-    left_out: dict[str, str]
-    before: int  # pairs that are open before the first of them
+    setup: ExperimentSetup
+    tables: EvidenceTables
+    steps: list[PlanStep]
+    excluded: dict[str, str]
+    n_pairs_before: int  # pairs that are open before the first of them
 
     @property
     def evidence(self) -> Array:
-        """What is told apart with all of them, (D, D + 1)."""
+        """Expected chi-squared with all of them, (D, D + 1)."""
         return self.steps[-1].evidence if self.steps else self.tables.evidence([], reference=False)
 
     @property
-    def runs(self) -> list[Filmed]:
-        """The runs that were done already and those that were chosen."""
-        keys = {e.key for e in self.stand.done} | {s.entry.key for s in self.steps if s.entry}
-        return [r for r in self.tables.runs if r.entry.key in keys]
+    def runs(self) -> list[PlannedRun]:
+        """The completed and the chosen runs."""
+        keys = {e.key for e in self.setup.completed} | {s.experiment.key for s in self.steps if s.experiment}
+        return [r for r in self.tables.runs if r.experiment.key in keys]
 
 
-def tabled(stand: Stand, tell: Progress) -> tuple[Tables, dict[str, str]]:
-    """Every run of the menu filmed under the assumed law, and reduced against every cause of the library."""
-    runs = film_all(stand, [*stand.done, *menu(stand)])
-    causes, left_out = library(stand.law, _span(stand, runs))
-    sizes = np.array([amplitude(runs, c) for c in causes])
-    alone, rivals, shown = [], [], []
+def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[EvidenceTables, dict[str, str]]:
+    """Simulate every candidate run and reduce it against every effect.
+
+    Parameters
+    ----------
+    setup
+        The experimental setup.
+    notify
+        Called with runs done, their total and the current step.
+
+    Returns
+    -------
+    tables : EvidenceTables
+    excluded : dict of str
+        Effects left out, with the reason.
+
+    """
+    runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
+    causes, excluded = list_causes(setup.law, _span(setup, runs))
+    sizes = np.array([planned_size(runs, c) for c in causes])
+    without_rival, rivals, raw_chi2 = [], [], []
     for number, run in enumerate(runs):
-        tell(number, len(runs), f"filming {run.entry.key} on paper")
-        traces = np.column_stack([trace(run, c, s, number) for c, s in zip(causes, sizes, strict=True)])
-        alone.append(nothing(run, traces, stand.scatter))
-        rivals.append([rival(run, c, traces, stand.scatter) for c in causes])
-        shown.append(np.sum(traces**2, axis=0))
-    return Tables(runs, causes, sizes, alone, rivals, np.array(shown)), left_out
+        notify(number, len(runs), f"simulating {run.experiment.key}")
+        traces = np.column_stack([effect_trace(run, c, s, number) for c, s in zip(causes, sizes, strict=True)])
+        without_rival.append(reduce_without_rival(run, traces, setup.scatter))
+        rivals.append([reduce_against_rival(run, c, traces, setup.scatter) for c in causes])
+        raw_chi2.append(np.sum(traces**2, axis=0))
+    return EvidenceTables(runs, causes, sizes, without_rival, rivals, np.array(raw_chi2)), excluded
 
 
-def _span(stand: Stand, runs: list[Filmed]) -> Span:
+def _span(setup: ExperimentSetup, runs: list[PlannedRun]) -> Span:
     speeds = np.concatenate([np.abs(r.piece.v_hat) for r in runs])
     return Span(
         duration=max(float(r.piece.t[-1]) for r in runs),
-        x_min=stand.start,
-        x_max=stand.start + stand.course,
+        x_min=setup.start,
+        x_max=setup.start + setup.course,
         v_min=float(speeds.min()),
         v_max=float(speeds.max()),
-        fps=stand.fps,
+        fps=setup.fps,
     )
 
 
 @one_thread()
-def choose(stand: Stand, tell: Progress = lambda done, total, what: None) -> Chosen:
-    """Greedy choice from the menu until no pair is left, nothing helps, or there are `MOST` runs."""
-    tables, left_out = tabled(stand, tell)
-    done = {e.key for e in stand.done}
-    chosen = [i for i, r in enumerate(tables.runs) if r.entry.key in done]
+def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, what: None) -> RunPlan:
+    """Choose runs until no pair is inseparable, nothing helps, or there are `MAX_RUNS` runs.
+
+    Parameters
+    ----------
+    setup
+        The experimental setup.
+    notify
+        Called with steps done, their total and the current step.
+
+    Returns
+    -------
+    RunPlan
+
+    Raises
+    ------
+    FrictrackError
+        If every candidate run is too short.
+
+    """
+    tables, excluded = tabulate_evidence(setup, notify)
+    done = {e.key for e in setup.completed}
+    chosen = [i for i, r in enumerate(tables.runs) if r.experiment.key in done]
     rest = [i for i in range(len(tables.runs)) if i not in chosen]
     reference = False
     evidence = tables.evidence(chosen, reference=False)
-    before = len(_open(evidence))
-    steps: list[Step] = []
-    while len(steps) < MOST and _score(evidence)[0]:
-        tell(len(steps), MOST, "choosing runs")
-        offers = [(i, tables.evidence([*chosen, i], reference=reference)) for i in rest]
+    n_pairs_before = len(_unseparated_pairs(evidence))
+    steps: list[PlanStep] = []
+    while len(steps) < MAX_RUNS and _score(evidence)[0]:
+        notify(len(steps), MAX_RUNS, "choosing runs")
+        options = [(i, tables.evidence([*chosen, i], reference=reference)) for i in rest]
         if chosen and not reference:
-            offers.append((-1, tables.evidence(chosen, reference=True)))
-        best, found = min(offers, key=lambda o: _score(o[1]))
-        if _score(found)[0] >= _score(evidence)[0] and _score(found)[1] > _score(evidence)[1] - LITTLE:
+            options.append((-1, tables.evidence(chosen, reference=True)))
+        best, found = min(options, key=lambda o: _score(o[1]))
+        if _score(found)[0] >= _score(evidence)[0] and _score(found)[1] > _score(evidence)[1] - MIN_PROGRESS_PAIRS:
             break
-        new = sorted(_open(evidence) - _open(found))
+        new = sorted(_unseparated_pairs(evidence) - _unseparated_pairs(found))
         names = tables.names
-        entry = tables.runs[best].entry if best >= 0 else None
-        shown = [names[k] for k in sorted(_unseen(evidence) - _unseen(found))]
-        steps.append(Step(entry, found, [(names[a], names[b]) for a, b in new], shown, len(_open(found))))
+        experiment = tables.runs[best].experiment if best >= 0 else None
+        detected = [names[k] for k in sorted(_undetected(evidence) - _undetected(found))]
+        steps.append(
+            PlanStep(
+                experiment, found, [(names[a], names[b]) for a, b in new], detected, len(_unseparated_pairs(found))
+            )
+        )
         evidence, reference = found, reference or best < 0
         if best >= 0:
             chosen.append(best)
             rest.remove(best)
-    while steps and not steps[-1].parted and not steps[-1].shown:  # it only came near
+    while steps and not steps[-1].separated and not steps[-1].detected:  # it only came near
         steps.pop()
-    tell(MOST, MOST, "planned")
-    return Chosen(stand, tables, steps, left_out, before)
+    notify(MAX_RUNS, MAX_RUNS, "planned")
+    return RunPlan(setup, tables, steps, excluded, n_pairs_before)
 
 
-def _open(evidence: Array) -> set[tuple[int, int]]:
-    """Pairs of causes that are not told apart, whichever of the two is true."""
+def _unseparated_pairs(evidence: Array) -> set[tuple[int, int]]:
+    """Pairs of effects that are not separated, whichever of the two is true."""
     square = np.minimum(evidence[:, :-1], evidence[:, :-1].T)
-    return {(int(a), int(b)) for a, b in np.argwhere(square < PARTED) if a < b}
+    return {(int(a), int(b)) for a, b in np.argwhere(square < MIN_CHI2_SEPARATED) if a < b}
 
 
-def _unseen(evidence: Array) -> set[int]:
-    """Causes that are not seen at all."""
-    return {int(k) for k in np.flatnonzero(evidence[:, -1] < threshold())}
+def _undetected(evidence: Array) -> set[int]:
+    """Effects that are not detected."""
+    return {int(k) for k in np.flatnonzero(evidence[:, -1] < detection_threshold())}
 
 
 @cache
-def threshold() -> float:
-    """Expected rise of chi-squared that is called missing in 95 of 100 repeats, for a search of the whole library."""
-    return noncentrality(float(chi2.isf(ALPHA / 2 / FORMS, FREEDOM)), FREEDOM)
+def detection_threshold() -> float:
+    """Expected rise of chi-squared that is detected in 95 of 100 repeats, in a search of the whole library."""
+    return noncentrality(float(chi2.isf(ALPHA / 2 / N_INDEPENDENT_FORMS, DEGREES_OF_FREEDOM)), DEGREES_OF_FREEDOM)
 
 
 def _score(evidence: Array) -> tuple[int, float]:
-    """Pairs left and causes unseen, and how far these are from being parted and seen."""
+    """Number of pairs inseparable and effects undetected, and how far these are from their thresholds."""
     square = np.minimum(evidence[:, :-1], evidence[:, :-1].T)
-    short = np.maximum(PARTED - square, 0.0) / PARTED
-    dark = np.maximum(threshold() - evidence[:, -1], 0.0) / threshold()
-    return len(_open(evidence)) + len(_unseen(evidence)), float(np.sum(np.triu(short, 1)) + np.sum(dark))
+    unseparated = np.maximum(MIN_CHI2_SEPARATED - square, 0.0) / MIN_CHI2_SEPARATED
+    undetected = np.maximum(detection_threshold() - evidence[:, -1], 0.0) / detection_threshold()
+    return len(_unseparated_pairs(evidence)) + len(_undetected(evidence)), float(
+        np.sum(np.triu(unseparated, 1)) + np.sum(undetected)
+    )
 
 
-def pairs(evidence: Array) -> Iterator[tuple[int, int]]:
-    """Pairs of causes that are left, in order."""
-    yield from sorted(_open(evidence))
+def unseparated_pairs(evidence: Array) -> Iterator[tuple[int, int]]:
+    """Pairs of effects that are not separated, in order."""
+    yield from sorted(_unseparated_pairs(evidence))

@@ -1,4 +1,7 @@
-"""What the law, the level and every effect leave in each run of the menu, whitened, its start removed."""
+"""Compute the traces that the law, the friction level and every effect leave in a simulated run.
+
+Traces are whitened, and the initial conditions are projected out.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.diagnose.experiments.virtual_runs import (
+from frictrack.diagnose.experiments import (
     GOLDEN_ANGLE_RAD,
     PLANNED_RUN_NAME,
     blank_piece,
@@ -18,24 +21,23 @@ from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece, spans_of
-from frictrack.plan.causes import FRAMES, PICTURE, SHARE, Cause
-from frictrack.plan.experiment_setup import Entry, Stand
+from frictrack.plan.causes import FORCE_SHARE, LOST_FRAMES, MEASUREMENT_NOISE_RATIO, Cause
+from frictrack.plan.experiment_setup import Experiment, ExperimentSetup
 from frictrack.records import Array
 
 QUADRATURES = (0.0, np.pi / 2)
-GONE = 1e-10  # share of a column's square below which it is rounding
 
 
 @dataclass(frozen=True)
-class Filmed:
-    """One run of the menu under the assumed law: its response, sensitivities of law (n, P) and level (n,)."""
+class PlannedRun:
+    """One simulated run: its response and the sensitivities of the law (n, P) and of the friction level (n,)."""
 
-    entry: Entry
+    experiment: Experiment
     response: PieceResponse
     problem: LeastSquaresProblem
     p: Array
-    law: Array
-    level: Array
+    law_columns: Array
+    level_column: Array
 
     @property
     def piece(self) -> Piece:
@@ -43,123 +45,163 @@ class Filmed:
         return self.response.piece
 
 
-def film_all(stand: Stand, entries: list[Entry]) -> list[Filmed]:
-    """The runs of the menu that the assumed law lets be made."""
+def simulate_runs(setup: ExperimentSetup, entries: list[Experiment]) -> list[PlannedRun]:
+    """Simulate the candidate runs that are long enough.
+
+    Parameters
+    ----------
+    setup
+        The experimental setup.
+    entries
+        The candidate runs.
+
+    Returns
+    -------
+    list of PlannedRun
+
+    Raises
+    ------
+    FrictrackError
+        If every candidate run is too short.
+
+    """
     made = []
-    for entry in entries:
+    for experiment in entries:
         try:
-            made.append(_filmed(stand, entry))
+            made.append(_simulate_run(setup, experiment))
         except FrictrackError:  # the mass would not get far enough
             continue
     if not made:
         raise FrictrackError(
-            f"expected a course on which the mass can slide but on {stand.course:.2g} m at {stand.fps:g} frames/s no "
-            "run of the menu is long enough to be judged; give a finer scale or a higher fps in [camera]"
+            f"expected a course long enough for a run but on {setup.course:.2g} m at {setup.fps:g} frames/s every "
+            "candidate run is too short; give a finer scale or a higher fps in [camera]"
         )
     return made
 
 
-def _filmed(stand: Stand, entry: Entry) -> Filmed:
-    fine = 3  # panels per frame, as a blow needs them
-    piece = blank_piece(stand.bench, entry.film, 0, fine)
-    wide = Span(1.0, stand.start, stand.start + stand.course, 0.01, 10.0, stand.fps)
-    layout, p = _unknowns(stand, wide)
-    piece = integrate_motion(LeastSquaresProblem(layout.model, layout, [piece]), p, entry.film)
-    layout, p = _unknowns(stand, spans_of([piece], 1, stand.fps)[0])
+def _simulate_run(setup: ExperimentSetup, experiment: Experiment) -> PlannedRun:
+    per_frame = 3  # panels per frame, as a blow needs them
+    piece = blank_piece(setup.conditions, experiment.design, 0, per_frame)
+    first_span = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps)
+    layout, p = _unknowns(setup, first_span)
+    piece = integrate_motion(LeastSquaresProblem(layout.model, layout, [piece]), p, experiment.design)
+    layout, p = _unknowns(setup, spans_of([piece], 1, setup.fps)[0])
     problem = LeastSquaresProblem(layout.model, layout, [piece])
-    response = problem.evaluate(p, [np.array(entry.film.start)])[0]
+    response = problem.evaluate(p, [np.array(experiment.design.start)])[0]
     levels = layout.levels
     mine = [k for k, i in enumerate(response.active) if i not in levels]
     own = [k for k, i in enumerate(response.active) if i == levels[0]]
-    return Filmed(entry, response, problem, p, response.jac[:, mine], response.jac[:, own[0]])
+    return PlannedRun(experiment, response, problem, p, response.jac[:, mine], response.jac[:, own[0]])
 
 
-def _unknowns(stand: Stand, span: Span) -> tuple[ParameterLayout, Array]:
-    """The law's unknowns with a level of the run's own: a second run, never filmed, is what gives it one."""
-    layout = ParameterLayout(stand.law, (PLANNED_RUN_NAME, "another"), (span, span))
-    p = [stand.values[s.effect][s.parameter] if s.effect in stand.values else 1.0 for s in layout.slots]
+def _unknowns(setup: ExperimentSetup, span: Span) -> tuple[ParameterLayout, Array]:
+    """Parameters of the law with a friction level per run; a second, empty run makes the layout include one."""
+    layout = ParameterLayout(setup.law, (PLANNED_RUN_NAME, "another"), (span, span))
+    p = [setup.values[s.effect][s.parameter] if s.effect in setup.values else 1.0 for s in layout.slots]
     return layout, np.array(p)
 
 
-def columns(filmed: Filmed, cause: Cause, forms: tuple[dict[str, float], ...]) -> Array:
-    """Whitened columns of an effect in one run, start removed, (n, G, k); phases as two quadratures."""
-    effect, response = cause.effect, filmed.response
+def effect_columns(run: PlannedRun, cause: Cause, grid: tuple[dict[str, float], ...]) -> Array:
+    """Whitened columns of an effect in one run, initial conditions projected out.
+
+    Parameters
+    ----------
+    run
+        The simulated run.
+    cause
+        The effect.
+    grid
+        Its G settings.
+
+    Returns
+    -------
+    ndarray, shape (n, G, k)
+        Sine and cosine columns for an effect with a phase.
+
+    """
+    effect, response = cause.effect, run.response
     phases = [q.name for q in effect.nonlinear if q.role == "phase"]
-    turned = [dict.fromkeys(phases, q) for q in QUADRATURES] if phases else [{}]
+    phases_of_columns = [dict.fromkeys(phases, q) for q in QUADRATURES] if phases else [{}]
     length = float(response.piece.t[-1])
-    each = [_inside(cause, form, length) | phase for form in forms for phase in turned]
-    moved_by = _picture(filmed, effect, each) if effect.acts_on == "measurement" else _moved(filmed, effect, each)
+    each = [_in_seconds(cause, form, length) | phase for form in grid for phase in phases_of_columns]
+    moved_by = (
+        _measurement_columns(run, effect, each)
+        if effect.acts_on == "measurement"
+        else _displacement_columns(run, effect, each)
+    )
     white = moved_by / response.piece.sigma[:, None]
     white -= response.q @ (response.q.T @ white)
-    return np.asarray(white.reshape(len(white), len(forms), -1))
+    return np.asarray(white.reshape(len(white), len(grid), -1))
 
 
-def _inside(cause: Cause, form: dict[str, float], length: float) -> dict[str, float]:
-    """A form whose moment stands as a share of the run's duration, in s."""
-    if not cause.event:
+def _in_seconds(cause: Cause, form: dict[str, float], length: float) -> dict[str, float]:
+    """Convert the time of an event from a share of the run's duration to s."""
+    if not cause.is_event:
         return form
     return form | {p.name: form[p.name] * length for p in cause.effect.nonlinear if p.per_run and p.scan is not None}
 
 
-def _picture(filmed: Filmed, effect: Effect, forms: list[dict[str, float]]) -> Array:
-    motion, piece = filmed.response.motion, filmed.piece
+def _measurement_columns(run: PlannedRun, effect: Effect, grid: list[dict[str, float]]) -> Array:
+    """Shift of the picture, m, (n, G k)."""
+    motion, piece = run.response.motion, run.piece
     path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], 1.0)
-    return np.concatenate([effect.columns(path, form) for form in forms], axis=1)
+    return np.concatenate([effect.columns(path, form) for form in grid], axis=1)
 
 
-def forces(filmed: Filmed, effect: Effect, forms: list[dict[str, float]]) -> Array:
-    """N at the nodes of a run, (3 p, G k); of a modifier what it changes."""
-    motion, piece = filmed.response.motion, filmed.piece
+def effect_forces(run: PlannedRun, effect: Effect, grid: list[dict[str, float]]) -> Array:
+    """Force of an effect at the nodes, N, (3 p, G k); for a modifier the change that it makes."""
+    motion, piece = run.response.motion, run.piece
     path = piece.path_at_nodes(motion.x, motion.v, 1.0)
     if not effect.modifies:
-        return np.concatenate([effect.columns(path, form) for form in forms], axis=1)
-    values, _ = filmed.problem.layout.values(filmed.p, 0)
-    model = filmed.problem.model
+        return np.concatenate([effect.columns(path, form) for form in grid], axis=1)
+    values, _ = run.problem.layout.values(run.p, 0)
+    model = run.problem.model
     there = model.force_columns(path, values)
     inner = sum(there[e.name] @ model.coefficients(e.name, values) for e in model.effects if e.kind in effect.modifies)
     dry = np.asarray(inner)[:, None]
-    return np.concatenate([effect.columns(path, form, dry) - dry for form in forms], axis=1)
+    return np.concatenate([effect.columns(path, form, dry) - dry for form in grid], axis=1)
 
 
-def _moved(filmed: Filmed, effect: Effect, forms: list[dict[str, float]]) -> Array:
-    g = -forces(filmed, effect, forms) / filmed.piece.mass
-    _, edges = filmed.response.linear.respond(g, np.zeros((2, g.shape[1])))
-    return np.asarray(edges[filmed.piece.at, 0])
+def _displacement_columns(run: PlannedRun, effect: Effect, grid: list[dict[str, float]]) -> Array:
+    """Displacement that a force causes, m, (n, G k)."""
+    g = -effect_forces(run, effect, grid) / run.piece.mass
+    _, edges = run.response.linear.respond(g, np.zeros((2, g.shape[1])))
+    return np.asarray(edges[run.piece.at, 0])
 
 
-def amplitude(runs: list[Filmed], cause: Cause) -> float:
-    """The coefficient at which a cause has its stated size over the runs of the menu."""
+def planned_size(runs: list[PlannedRun], cause: Cause) -> float:
+    """Coefficient at which an effect has its planned size over the candidate runs."""
     effect, setting = cause.effect, cause.setting
     if effect.name == "dropped_frame":
-        return FRAMES
+        return LOST_FRAMES
     if effect.name == "collision":
-        return SHARE * float(np.median([r.piece.mass * abs(r.entry.film.start[1]) for r in runs]))
+        return FORCE_SHARE * float(np.median([r.piece.mass * abs(r.experiment.design.start[1]) for r in runs]))
     if effect.acts_on == "measurement":
-        shifts = [_picture(r, effect, [setting])[:, 0] / r.piece.sigma for r in runs]
-        return PICTURE / max(_rms(shifts), 1e-300)
+        shifts = [_measurement_columns(r, effect, [setting])[:, 0] / r.piece.sigma for r in runs]
+        return MEASUREMENT_NOISE_RATIO / max(_rms(shifts), 1e-300)
     if not effect.sized:
         return 1.0
-    made = [forces(r, effect, [setting])[:, 0] for r in runs]
-    usual = [r.piece.mass * (r.piece.known - r.response.motion.a) for r in runs]
-    return SHARE * float(np.mean(np.abs(np.concatenate(usual)))) / max(_rms(made), 1e-300)
+    made = [effect_forces(r, effect, [setting])[:, 0] for r in runs]
+    default_setup = [r.piece.mass * (r.piece.known - r.response.motion.a) for r in runs]
+    return FORCE_SHARE * float(np.mean(np.abs(np.concatenate(default_setup)))) / max(_rms(made), 1e-300)
 
 
 def _rms(parts: list[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def trace(filmed: Filmed, cause: Cause, size: float, number: int) -> Array:
-    """What a true cause of that size leaves in one run, (n,); phases of the runs spread evenly."""
-    block = columns(filmed, cause, (_moment(cause, number),))[:, 0]
+def effect_trace(run: PlannedRun, cause: Cause, size: float, number: int) -> Array:
+    """Trace of a true effect of a given size in one run, (n,); phases spread evenly over the runs."""
+    block = effect_columns(run, cause, (_setting_in_run(cause, number),))[:, 0]
     if any(q.role == "phase" for q in cause.effect.nonlinear):
         phase = GOLDEN_ANGLE_RAD * number if has_per_run_coefficients(cause.effect) else 0.5
         return size * np.asarray(block[:, 0] * np.cos(phase) + block[:, 1] * np.sin(phase))
     return size * np.asarray(block[:, 0])
 
 
-def _moment(cause: Cause, number: int) -> dict[str, float]:
-    """The setting of a cause, an event at another moment in every run: shares of its duration."""
-    if not cause.event:
+def _setting_in_run(cause: Cause, number: int) -> dict[str, float]:
+    """Setting of an effect in one run; events come at a different share of the duration in each."""
+    if not cause.is_event:
         return cause.setting
     share = 0.3 + 0.4 * ((0.618 * (number + 1)) % 1.0)
     return cause.setting | {p.name: share for p in cause.effect.nonlinear if p.per_run and p.scan is not None}

@@ -39,7 +39,7 @@ INVARIANTS = {
     "speed": "what is tied to the speed comes again at the same speed",
 }
 UNSEPARATED = (
-    "No run of this menu parts {0}: they bend the motion in the same way at every speed, mass and direction here"
+    "No candidate run separates {0}: they change the motion in the same way at every speed, mass and direction"
 )
 OTHER_MEASUREMENTS = {
     frozenset({"slope", "spring"}): "lay a level on the course, and take the cable off",

@@ -1,4 +1,13 @@
-"""Expected evidence of a planned run: one explanation is true and the other one is fitted to all runs."""
+"""Compute the expected evidence of a planned run: one explanation is true, and the other is fitted to all runs.
+
+This is the criterion of T-optimal designs for discriminating between two rival models.
+
+References
+----------
+Hunter & Reiner (1965), Technometrics 7, 307-323.
+Atkinson & Fedorov (1975), Biometrika 62, 57-70.
+
+"""
 
 from __future__ import annotations
 
@@ -40,57 +49,81 @@ MAX_STEPS_OWN, MAX_STEPS = 4, 12  # of Gauss-Newton: on the planned run alone, a
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause that was added to the law, and the fall of BIC that it brought on the runs at hand.
+    """A fitted model with one effect added, and its evidence on the present runs.
 
-    `believed` is the same law with the cause small where the runs leave its size open: what a new run is foretold by.
+    Parameters
+    ----------
+    effect
+        Name of the effect.
+    solution
+        The fit with it.
+    gain
+        Fall of BIC on the present runs.
+    conservative
+        The same fit with the effect small where the runs leave its size open; it predicts new runs.
+
     """
 
     effect: str
     solution: Solution
     gain: float
-    believed: Solution
+    conservative: Solution
     _simulated: dict[tuple[RunDesign, int], Piece] = field(default_factory=dict, repr=False, compare=False)
 
-    def simulated_run(self, film: RunDesign, fine: int) -> Piece:
-        """What the camera would see of a planned run, with `fine` panels per frame at least; worked out once."""
-        key = film, max([fine, *(e.fine for e in self.believed.problem.model.effects)])
+    def simulated_run(self, design: RunDesign, fine: int) -> Piece:
+        """Simulate a planned run without noise, with at least `fine` panels per frame; the result is cached."""
+        key = design, max([fine, *(e.fine for e in self.conservative.problem.model.effects)])
         if key not in self._simulated:
-            self._simulated[key] = simulate_run(self.believed, film, fine)
+            self._simulated[key] = simulate_run(self.conservative, design, fine)
         return self._simulated[key]
 
 
 def make_explanation(effect: str, solution: Solution, bare: Solution) -> Explanation:
-    """An explanation beside the `bare` law, its cause small beside friction where the runs leave its size open.
+    """Make an explanation from a fit with one effect added.
 
-    What runs do not tell (a cable's constant pull beside Coulomb friction) may have come out of the fit absurdly large,
-    and would promise absurd evidence in a run of another kind.
+    A size that the runs do not determine (a constant pull beside Coulomb friction) may be fitted absurdly large. It
+    would promise absurd evidence for other runs, so it is held small for predictions.
+
+    Parameters
+    ----------
+    effect
+        Name of the effect.
+    solution
+        The fit with it.
+    bare
+        The fit without it.
+
+    Returns
+    -------
+    Explanation
+
     """
     gain = max(information_criterion(bare) - information_criterion(solution), 0.0)
-    return Explanation(effect, solution, gain, _believed(effect, solution, bare))
+    return Explanation(effect, solution, gain, _conservative_solution(effect, solution, bare))
 
 
-def _believed(effect: str, solution: Solution, bare: Solution) -> Solution:
-    """The explanation, or where its cause came out larger than friction itself, and need not, the same held small."""
+def _conservative_solution(effect: str, solution: Solution, bare: Solution) -> Solution:
+    """The fit, or the one with its effect held small if it exceeds friction and the runs do not require that."""
     old = next(e for e in solution.problem.layout.model.effects if e.name == effect)
     linear = [p for p in old.linear if p.free and p.prior is None and not p.per_run]
     if old.acts_on != "force" or old.modifies or not linear:
         return solution
-    sizes = _friction_sized(solution, old)
+    sizes = _friction_sizes(solution, old)
     values = solution.problem.layout.values(solution.p, 0)[0][effect]
-    absurd = {p.name: float(np.sign(values[p.name])) for p in linear if abs(values[p.name]) > sizes[p.name]}
-    if not absurd:
+    implausible = {p.name: float(np.sign(values[p.name])) for p in linear if abs(values[p.name]) > sizes[p.name]}
+    if not implausible:
         return solution
     try:
-        held = add_effect(
-            bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in absurd.items()})
+        constrained = add_effect(
+            bare, old.adjusted(**{n: {"fixed": s * SMALL_FORCE_RATIO * sizes[n]} for n, s in implausible.items()})
         )
     except FrictrackError:
         return solution
-    return held if held.objective - solution.objective < MAX_CHI2_UNDETERMINED else solution
+    return constrained if constrained.objective - solution.objective < MAX_CHI2_UNDETERMINED else solution
 
 
-def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
-    """Of every coefficient of an effect the size at which its force is as large as friction, rms over the runs."""
+def _friction_sizes(solution: Solution, effect: Effect) -> dict[str, float]:
+    """For each coefficient of an effect, the value at which its force equals friction (rms over the runs)."""
     columns, whole = [], []
     for r in solution.responses:
         problem, piece = solution.problem, r.piece
@@ -104,86 +137,105 @@ def _friction_sized(solution: Solution, effect: Effect) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Contest:
-    """Two explanations of the same runs, of which the first is taken to be true."""
+class ModelDiscrimination:
+    """Two explanations of the same runs, the first of which is taken to be true."""
 
     truth: Explanation
     rival: Explanation
 
     @cached_property
-    def ideal(self) -> list[Piece]:
-        """The runs at hand as the true explanation has them, without noise."""
-        seen = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in self.truth.believed.responses}
-        return [replace(p, y=seen[p.run, float(p.t[0])]) for p in self.rival.solution.problem.pieces]
+    def noise_free_pieces(self) -> list[Piece]:
+        """The present runs as the true explanation predicts them, without noise."""
+        model_y = {(r.piece.run, float(r.piece.t[0])): r.model_y for r in self.truth.conservative.responses}
+        return [replace(p, y=model_y[p.run, float(p.t[0])]) for p in self.rival.solution.problem.pieces]
 
     @cached_property
-    def fitted(self) -> Solution:
-        """The rival fitted to what the truth predicts of the runs at hand."""
+    def fitted_rival(self) -> Solution:
+        """The rival fitted to what the truth predicts of the present runs."""
         rival = self.rival.solution
-        problem = rival.problem.over(rival.problem.layout, self.ideal)
-        return refine(problem, rival.p, rival.starts, tau=max(self.truth.believed.tau, 1e-3), max_steps=MAX_STEPS)
+        problem = rival.problem.over(rival.problem.layout, self.noise_free_pieces)
+        return refine(problem, rival.p, rival.starts, tau=max(self.truth.conservative.tau, 1e-3), max_steps=MAX_STEPS)
 
     @property
-    def now(self) -> float:
-        """Expected difference of BIC on the runs at hand, positive for the truth."""
-        truth = self.truth.believed
-        held = penalty_residual(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
-        return self._bic(self.fitted, held, count_unknowns(truth.problem.layout))
+    def expected_delta_bic_now(self) -> float:
+        """Expected difference of BIC on the present runs, positive for the truth."""
+        truth = self.truth.conservative
+        constraint = penalty_residual(truth.problem.layout, truth.p, max(truth.tau, 1e-3))
+        return self._bic(self.fitted_rival, constraint, count_unknowns(truth.problem.layout))
 
-    def after(self, film: RunDesign) -> float:
-        """Expected difference of BIC once the planned run is filmed too, positive for the truth.
+    def expected_delta_bic_after(self, design: RunDesign) -> float:
+        """Expected difference of BIC once a planned run is filmed too, positive for the truth.
 
-        Raises FrictrackError where the run cannot be made, or its motion cannot be followed under the rival.
+        Parameters
+        ----------
+        design
+            The planned run.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        FrictrackError
+            If the run is too short, or if its motion cannot be integrated under the rival.
+
         """
-        truth, rival = self.truth.believed, self.rival.solution
-        piece = self.truth.simulated_run(film, max(e.fine for e in rival.problem.model.effects))
-        span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * film.rate)[0]
+        truth, rival = self.truth.conservative, self.rival.solution
+        piece = self.truth.simulated_run(design, max(e.fine for e in rival.problem.model.effects))
+        span = spans_of([replace(piece, run=0)], 1, truth.problem.layout.spans[0].fps * design.rate)[0]
         tau = expected_scatter(truth, piece.run + 1)
-        layout, p = extend_layout(self.fitted, span, film.phase, free=True)
-        p, start = _placed(rival, layout, piece, (p, np.array(film.start), tau))
-        starts = [*self.fitted.starts, start]
-        found = refine(_LinearisedRuns(self.fitted, layout, piece), p, starts, tau=tau, max_steps=MAX_STEPS)
+        layout, p = extend_layout(self.fitted_rival, span, design.phase, free=True)
+        p, start = _initialise_planned_run(rival, layout, piece, (p, np.array(design.start), tau))
+        starts = [*self.fitted_rival.starts, start]
+        found = refine(_LinearisedRuns(self.fitted_rival, layout, piece), p, starts, tau=tau, max_steps=MAX_STEPS)
         if found.objective > MAX_CHI2_LINEAR:
-            found = refine(rival.problem.over(layout, [*self.ideal, piece]), p, starts, tau=tau, max_steps=MAX_STEPS)
-        told, q = extend_layout(truth, span, film.phase)
-        held, count = penalty_residual(told, q, tau), count_unknowns(told)
-        return min(self._bic(s, held, count) for s in (found, _loosened(found, self.rival.effect, tau)))
+            found = refine(
+                rival.problem.over(layout, [*self.noise_free_pieces, piece]), p, starts, tau=tau, max_steps=MAX_STEPS
+            )
+        truth_layout, q = extend_layout(truth, span, design.phase)
+        constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
+        return min(
+            self._bic(s, constraint, count) for s in (found, _with_amplitude_per_run(found, self.rival.effect, tau))
+        )
 
-    def _bic(self, rival: Solution, held: Array, count: int) -> float:
-        """Difference of BIC between a rival and a truth that explains all: its levels' restraint, its unknowns."""
-        fixed = count_unknowns(self.truth.solution.problem.layout) - count_unknowns(self.truth.believed.problem.layout)
-        price = count_unknowns(rival.problem.layout) - count - fixed
-        return rival.objective - float(held @ held) + price * float(np.log(rival.problem.n_frames))
+    def _bic(self, rival: Solution, constraint: Array, count: int) -> float:
+        """Difference of BIC between a rival and a truth that explains everything, with the penalty of its levels."""
+        fixed = count_unknowns(self.truth.solution.problem.layout) - count_unknowns(
+            self.truth.conservative.problem.layout
+        )
+        penalty = count_unknowns(rival.problem.layout) - count - fixed
+        return rival.objective - float(constraint @ constraint) + penalty * float(np.log(rival.problem.n_frames))
 
 
 class _LinearisedRuns(LeastSquaresProblem):
-    """A planned run beside the runs at hand, which answer as they do about a fitted law and are not followed again."""
+    """A planned run beside the present runs, which answer linearly about a fit and are not simulated again."""
 
-    def __init__(self, fitted: Solution, layout: ParameterLayout, piece: Piece) -> None:
-        super().__init__(layout.model, layout, [*fitted.problem.pieces, piece])
-        self._fitted = fitted
-        there = {name: i for i, name in enumerate(layout.names)}
-        self._there = [there[name] for name in fitted.problem.layout.names]
-        self._recalled = [_compress_response(r) for r in fitted.responses]
+    def __init__(self, fitted_rival: Solution, layout: ParameterLayout, piece: Piece) -> None:
+        super().__init__(layout.model, layout, [*fitted_rival.problem.pieces, piece])
+        self._fitted_rival = fitted_rival
+        position_by_name = {name: i for i, name in enumerate(layout.names)}
+        self._positions = [position_by_name[name] for name in fitted_rival.problem.layout.names]
+        self._compressed = [_compress_response(r) for r in fitted_rival.responses]
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        if i == len(self._fitted.responses):
+        if i == len(self._fitted_rival.responses):
             return super()._respond(i, p, start)
-        about = self._recalled[i]
-        active = [self._there[k] for k in about.active]
-        left = about.r - about.jac @ (p[active] - self._fitted.p[about.active])
-        return replace(about, active=active, r=left, r_full=left)
+        linear = self._compressed[i]
+        active = [self._positions[k] for k in linear.active]
+        residual = linear.r - linear.jac @ (p[active] - self._fitted_rival.p[linear.active])
+        return replace(linear, active=active, r=residual, r_full=residual)
 
 
 def _compress_response(response: PieceResponse) -> PieceResponse:
-    """The same linear answer in as few rows as it has unknowns: turned, and without those that are zero."""
+    """The same linear response in as many rows as it has unknowns (QR)."""
     upper = np.asarray(np.linalg.qr(np.column_stack([response.jac, response.r]), mode="r"))
     none = np.zeros((len(upper), response.q.shape[1]))  # the start is in neither
     return replace(response, jac=upper[:, :-1], r=upper[:, -1], r_full=upper[:, -1], q=none)
 
 
-def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
-    """The rival with an amplitude per run, where one amplitude is significantly worse: what a fit would make of it."""
+def _with_amplitude_per_run(tied: Solution, effect: str, tau: float) -> Solution:
+    """The rival with an amplitude per run, if one common amplitude is significantly worse."""
     layout = tied.problem.layout
     old = next(e for e in layout.model.effects if e.name == effect)
     sizes = {
@@ -197,31 +249,34 @@ def _loosened(tied: Solution, effect: str, tau: float) -> Solution:
         return tied
     effects = tuple(old.adjusted(**sizes) if e is old else e for e in layout.model.effects)
     free = replace(layout, model=replace(layout.model, effects=effects))
-    there = dict(zip(layout.names, tied.p, strict=True))
+    values_by_name = dict(zip(layout.names, tied.p, strict=True))
     p = np.array(
-        [there.get(n, there.get(f"{s.effect}.{s.parameter}", 0.0)) for n, s in zip(free.names, free.slots, strict=True)]
+        [
+            values_by_name.get(n, values_by_name.get(f"{s.effect}.{s.parameter}", 0.0))
+            for n, s in zip(free.names, free.slots, strict=True)
+        ]
     )
     try:
-        loose = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
+        untied = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
     except FrictrackError:
         return tied
-    return loose if tied.objective - loose.objective > worse else tied
+    return untied if tied.objective - untied.objective > worse else tied
 
 
 def count_unknowns(layout: ParameterLayout) -> int:
-    """Unknowns that are paid for: all but the levels."""
+    """Number of parameters without the friction levels."""
     return len(layout.slots) - len(layout.levels)
 
 
-def _placed(
+def _initialise_planned_run(
     rival: Solution, layout: ParameterLayout, piece: Piece, begin: tuple[Array, Array, float]
 ) -> tuple[Array, Array]:
-    """The rival's own unknowns of the planned run where they explain it best, and its start there."""
+    """Best values of the rival's own parameters in the planned run, and its initial conditions."""
     p, start, tau = begin
     problem = LeastSquaresProblem(layout.model, layout, [piece])
     own = np.array([s.run == piece.run for s in layout.slots])
     tried = []
-    for trial in _trials(rival, layout, p, piece):
+    for trial in _start_values(rival, layout, p, piece):
         with suppress(FrictrackError):  # a start too wild to be integrated
             tried.append(predicted_objective(problem, trial, [start], tau=tau, free=own))
     tried.sort(key=lambda t: t[0])
@@ -230,8 +285,8 @@ def _placed(
     return (p, start) if best is None else (best.p, best.starts[0])
 
 
-def _trials(rival: Solution, layout: ParameterLayout, p: Array, piece: Piece) -> Iterator[Array]:
-    """Values (P,) from which the unknowns of the planned run are sought: phases, and moments of events."""
+def _start_values(rival: Solution, layout: ParameterLayout, p: Array, piece: Piece) -> Iterator[Array]:
+    """Starting values (P,) for the parameters of the planned run: phases and times of events."""
     roles = {(e.name, q.name): q.role for e in rival.problem.model.effects for q in e.parameters}
     own = [i for i, s in enumerate(layout.slots) if s.run == piece.run and s.effect != LEVEL]
     phases = [i for i in own if roles[layout.slots[i].effect, layout.slots[i].parameter] == "phase"]
@@ -239,13 +294,13 @@ def _trials(rival: Solution, layout: ParameterLayout, p: Array, piece: Piece) ->
     yield p
     for i in phases:
         for phase in START_PHASES:
-            yield _with(p, i, float(phase))
+            yield _with_value(p, i, float(phase))
     for i in moments:
         for share in START_TIMES:
-            yield _with(p, i, float(piece.t[0] + share * (piece.t[-1] - piece.t[0])))
+            yield _with_value(p, i, float(piece.t[0] + share * (piece.t[-1] - piece.t[0])))
 
 
-def _with(p: Array, i: int, value: float) -> Array:
+def _with_value(p: Array, i: int, value: float) -> Array:
     out = p.copy()
     out[i] = value
     return out

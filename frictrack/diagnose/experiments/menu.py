@@ -1,4 +1,4 @@
-"""The menu: runs that could be filmed next, within what the set-up has shown."""
+"""List experiments that could be filmed next, within what the setup has shown."""
 
 from __future__ import annotations
 
@@ -20,22 +20,34 @@ STOP_WITHIN_SHARE = 0.8  # of the course, within which a run is to stop
 
 @dataclass(frozen=True)
 class Experiment:
-    """One entry of the menu: what to do, in words without the reason, and the run as it would be made."""
+    """One experiment: a key, the instruction without its reason, and the design of the run."""
 
     key: str
     words: str
-    film: RunDesign
+    design: RunDesign
 
 
-def menu(solution: Solution) -> list[Experiment]:
-    """Runs worth thinking of, for runs at hand that are explained by a solution."""
+def candidate_experiments(solution: Solution) -> list[Experiment]:
+    """List runs that could be filmed next.
+
+    Parameters
+    ----------
+    solution
+        A fit of the present runs.
+
+    Returns
+    -------
+    list of Experiment
+        Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length.
+
+    """
     setup = _setup(solution)
     return [*_speeds(setup), *_changes(setup)]
 
 
 @dataclass(frozen=True)
-class _Setup:
-    """What the runs at hand show of the set-up: speeds (m/s), main direction, course (m), where runs start (m)."""
+class _ObservedSetup:
+    """Properties of the setup: speeds m/s, main direction, course m, start positions m, typical deceleration m/s^2."""
 
     speeds: tuple[float, ...]
     way: float
@@ -45,14 +57,14 @@ class _Setup:
     braking: float
     driven: bool
 
-    def film(self, speed: float, way: float | None = None) -> RunDesign:
+    def design(self, speed: float, way: float | None = None) -> RunDesign:
         """A plain run at a speed."""
         way = way or self.way
         typical = float(np.median(self.speeds))
         return RunDesign((self.starts[way], way * speed), self.course, drive=way * self.way * speed / typical)
 
 
-def _setup(solution: Solution) -> _Setup:
+def _setup(solution: Solution) -> _ObservedSetup:
     first: dict[int, tuple[float, float]] = {}
     for piece, start in zip(solution.problem.pieces, solution.starts, strict=True):
         first.setdefault(piece.run, (float(start[0]), float(start[1])))
@@ -61,7 +73,7 @@ def _setup(solution: Solution) -> _Setup:
     course = span.x_min, span.x_max
     starts = {1.0: course[0], -1.0: course[1]}
     a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
-    return _Setup(
+    return _ObservedSetup(
         speeds=tuple(sorted(abs(v) for _, v in first.values())),
         way=1.0 if np.sum(ways) >= 0 else -1.0,
         both=len(set(ways)) > 1,
@@ -72,30 +84,30 @@ def _setup(solution: Solution) -> _Setup:
     )
 
 
-def _speeds(setup: _Setup) -> Iterator[Experiment]:
-    """Slower, faster, to a stop, and the other way."""
-    typical, what = float(np.median(setup.speeds)), _verb(setup)
+def _speeds(setup: _ObservedSetup) -> Iterator[Experiment]:
+    """Slower, faster, to a stop, reversed and repeated."""
+    typical, what = float(np.median(setup.speeds)), _instruction(setup)
     slow = max(SLOWER_FACTOR * setup.speeds[0], MIN_SPEED)
     if slow < (1 - MIN_SPEED_DIFFERENCE) * setup.speeds[0]:
-        yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.film(slow))
+        yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", setup.design(slow))
     fast = min(FASTER_FACTOR * setup.speeds[-1], MAX_SPEED)
     if fast > (1 + MIN_SPEED_DIFFERENCE) * setup.speeds[-1]:
-        yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.film(fast))
+        yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", setup.design(fast))
     stop = float(np.sqrt(2 * setup.braking * STOP_WITHIN_SHARE * (setup.course[1] - setup.course[0])))
     if not setup.driven and MIN_SPEED < stop < MAX_SPEED:
         words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
-        yield Experiment("to a stop", words, setup.film(stop))
+        yield Experiment("to a stop", words, setup.design(stop))
     back = "the other way" if setup.both else "in the other direction, which no run has had so far,"
     words = f"{what} a run {back} at about {typical:.1f} m/s"
-    yield Experiment("reversed", words, setup.film(typical, -setup.way))
+    yield Experiment("reversed", words, setup.design(typical, -setup.way))
     words = f"{what} another run like those at about {typical:.1f} m/s"
-    yield Experiment("repeat", words, setup.film(typical))
+    yield Experiment("repeat", words, setup.design(typical))
 
 
-def _changes(setup: _Setup) -> Iterator[Experiment]:
-    """Another mass, a tilted course, more frames per second, another zoom, a longer way."""
-    typical, what = float(np.median(setup.speeds)), _verb(setup)
-    plain, at = setup.film(typical), f"at about {typical:.1f} m/s"
+def _changes(setup: _ObservedSetup) -> Iterator[Experiment]:
+    """Another mass, a tilted course, more frames per second, another zoom, a longer run."""
+    typical, what = float(np.median(setup.speeds)), _instruction(setup)
+    plain, at = setup.design(typical), f"at about {typical:.1f} m/s"
     yield Experiment("double mass", f"{what} a run with the mass doubled, {at}", replace(plain, mass=2.0))
     yield Experiment("half mass", f"{what} a run with half the mass, {at}", replace(plain, mass=0.5))
     for sign, word in ((1.0, "raised"), (-1.0, "lowered")):
@@ -109,13 +121,13 @@ def _changes(setup: _Setup) -> Iterator[Experiment]:
     yield Experiment("longer", words, replace(plain, pitch=1.5, course=_shown(setup, 1.5)))
 
 
-def _shown(setup: _Setup, share: float) -> tuple[float, float]:
-    """So much of the course as another zoom shows, from where the runs start."""
+def _shown(setup: _ObservedSetup, share: float) -> tuple[float, float]:
+    """The part of the course that another zoom shows."""
     length = share * (setup.course[1] - setup.course[0])
     if setup.way > 0:
         return setup.course[0], setup.course[0] + length
     return setup.course[1] - length, setup.course[1]
 
 
-def _verb(setup: _Setup) -> str:
+def _instruction(setup: _ObservedSetup) -> str:
     return "Drive and film" if setup.driven else "Film"

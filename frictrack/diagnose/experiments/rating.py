@@ -1,0 +1,274 @@
+"""Rate experiments by the evidence expected of them, and propose those that separate the present explanations.
+
+Every candidate run is simulated under each explanation. The others are fitted to all runs including it, without noise.
+The misfit that they leave is the expected evidence (T-optimality: Atkinson & Fedorov 1975, Biometrika 62, 57-70).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+from typing import Any
+
+from frictrack.diagnose.experiments.advice_text import describe_separation, describe_unseparated, explain_separation
+from frictrack.diagnose.experiments.direct_checks import direct_checks
+from frictrack.diagnose.experiments.expected_separation import Explanation, ModelDiscrimination, make_explanation
+from frictrack.diagnose.experiments.menu import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.unknown_cause import explain_by_axes
+from frictrack.errors import FrictrackError
+from frictrack.fit.least_squares import Solution
+from frictrack.fit.measured_friction import is_measured_friction
+
+MAX_BIC_NEAR = 60.0  # difference of BIC from the best within which a candidate is worth a run that rules it out
+MIN_BIC_SEPARATED = 10.0  # expected difference of BIC from which two explanations are told apart
+MAX_EXPLANATIONS = 3  # explanations that are compared with each other
+MAX_EXPERIMENTS = 5  # experiments that are told
+MAX_AXES = 2  # along which what no effect explains is compared
+AXIS_RUN_KEYS = ("slower", "faster", "to a stop", "reversed", "double mass", "half mass")  # runs that tell axes apart
+COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # what has to be bought, fixed and brought in time
+COST_FACTOR = 10.0  # times as much evidence as a film must come from these to be preferred
+
+Progress = Callable[[str], None]
+Pair = tuple[str, str]  # true explanation, the other one
+
+
+@dataclass(frozen=True)
+class RatedExperiment:
+    """One experiment with its expected evidence (difference of BIC) for every (true, other) pair of explanations."""
+
+    key: str
+    words: str
+    kind: str  # "film", or "measurement" beside it
+    evidence: dict[Pair, float]
+
+    def separated_pairs(self) -> list[Pair]:
+        """Pairs of explanations that it separates, whichever is true."""
+        return [
+            (a, b)
+            for a, b in self.evidence
+            if a < b and min(self.evidence[a, b], self.evidence.get((b, a), 0.0)) >= MIN_BIC_SEPARATED
+        ]
+
+    def min_evidence(self) -> float:
+        """Smallest evidence over the pairs that it separates."""
+        return min((min(self.evidence[a, b], self.evidence[b, a]) for a, b in self.separated_pairs()), default=0.0)
+
+    def evidence_per_effort(self) -> float:
+        """Evidence relative to effort: a sensor must be bought, mounted and synchronised."""
+        return self.min_evidence() * (1.0 if self.kind == "film" or self.key not in COSTLY_CHECKS else 1 / COST_FACTOR)
+
+    def summary(self, names: Sequence[str]) -> dict[str, Any]:
+        """Entry of the JSON of `frictrack diagnose`."""
+        pairs = self.separated_pairs()
+        members = {name for pair in pairs for name in pair}
+        separated = [name for name in names if name in members]
+        each = {n: min(self.evidence[n, b] for b in separated if tuple(sorted((n, b))) in pairs) for n in separated}
+        why = explain_separation(separated) if self.kind == "film" else ""
+        return {
+            "what": f"{self.words}: {why}" if why else self.words,
+            "separates": separated,
+            "expected_delta_bic": self.min_evidence(),
+            "expected_if_true": each,
+            "groups": _group_names(separated, pairs),
+            "tells": describe_separation(_group_names(separated, pairs)),
+            "kind": self.kind,
+            "key": self.key,
+        }
+
+
+def _group_names(names: Sequence[str], separated_pairs: Sequence[Pair]) -> list[list[str]]:
+    """Group the names that stay inseparable; the largest group is last."""
+    groups: list[list[str]] = []
+    for name in names:
+        joined = [g for g in groups if any(tuple(sorted((name, other))) not in separated_pairs for other in g)]
+        groups = [g for g in groups if g not in joined] + [[*(other for g in joined for other in g), name]]
+    return sorted(groups, key=len)
+
+
+def propose_experiments(
+    explanations: Sequence[Explanation], notify: Progress = lambda what: None, keys: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Propose experiments that separate explanations of the same runs, best first.
+
+    Parameters
+    ----------
+    explanations
+        The explanations, best first; at most `MAX_EXPLANATIONS` are compared.
+    notify
+        Called with the current step.
+    keys
+        Keys of the candidate runs to rate; all by default.
+
+    Returns
+    -------
+    list of dict
+        JSON entries. A pair that no run separates gets an entry that names other measurements.
+
+    """
+    explanations = list(explanations)[:MAX_EXPLANATIONS]
+    if len(explanations) < 2 or any(is_measured_friction(e.solution.problem) for e in explanations):
+        return []
+    names = [e.effect for e in explanations]
+    rated = [
+        experiment
+        for experiment in (
+            *(rate_runs(explanations, notify, keys) if _are_coasting(explanations) else ()),
+            *rate_direct_checks(explanations),
+        )
+        if experiment.separated_pairs()
+    ]
+    out = [experiment.summary(names) for experiment in _rank(rated)[:MAX_EXPERIMENTS]]
+    remaining = [
+        pair for pair in combinations(names, 2) if not any(tuple(sorted(pair)) in o.separated_pairs() for o in rated)
+    ]
+    return out + [_inseparable_entry(pair, explanations) for pair in remaining if _are_coasting(explanations)]
+
+
+def plan_for_unexplained(solution: Solution, notify: Progress = lambda what: None) -> list[dict[str, Any]]:
+    """Propose runs that tell whether an unexplained force depends on place, time or speed.
+
+    Parameters
+    ----------
+    solution
+        The fitted model that leaves it.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    list of dict
+        JSON entries; empty for measured friction and for runs with reversals.
+
+    """
+    if is_measured_friction(solution.problem) or any(p.turns or p.cut for p in solution.problem.pieces):
+        return []
+    return propose_experiments(explain_by_axes(solution)[:MAX_AXES], notify, AXIS_RUN_KEYS)
+
+
+def plan_for_candidates(
+    bare: Solution,
+    passing: Sequence[tuple[str, Solution, float]],
+    rivals: Sequence[str],
+    notify: Progress = lambda what: None,
+) -> list[dict[str, Any]]:
+    """Propose experiments that separate the candidates of a diagnosis.
+
+    Parameters
+    ----------
+    bare
+        The model without any candidate.
+    passing
+        Name, fit and difference of BIC of the passing candidates, best first.
+    rivals
+        Names of those that the runs cannot distinguish from the best. They are compared, and so are those within
+        `MAX_BIC_NEAR` of it.
+    notify
+        Called with the current step.
+
+    Returns
+    -------
+    list of dict
+        JSON entries.
+
+    """
+    if not passing:
+        return []
+    best, _, best_gain = passing[0]
+    close = [c for c in passing if c[0] == best or c[0] in rivals or best_gain - c[2] < MAX_BIC_NEAR]
+    close.sort(key=lambda c: (c[0] != best, c[0] not in rivals, -c[2]))
+    close = close[:MAX_EXPLANATIONS]
+    return propose_experiments([make_explanation(n, s, bare) for n, s, _ in close], notify)
+
+
+def _rank(rated: Sequence[RatedExperiment]) -> list[RatedExperiment]:
+    """Order experiments: first the one that separates most pairs, then by the pairs that are left."""
+    remaining, out = list(rated), []
+    open_pairs: set[Pair] = set()
+    while remaining:
+        open_pairs = open_pairs or {pair for o in remaining for pair in o.separated_pairs()}
+        best = max(remaining, key=lambda o: (len(open_pairs & set(o.separated_pairs())), o.evidence_per_effort()))
+        open_pairs -= set(best.separated_pairs())
+        if not any(open_pairs & set(o.separated_pairs()) for o in remaining):
+            open_pairs = set()
+        remaining.remove(best)
+        out.append(best)
+    return out
+
+
+def rate_runs(
+    explanations: Sequence[Explanation], notify: Progress = lambda what: None, keys: Sequence[str] = ()
+) -> Iterator[RatedExperiment]:
+    """Rate every candidate run, or those with some keys.
+
+    Parameters
+    ----------
+    explanations
+        The explanations to separate.
+    notify
+        Called with the current step.
+    keys
+        Keys of the runs to rate; all by default.
+
+    Yields
+    ------
+    RatedExperiment
+
+    """
+    discriminations = {(a.effect, b.effect): ModelDiscrimination(a, b) for a, b in permutations(explanations, 2)}
+    for entry in (e for e in candidate_experiments(explanations[0].solution) if not keys or e.key in keys):
+        notify(f"weighing an experiment: {entry.key}")
+        yield RatedExperiment(entry.key, entry.words, "film", _evidence_both_ways(discriminations, entry))
+
+
+def _evidence_both_ways(discriminations: dict[Pair, ModelDiscrimination], entry: Experiment) -> dict[Pair, float]:
+    """Expected evidence of a run for every pair; the reverse is skipped once one direction is too weak."""
+    out: dict[Pair, float] = {}
+    for (true, other), discrimination in discriminations.items():
+        separated_pairs = out.get((other, true), MIN_BIC_SEPARATED) >= MIN_BIC_SEPARATED
+        out[true, other] = _expected_evidence(discrimination, entry) if separated_pairs else 0.0
+    return out
+
+
+def _expected_evidence(discrimination: ModelDiscrimination, entry: Experiment) -> float:
+    """Expected evidence of a run; 0 if it cannot be simulated."""
+    try:
+        return discrimination.expected_delta_bic_after(entry.design)
+    except FrictrackError:
+        return 0.0
+
+
+def rate_direct_checks(explanations: Sequence[Explanation]) -> Iterator[RatedExperiment]:
+    """Rate the direct checks that need no further run."""
+    made: dict[str, RatedExperiment] = {}
+    for one, other in combinations(explanations, 2):
+        for check, if_one, if_other in direct_checks(one, other):
+            experiment = made.setdefault(check.key, RatedExperiment(check.key, check.words, "measurement", {}))
+            experiment.evidence[one.effect, other.effect] = if_one
+            experiment.evidence[other.effect, one.effect] = if_other
+    yield from made.values()
+
+
+def _are_coasting(explanations: Sequence[Explanation]) -> bool:
+    """Whether all runs are followed in one piece, so that similar runs can be predicted."""
+    return not any(p.turns or p.cut for e in explanations for p in e.solution.problem.pieces)
+
+
+def _inseparable_entry(pair: tuple[str, str], explanations: Sequence[Explanation]) -> dict[str, Any]:
+    """JSON entry of a pair that no run separates."""
+    confirm = [
+        e.confirm
+        for separated in explanations
+        for e in separated.solution.problem.model.effects
+        if e.name == separated.effect in pair
+    ]
+    return {
+        "what": describe_unseparated(pair, confirm),
+        "separates": [],
+        "expected_delta_bic": 0.0,
+        "expected_if_true": {},
+        "groups": [list(pair)],
+        "tells": "",
+        "kind": "none",
+        "key": "none",
+    }
