@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     told = parser.parse_args()
 
-    runs = [work.record() for work in Session(open_study(told.study)).bring_up_to("friction")]
+    runs = [work.to_run() for work in Session(open_study(told.study)).bring_up_to("friction")]
     found = {}
     for search in told.searches.split(","):
         if search == "cmaes" and find_spec("cma") is None:

@@ -272,7 +272,7 @@ def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own:
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
-    fit = session.tried.fit(session.tried.current()[0])
+    fit = session.models.fit(session.models.current()[0])
     full = solution_at_truth(truth, fit.solution)
     assert full.chi2 < 0.05  # the true law at the true motion leaves nothing
     found = equivalent_effects(truth, fit.solution)[name]
@@ -286,7 +286,7 @@ def test_two_causes_are_as_large_as_each_is_seen_beside_the_other(tmp_path: Path
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
-    full = solution_at_truth(truth, session.tried.fit(session.tried.current()[0]).solution)
+    full = solution_at_truth(truth, session.models.fit(session.models.current()[0]).solution)
     for name, size, rise in zip(truth.hidden, truth.size, truth.rise, strict=True):
         assert size >= SIZE_RANGE[0]
         assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=0.1)
@@ -302,7 +302,7 @@ def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp
     write_study(truth, tmp_path)
     session = Session(open_study(tmp_path / "study.toml"))
     session.fit()
-    full = solution_at_truth(truth, session.tried.fit(session.tried.current()[0]).solution)
+    full = solution_at_truth(truth, session.models.fit(session.models.current()[0]).solution)
     assert full.chi2 < 0.01  # the true law at the true motion leaves nothing
 
 

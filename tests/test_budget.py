@@ -16,7 +16,7 @@ from frictrack.calibration import calibrate
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.flow.stored import run_results
+from frictrack.flow.stored_results import run_results
 from frictrack.friction import friction
 from frictrack.motion import covariance, differentiate, low_pass
 from frictrack.motion.filter import Smoother

@@ -15,7 +15,7 @@ from test_plots import results
 
 from frictrack import report
 from frictrack.errors import FrictrackError
-from frictrack.flow.stages import RunWork
+from frictrack.flow.stages import run_pipeline
 from frictrack.report import provenance, tables, verdict_text
 from frictrack.study import load, write_study
 
@@ -99,7 +99,7 @@ def test_a_changed_board_or_lens_makes_the_displacement_stale(folder):
 
     def key(camera):
         found = study(folder, camera)
-        return RunWork(found, found.runs[0])
+        return run_pipeline(found, found.runs[0])
 
     camera = 'lens = "lens.yml"\nscale = {board = ["board.png", "more.png"], squares = [9, 6], square = "10 mm"}'
     slide_film(folder / "v3.tif")
@@ -185,7 +185,7 @@ def test_a_film_and_a_board_of_the_same_camera(folder):
     matrix = homography(np.eye(3), np.array([-0.03, -0.02, 0.5]), 800.0, size)
     cv2.imwrite(str(folder / "board.png"), pictured(checkers((6, 4)), 40, matrix, size))
     found = study(folder, 'scale = {board = "board.png", squares = [6, 4], square = "10 mm"}')
-    d = RunWork(found, found.runs[0]).get("displacement")
+    d = run_pipeline(found, found.runs[0]).get("displacement")
     assert d.pixel_pitch == pytest.approx(0.5 / 800, rel=2e-3)
     assert np.ptp(d.x) == pytest.approx(100 * 0.5 / 800, rel=2e-3)
     assert any(note.startswith("scale by a checkerboard") for note in d.notes)
@@ -196,7 +196,7 @@ def test_a_film_whose_target_is_the_scale(folder):
     film, _ = filmed(60.37, 40.0)
     tifffile.imwrite(folder / "v3.tif", np.stack(film.frames), photometric="minisblack")
     found = study(folder, 'scale = {target = "30 mm"}')
-    d = RunWork(found, found.runs[0]).get("displacement")
+    d = run_pipeline(found, found.runs[0]).get("displacement")
     assert d.pixel_pitch == pytest.approx(0.030 / 60.37, rel=3 * d.relative_scale_error)
     assert d.relative_scale_error < 0.006
     assert any(note.startswith("scale by the target's size of 30 mm") for note in d.notes)

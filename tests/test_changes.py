@@ -11,8 +11,8 @@ import pytest
 from conftest import slide
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, stored
-from frictrack.flow.ledger import Ledger
+from frictrack.flow import Session, open_study, read_results
+from frictrack.flow.command_history import CommandHistory
 
 TEXT = """# our course
 [study]
@@ -65,7 +65,7 @@ def test_a_key_that_makes_the_file_unsound_is_refused_and_nothing_is_written(stu
     with pytest.raises(FrictrackError, match="mass"):
         session.apply("edit", table="study", key="mass", value="3 m")
     assert study_file.read_text(encoding="utf-8") == TEXT
-    assert session.ledger.rev == 0
+    assert session.commands.revision == 0
 
 
 def test_an_effect_gets_a_table_of_its_own(study_file: Path) -> None:
@@ -79,16 +79,16 @@ def test_models_are_undone_and_the_history_keeps_them(study_file: Path) -> None:
     session = at_work(study_file)
     session.fit()
     session.add("drag")
-    assert session.tried.head == "2_coulomb+viscous+drag"
+    assert session.models.current_group == "2_coulomb+viscous+drag"
     session.apply("undo")
-    assert session.tried.head == "1_coulomb+viscous"
+    assert session.models.current_group == "1_coulomb+viscous"
     assert [m["name"] for m in session.history()["models"]] == ["1_coulomb+viscous", "2_coulomb+viscous+drag"]
     assert at_work(study_file).fit()["model"] == ["coulomb", "viscous"]
     session.apply("redo")
     assert at_work(study_file).fit()["model"] == ["coulomb", "viscous", "drag"]
     session.apply("use", model="1_coulomb+viscous")
     session.add("slope")
-    assert session.tried.head == "3_coulomb+viscous+slope"
+    assert session.models.current_group == "3_coulomb+viscous+slope"
 
 
 def test_what_is_undone_is_gone_once_something_else_is_done(study_file: Path) -> None:
@@ -113,7 +113,7 @@ def test_a_file_that_was_changed_by_hand_is_not_undone_over(study_file: Path) ->
 
 
 def test_who_saw_an_older_study_is_refused(study_file: Path) -> None:
-    one, other = at_work(study_file, seen=0), at_work(study_file, seen=0, who="page")
+    one, other = at_work(study_file, expected_revision=0), at_work(study_file, expected_revision=0, author="page")
     other.apply("edit", table="study", key="mass", value="0.4 kg")
     with pytest.raises(FrictrackError, match=r"changed meanwhile .page: edit study mass 0\.4 kg\)"):
         one.apply("edit", table="study", key="mass", value="0.5 kg")
@@ -124,17 +124,17 @@ def test_who_saw_an_older_study_is_refused(study_file: Path) -> None:
 def test_a_fit_that_was_overtaken_is_not_kept(study_file: Path) -> None:
     session = at_work(study_file)
     session.fit()
-    late = at_work(study_file, seen=1)
-    fitted = late.tried._fit
+    late = at_work(study_file, expected_revision=1)
+    fitted = late.models._fit
 
     def overtaken(spec: object) -> object:
         at_work(study_file).apply("edit", table="run", which="fast", key="note", value="first")
         return fitted(spec)
 
-    late.tried._fit = overtaken  # type: ignore[method-assign]
+    late.models._fit = overtaken  # type: ignore[method-assign]
     with pytest.raises(FrictrackError, match="changed meanwhile"):
         late.apply("add", effect="drag")
-    assert session.tried.groups == ["1_coulomb+viscous"]
+    assert session.models.groups == ["1_coulomb+viscous"]
 
 
 def test_recordings_are_taken_in_and_left_out(study_file: Path) -> None:
@@ -173,7 +173,7 @@ def test_an_effect_of_ones_own_is_defined_and_undone(study_file: Path) -> None:
 
 def test_what_was_changed_since_the_results_were_made_is_told(study_file: Path) -> None:
     def told() -> tuple[str, ...]:
-        return stored(open_study(study_file)).outdated
+        return read_results(open_study(study_file)).outdated
 
     session = at_work(study_file)
     assert told() == ()  # nothing is there that could be out of date
@@ -195,29 +195,29 @@ def test_an_unknown_command_names_the_nearest(study_file: Path) -> None:
 
 
 def test_a_log_that_was_cut_in_a_line_goes_on(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path)
-    with ledger.turn("edit", key="mass") as change:
+    history = CommandHistory(tmp_path)
+    with history.record("edit", key="mass") as change:
         change.before, change.after = {"toml": "a"}, {"toml": "b"}
-    with ledger.path.open("ab") as log:
+    with history.path.open("ab") as log:
         log.write(b'{"rev": 2, "at"')
-    assert ledger.rev == 1
-    with ledger.turn("undo"):
+    assert history.revision == 1
+    with history.record("undo"):
         pass
-    assert [c.do for c in ledger.changes] == ["edit", "undo"]
-    assert all(json.loads(line) for line in ledger.path.read_text(encoding="utf-8").splitlines())
+    assert [c.command for c in history.changes] == ["edit", "undo"]
+    assert all(json.loads(line) for line in history.path.read_text(encoding="utf-8").splitlines())
 
 
 def test_a_change_that_fails_is_not_logged(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path)
-    with pytest.raises(RuntimeError), ledger.turn("edit"):
+    history = CommandHistory(tmp_path)
+    with pytest.raises(RuntimeError), history.record("edit"):
         raise RuntimeError
-    assert ledger.rev == 0
+    assert history.revision == 0
 
 
 def test_many_who_change_at_once_all_stand_in_the_log(tmp_path: Path) -> None:
     def work(k: int) -> None:
         for _ in range(20):
-            with Ledger(tmp_path, who=str(k)).turn("edit") as change:
+            with CommandHistory(tmp_path, author=str(k)).record("edit") as change:
                 change.before = {"toml": ""}
 
     crowd = [threading.Thread(target=work, args=(k,)) for k in range(5)]
@@ -225,6 +225,6 @@ def test_many_who_change_at_once_all_stand_in_the_log(tmp_path: Path) -> None:
         one.start()
     for one in crowd:
         one.join()
-    changes = Ledger(tmp_path).changes
-    assert [c.rev for c in changes] == list(range(1, 101))
-    assert {c.who for c in changes} == set("01234")
+    changes = CommandHistory(tmp_path).changes
+    assert [c.revision for c in changes] == list(range(1, 101))
+    assert {c.author for c in changes} == set("01234")

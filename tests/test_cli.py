@@ -20,7 +20,7 @@ from film import block_film
 
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, films
+from frictrack.flow import Session, film_stages
 from frictrack.number_format import format_plus_minus
 
 
@@ -118,7 +118,7 @@ def test_track_says_how_well_each_film_was_measured(capsys: pytest.CaptureFixtur
 def test_a_track_that_cannot_be_calibrated_is_shown(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
     film_study.write_text(film_study.read_text().replace('scale = "0.5 mm/px"', 'scale = {target = "40 mm"}'))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("frictrack.flow.films.plane_map", refuse_targets(films.plane_map))
+        patch.setattr("frictrack.flow.film_stages.plane_map", refuse_targets(film_stages.plane_map))
         (row,) = answer(capsys, "track", "film.toml")["runs"]
     assert row["sigma_um"] is None
     assert row["notes"][-1] == 'not calibrated: run "v3", displacement: no outline'
@@ -283,7 +283,7 @@ def test_export_writes_plain_tables(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, to: str
 ) -> None:
     monkeypatch.setattr(Session, "diagnose", lambda session, seed: {"verdict": "complete"})
-    monkeypatch.setattr(Session, "_papers", lambda session: (None, ()))
+    monkeypatch.setattr(Session, "_update_papers_route", lambda session: (None, ()))
     files = [Path(f) for f in answer(capsys, "export", "study.toml", "--to", to)["files"]]
     sheets = pd.read_excel(files[0], sheet_name=None) if to == "xlsx" else {f.stem: pd.read_csv(f) for f in files}
     assert list(sheets) == ["slow", "middle", "fast", "parameters", "errors", "budget"]

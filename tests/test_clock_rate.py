@@ -17,7 +17,7 @@ from frictrack.fit import bootstrap, fit, restore, state
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.segments import reference_of
 from frictrack.fit.segments.pieces import pieces_of
-from frictrack.flow.doubts import doubted
+from frictrack.flow.contradictions import withhold_verdict
 from frictrack.friction import free_section
 from frictrack.plausibility import Finding
 from frictrack.simulate.slide import Conditions, simulate
@@ -159,9 +159,9 @@ def test_a_clock_off_by_more_than_a_step_of_frame_rates_is_not_plausible():
 def test_a_verdict_stays_open_while_what_was_typed_is_contradicted():
     said = {"verdict": "missing", "missing": ["collision"], "model": ["coulomb"], "undetermined": []}
     finding = Finding("fps", "the time stamps say 1 Hz", "fps = 1", "a", contradicts=True)
-    open_now = doubted(said, [finding])
+    open_now = withhold_verdict(said, [finding])
     assert (open_now["verdict"], open_now["missing"]) == ("undetermined", [])
     assert open_now["undetermined"][0]["settled_by"] == "fps = 1"
     for same in ({"missing": ["clock_rate"]}, {"model": ["coulomb", "clock_rate:2"]}):
-        assert doubted(said | same, [finding])["verdict"] == "missing"
-    assert doubted(said, [replace(finding, contradicts=False)]) == said
+        assert withhold_verdict(said | same, [finding])["verdict"] == "missing"
+    assert withhold_verdict(said, [replace(finding, contradicts=False)]) == said

@@ -12,7 +12,7 @@ import pytest
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.flow.summary import summary
+from frictrack.flow.run_summaries import run_summaries
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement
 from frictrack.sensors import Alignment, SensorRecord, align_drive
@@ -176,9 +176,9 @@ def test_short_gaps_of_a_drive_are_bridged_and_said(study_file: Path) -> None:
 
 
 def test_a_drive_that_moves_another_mass_is_said(study_file: Path) -> None:
-    rows = summary(opened(study_file, PRESSURE % "", mass='"0.7 kg"').runs, "motion")
+    rows = run_summaries(opened(study_file, PRESSURE % "", mass='"0.7 kg"').runs, "motion")
     assert any("the drive moves a mass of 0.3" in note and "0.7 kg was weighed" in note for note in rows[0]["notes"])
-    rows = summary(opened(study_file, PRESSURE % "").runs, "motion")
+    rows = run_summaries(opened(study_file, PRESSURE % "").runs, "motion")
     assert not any("was weighed" in note for note in rows[0]["notes"])
     assert rows[0]["sensors"]["drive"]["gain"] == pytest.approx(1 / MASS, rel=0.1)
 
@@ -199,7 +199,7 @@ def test_an_accelerometer_beside_the_camera_is_fused(study_file: Path) -> None:
     free = (sensors.t > 0.035) & (sensors.t < 0.11)
     truth = np.interp(sensors.t, FINE, slid()[2])
     assert np.std((sensors.known_a - truth)[free]) == pytest.approx(sensors.sigma_known_a, rel=0.25)
-    row = summary([work], "friction")[0]
+    row = run_summaries([work], "friction")[0]
     energy = 0.5 * MASS * np.max(slid()[1]) ** 2
     assert row["impact"]["E_kin_J"] == pytest.approx(energy, rel=0.03)
     assert row["impact"]["verdict"] == "plausible"
@@ -211,7 +211,7 @@ def test_an_impossible_energy_and_a_wrong_unit_are_said(study_file: Path) -> Non
     a = np.interp(ts, FINE, slid()[2]) + 0.1 * np.random.default_rng(0).normal(size=len(ts))
     np.savetxt(study_file.parent / "acc.csv", np.c_[ts, a / 9.80665], header="t_s,a_m_s2", **HEADER)
     work = opened(study_file, 'sensor = "acc.csv"\nimpact_energy = "0.1 J"').runs[0]
-    row = summary([work], "motion")[0]
+    row = run_summaries([work], "motion")[0]
     assert row["sensors"]["a"]["verdict"] == "disagrees"
     assert work.get("sensors").known_a is None
     assert any("disagrees with the camera and is not used; its gain is 9.8" in note for note in row["notes"])

@@ -19,7 +19,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.auxiliary_signals import KnownFindings, assess_auxiliary_signals, evidence_curves
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.fit import fit
-from frictrack.flow.witnesses import seen_beside
+from frictrack.flow.auxiliary_signals import auxiliary_signals
 from frictrack.records import Track
 
 LAW = ["coulomb", "viscous"]
@@ -160,12 +160,12 @@ def test_what_rides_on_the_mass_is_no_witness(name, share, counts):
     rest = {k: np.full(n, 0.01) for k in ("angle", "sigma_px", "sigma_y_px", "score")}
     seen_at = Track(**known, **rest, reason=np.full(n, ""), name=name)
     work = SimpleNamespace(
-        record=lambda: replace(run, displacement=replace(run.displacement, pixel_pitch=1e-3)),
+        to_run=lambda: replace(run, displacement=replace(run.displacement, pixel_pitch=1e-3)),
         stages=("tracks",),
         get=lambda stage: {name: seen_at} if stage == "tracks" else SimpleNamespace(a=None),
         run=SimpleNamespace(name=run.name),
     )
-    assert bool(seen_beside([work])[run.name]) is counts
+    assert bool(auxiliary_signals([work])[run.name]) is counts
 
 
 def test_what_a_law_needs_beside_the_motion_is_read_along_with_it():

@@ -18,7 +18,7 @@ from campaigns import campaign, contents, results
 
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, verify
-from frictrack.flow.stages import RunWork
+from frictrack.flow.stages import run_pipeline
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_videos" / "fast.avi"
@@ -183,9 +183,10 @@ def test_a_film_that_vanishes(tmp_path: Path) -> None:
     (folder / "day_1" / "fast.avi").unlink()
     with pytest.raises(FrictrackError, match=r"fast.avi: expected a recording but there is no such file"):
         Session(study).bring_up_to("friction")
-    assert RunWork(study, study.runs[0]).is_current("motion")  # forces wait until the motion of all runs is checked
+    # Forces wait until the motion of all runs is checked.
+    assert run_pipeline(study, study.runs[0]).is_current("motion")
     shutil.copy(SAMPLE, folder / "day_1")
-    work = RunWork(study, study.runs[1])
+    work = run_pipeline(study, study.runs[1])
     assert work.recording.n_frames > 0
     (folder / "day_1" / "fast.avi").unlink()
     with pytest.raises(FrictrackError, match=r"fast.avi"):
@@ -193,7 +194,7 @@ def test_a_film_that_vanishes(tmp_path: Path) -> None:
     assert not work.path.exists() or not work.is_current("track")
     shutil.copy(SAMPLE, folder / "day_1")
     Session(open_study(study.path)).bring_up_to("friction")
-    assert RunWork(study, study.runs[1]).is_current("friction")
+    assert run_pipeline(study, study.runs[1]).is_current("friction")
 
 
 def test_a_clock_that_jumps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,7 +209,7 @@ def test_a_clock_that_jumps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
                 os.utime(path, (now - jump, now - jump))
         Session(open_study(study)).fit()
         assert results(folder) == results(calm)
-        assert RunWork(open_study(study), open_study(study).runs[0]).is_current("friction")
+        assert run_pipeline(open_study(study), open_study(study).runs[0]).is_current("friction")
     assert contents(folder / "day_1" / "study_results" / "study.h5")
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frictrack.flow.quality import lost_note
-from frictrack.flow.rotation import turning_note
+from frictrack.flow.target_rotation import rotation_note
+from frictrack.flow.track_quality import lost_frames_note
 from frictrack.records import Track
 from frictrack.tracking.checks.self_tests import forward_backward, key_frame_notes, peak_locking, scores, self_test
 
@@ -70,15 +70,15 @@ def turned(angle):
 @pytest.mark.parametrize("rate", [0.05, 0.126, 5.0])
 def test_a_target_that_turns_is_named_with_its_rate(rate):
     angle = np.radians(rate * K) + np.radians(0.02) * np.random.default_rng(0).standard_normal(N)
-    (note,) = turning_note(turned((angle + np.pi) % (2 * np.pi) - np.pi))
+    (note,) = rotation_note(turned((angle + np.pi) % (2 * np.pi) - np.pi))
     said = [float(part) for part in re.findall(r"[\d.]+(?= deg)", note)]
     assert said == pytest.approx([rate * (N - 1), rate], rel=0.1)
 
 
 def test_the_noise_of_an_angle_is_no_turn():
-    assert turning_note(turned(np.radians(0.002) * np.random.default_rng(0).standard_normal(N))) == ()
-    assert turning_note(turned(np.full(N, np.nan))) == ()
-    assert turning_note(a_track(slide(K))) == ()  # no target is known
+    assert rotation_note(turned(np.radians(0.002) * np.random.default_rng(0).standard_normal(N))) == ()
+    assert rotation_note(turned(np.full(N, np.nan))) == ()
+    assert rotation_note(a_track(slide(K))) == ()  # no target is known
 
 
 def test_the_poor_angle_of_a_target_half_hidden_is_no_turn():
@@ -86,7 +86,7 @@ def test_the_poor_angle_of_a_target_half_hidden_is_no_turn():
     sigma = np.where(poor, np.radians(0.2), np.radians(0.02))
     angle = sigma * np.random.default_rng(0).standard_normal(N)
     angle[poor] += np.radians(0.1)
-    assert turning_note(replace(turned(angle), sigma_angle=sigma)) == ()
+    assert rotation_note(replace(turned(angle), sigma_angle=sigma)) == ()
 
 
 # ---- frames without a place
@@ -103,7 +103,7 @@ def hidden(gap, reason="too much of the target is hidden"):
 
 
 def test_frames_that_are_empty_on_the_way_are_named():
-    (note,) = lost_note(hidden(np.r_[50:80, 120:130]))
+    (note,) = lost_frames_note(hidden(np.r_[50:80, 120:130]))
     assert note == (
         f"40 of {N} frames of the path are empty: too much of the target is hidden in 40; the longest gap is that of "
         "the frames 50 to 79"
@@ -111,8 +111,8 @@ def test_frames_that_are_empty_on_the_way_are_named():
 
 
 def test_what_lies_outside_the_path_is_no_gap():
-    assert lost_note(hidden(np.r_[0:40, N - 30 : N])) == ()
-    assert lost_note(hidden(np.r_[60:61])) == ()
+    assert lost_frames_note(hidden(np.r_[0:40, N - 30 : N])) == ()
+    assert lost_frames_note(hidden(np.r_[60:61])) == ()
 
 
 # ---- peak locking

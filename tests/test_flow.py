@@ -15,9 +15,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as ndimage_shift
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, Spec, open_study, tried
+from frictrack.flow import FitRequest, Session, open_study, pipeline, stages, tried_models
 from frictrack.flow import session as at_work
-from frictrack.flow import stages as chain
 from frictrack.records import Filtered
 
 
@@ -58,14 +57,14 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The stages that were made, in order."""
     names: list[str] = []
-    original = chain.RunWork._make
+    original = pipeline.RunPipeline._compute
 
-    def spy(work: chain.RunWork, name: str) -> Any:
+    def spy(work: pipeline.RunPipeline, name: str) -> Any:
         result = original(work, name)
         names.append(f"{work.run.name} {name}")
         return result
 
-    monkeypatch.setattr(chain.RunWork, "_make", spy)
+    monkeypatch.setattr(pipeline.RunPipeline, "_compute", spy)
     return names
 
 
@@ -143,7 +142,7 @@ def test_another_version_makes_everything_again(
 ) -> None:
     session(study_file).bring_up_to("motion")
     made.clear()
-    monkeypatch.setattr("frictrack.flow.stages.__version__", "99.0")
+    monkeypatch.setattr("frictrack.flow.pipeline.__version__", "99.0")
     session(study_file).bring_up_to("motion")
     assert len(made) == 12
 
@@ -155,7 +154,7 @@ def test_a_failing_stage_keeps_what_was_done(
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:
-        patch.setattr(chain, "low_pass", broken)
+        patch.setattr(stages, "low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(study_file).bring_up_to("motion")
     assert made == ["slow displacement", "slow sensors"]
@@ -175,13 +174,13 @@ def test_a_damaged_result_is_said(study_file: Path) -> None:
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The models that were searched for, in order."""
     names: list[str] = []
-    original = tried.fit
+    original = tried_models.fit
 
     def spy(model: Any, *args: Any, **how: Any) -> Any:
         names.append("+".join(model.names))
         return original(model, *args, **how)
 
-    monkeypatch.setattr(tried, "fit", spy)
+    monkeypatch.setattr(tried_models, "fit", spy)
     return names
 
 
@@ -190,7 +189,7 @@ def test_a_fit_is_kept_and_rebuilt(study_file: Path, fitted: list[str]) -> None:
     again = session(study_file)
     assert again.fit() == first
     assert fitted == ["coulomb+viscous"]
-    rebuilt = again.tried.fit("1_coulomb+viscous")
+    rebuilt = again.models.fit("1_coulomb+viscous")
     assert rebuilt.summary()["parameters"]["coulomb.F_c"]["value"] == pytest.approx(
         first["parameters"]["coulomb.F_c"]["value"], rel=1e-6
     )
@@ -202,12 +201,12 @@ def test_models_are_appended_and_the_last_is_current(study_file: Path, called: l
     added = work.add("drag")
     assert set(added) == {"effect", "error_before", "error_after", "parameters"}
     assert "drag.c" in added["parameters"]
-    assert added["error_before"] == work.tried.results("1_coulomb+viscous").summary["errors"]
+    assert added["error_before"] == work.models.results("1_coulomb+viscous").summary["errors"]
     session(study_file).remove("viscous")
     work = session(study_file)
     work.fit(model="coulomb,drag")
     work.fit(seed=3)
-    assert work.tried.groups == [
+    assert work.models.groups == [
         "1_coulomb+viscous",
         "2_coulomb+viscous+drag",
         "3_coulomb+viscous+drag-viscous",
@@ -216,14 +215,14 @@ def test_models_are_appended_and_the_last_is_current(study_file: Path, called: l
     ]
     assert [r.current for r in work.results().models] == [False, False, False, False, True]
     assert work.fit()["model"] == ["coulomb", "drag"]
-    assert len(work.tried.groups) == 5
+    assert len(work.models.groups) == 5
 
 
 def test_removing_what_was_added_gives_the_same_model_as_before() -> None:
-    spec = Spec("tustin").edited("+texture").edited("-viscous")
+    spec = FitRequest("tustin").edited("+texture").edited("-viscous")
     assert spec.name == "tustin+texture-viscous"
     assert spec.model().names == ["coulomb", "stribeck", "texture"]
-    assert spec.edited("-texture") == Spec("tustin", ("-viscous",))
+    assert spec.edited("-texture") == FitRequest("tustin", ("-viscous",))
 
 
 def test_a_model_changed_in_the_study_file_becomes_current(study_file: Path, called: list[str]) -> None:
@@ -231,7 +230,7 @@ def test_a_model_changed_in_the_study_file_becomes_current(study_file: Path, cal
     edit(study_file, 'model = ["coulomb", "viscous"]', 'model = ["coulomb"]')
     work = session(study_file)
     assert work.fit()["model"] == ["coulomb"]
-    assert work.tried.groups[-1] == "3_coulomb"
+    assert work.models.groups[-1] == "3_coulomb"
     assert session(study_file).add("viscous")["effect"] == "viscous"
     assert session(study_file).fit()["model"] == ["coulomb", "viscous"]
 
@@ -239,7 +238,7 @@ def test_a_model_changed_in_the_study_file_becomes_current(study_file: Path, cal
 def test_the_study_files_model_comes_first_where_another_is_asked_for(study_file: Path) -> None:
     work = session(study_file)
     assert work.fit(model="coulomb")["model"] == ["coulomb"]
-    assert work.tried.groups == ["1_coulomb+viscous", "2_coulomb"]
+    assert work.models.groups == ["1_coulomb+viscous", "2_coulomb"]
 
 
 def test_a_changed_mass_fits_all_models_again(study_file: Path, called: list[str], fitted: list[str]) -> None:
@@ -250,7 +249,7 @@ def test_a_changed_mass_fits_all_models_again(study_file: Path, called: list[str
     models = work.history()["models"]
     assert fitted == ["coulomb+viscous", "coulomb+viscous+drag"]
     assert len(models) == 2
-    doubled = work.tried.results("1_coulomb+viscous").summary["parameters"]["coulomb.F_c"]["value"]
+    doubled = work.models.results("1_coulomb+viscous").summary["parameters"]["coulomb.F_c"]["value"]
     assert doubled == pytest.approx(2 * F_C, rel=0.05)
 
 
@@ -297,7 +296,7 @@ def test_a_diagnosis_failing_leaves_the_fit(
     monkeypatch.setattr(at_work, "diagnose", broken)
     with pytest.raises(FrictrackError, match="expected frames to bootstrap"):
         session(study_file).diagnose()
-    assert session(study_file).tried.groups == ["1_coulomb+viscous"]
+    assert session(study_file).models.groups == ["1_coulomb+viscous"]
 
 
 def test_wrong_names_are_found_before_any_work(study_file: Path, made: list[str]) -> None:
@@ -354,16 +353,16 @@ def test_restart_forgets_models_and_keeps_runs(study_file: Path, called: list[st
     work.restart()
     made.clear()
     assert work.fit()["model"] == ["coulomb", "viscous"]
-    assert work.tried.groups == ["1_coulomb+viscous"]
+    assert work.models.groups == ["1_coulomb+viscous"]
     assert made == []
 
 
 def test_the_key_of_a_fit_knows_roles(study_file: Path) -> None:
     work = session(study_file)
-    before = work.tried.key(Spec("tustin"))
+    before = work.models.fit_key(FitRequest("tustin"))
     edit(study_file, 'name = "fast"', 'name = "fast"\nrole = "validation"')
-    assert session(study_file).tried.key(Spec("tustin")) != before
-    assert work.tried.key(replace(Spec("tustin"), seed=1)) != before
+    assert session(study_file).models.fit_key(FitRequest("tustin")) != before
+    assert work.models.fit_key(replace(FitRequest("tustin"), seed=1)) != before
 
 
 @pytest.fixture

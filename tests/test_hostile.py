@@ -21,7 +21,7 @@ from frictrack.calibration.lens import read_lens
 from frictrack.errors import LONGEST, FrictrackError
 from frictrack.files import alone, inner, is_file_name
 from frictrack.flow import Session, open_study
-from frictrack.flow.ledger import Ledger
+from frictrack.flow.command_history import CommandHistory
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
@@ -130,7 +130,7 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     with pytest.raises(FrictrackError, match=r"cannot write results into .*results"), alone(output):
         pass
     (output / ".lock").unlink()
-    with pytest.raises(FrictrackError, match="it is a link to elsewhere"), Ledger(output).turn("fit"):
+    with pytest.raises(FrictrackError, match="it is a link to another place"), CommandHistory(output).record("fit"):
         pass
     export.write(results, "xlsx")  # takes the link's place
     (output / "csv").unlink()
@@ -158,7 +158,7 @@ def test_a_log_that_cannot_be(tmp_path: Path) -> None:
     for text in (line % "", line % ', "before": 3', "[" * 100_000 + "\n", "3\n"):
         (tmp_path / "log.jsonl").write_text(text)
         with pytest.raises(FrictrackError, match="is damaged; move it away"):
-            Ledger(tmp_path).stacks()
+            CommandHistory(tmp_path).stacks()
 
 
 # ---- what a study file says

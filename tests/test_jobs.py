@@ -48,7 +48,7 @@ def test_work_is_done_and_stands_in_the_log(study: Study) -> None:
     job = jobs.start(study, "fit", seen=0)
     assert ended(job) == jobs.DONE
     assert job.result["done"]["model"] == ["coulomb", "viscous"]
-    assert [c.who for c in Session(study).ledger.changes] == ["page"]
+    assert [c.author for c in Session(study).commands.changes] == ["page"]
     assert [j.folder.name for j in jobs.list_jobs(study)] == ["0001"]
 
 
@@ -107,8 +107,8 @@ def test_a_process_that_never_began_is_not_running_whatever_the_clock(tmp_path: 
 def test_an_attempt_changes_nothing_of_the_study(study: Study) -> None:
     session = Session(study)
     session.fit()
-    before, rev = session.tried.groups, session.ledger.rev
+    before, rev = session.models.groups, session.commands.revision
     job = jobs.start(study, "attempt", effect="drag")
     assert ended(job) == jobs.DONE
     assert job.result["done"]["model"] == ["coulomb", "viscous", "drag"]
-    assert (Session(study).tried.groups, Session(study).ledger.rev) == (before, rev)
+    assert (Session(study).models.groups, Session(study).commands.revision) == (before, rev)

@@ -11,8 +11,8 @@ import tifffile
 
 from frictrack import recording
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, films, open_study
-from frictrack.flow.quality import retimed
+from frictrack.flow import Session, film_stages, open_study
+from frictrack.flow.track_quality import correct_times
 from frictrack.records import Track
 from frictrack.simulate.scene import film_scene, read_scene
 from frictrack.tracking.checks.timing import Slip
@@ -105,7 +105,7 @@ def test_a_reference_that_the_target_passes_over_does_not_move_with_it(tmp_path)
     work = worked(tmp_path, "reference = [220, 10, 48, 40]")
     d = work.get("displacement")
     reference = work.get("tracks")["reference"]
-    assert reference.reason[-1] == films.COVERED
+    assert reference.reason[-1] == film_stages.REASON_COVERED
     assert 80 < reference.found.sum() < 119
     assert said(d, f"the target passes over the fixed reference in {120 - reference.found.sum()} frames")
     assert said(d, "no camera shake")
@@ -181,12 +181,12 @@ def test_times_are_moved_and_frames_left_out():
     n = 12
     one = np.ones(n)
     track = Track(np.arange(n) / 1000, np.arange(n) * 1.0, one, one, one, one, one, np.full(n, ""))
-    made = retimed(track, (Slip(3, 2, 9.0), Slip(6, -1, 9.0), Slip(9, 0, 9.0)))
+    made = correct_times(track, (Slip(3, 2, 9.0), Slip(6, -1, 9.0), Slip(9, 0, 9.0)))
     np.testing.assert_allclose(1000 * made.t, [0, 1, 2, 5, 6, 7, 8, 9, 10, 11, 12])
     assert made.x_px[[5, 6]].tolist() == [5, 7]  # frame 6 was put in
     assert np.flatnonzero(~made.found).tolist() == [8]
     assert made.reason[8] == "the frame before once more"
-    assert retimed(track, ()) is track
+    assert correct_times(track, ()) is track
 
 
 # ---- what is done with the film
@@ -237,7 +237,7 @@ def test_further_targets_are_shown_and_stored(tmp_path):
     work = worked(tmp_path, "targets = {course = [240, 72, 64, 20]}")
     tracks = work.get("tracks")
     assert set(tracks) == {"course", "reference", "backward"}
-    assert [t.name for t in films.beside(tracks)] == ["course", "reference"]
+    assert [t.name for t in film_stages.tracks_to_draw(tracks)] == ["course", "reference"]
     assert np.nanstd(tracks["course"].x_px) < 0.05
 
 

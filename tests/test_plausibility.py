@@ -474,8 +474,8 @@ def doubts(seed: int, kind: str, folder: Path) -> list[str]:
     write_study(draw_truth(seed, kind), folder)
     session = Session(open_study(folder / "study.toml"))
     session.bring_up_to("motion")
-    session.findings.of_all(session.runs)
-    return list(session.findings.words)
+    session.findings.check_all_runs(session.runs)
+    return list(session.findings.messages)
 
 
 def test_no_rendered_study_is_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -510,7 +510,7 @@ def test_a_warning_is_said_once_first_and_stands_in_the_json(
     assert [w["kind"] for w in result["warnings"]] == ["mass"]
     assert result["warnings"] == again["warnings"]
     assert result["warnings"][0]["correction"] == 'mass = "350 g"'
-    assert any(said in note for note in session.findings.words)
+    assert any(said in note for note in session.findings.messages)
 
 
 def test_a_warning_reaches_stderr_and_the_json_of_a_command(
@@ -529,7 +529,7 @@ def test_a_warning_heads_the_report(study_file: Path) -> None:
     edit(study_file, 'mass = "0.350 +/- 0.002 kg"', "mass = 350")
     session = Session(open_study(study_file))
     assert session.report().read_text(encoding="utf-8").count("To be checked first:</b> mass = 350 has no unit") == 1
-    assert session.results().warnings == session.findings.words
+    assert session.results().warnings == session.findings.messages
 
 
 def test_a_run_that_was_checked_is_not_doubted(study_file: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.flow.tables import even_table, tabled, uneven_runs
+from frictrack.flow.table_stage import jitter_notes, make_displacement_from_table, with_even_clock
 from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
@@ -160,7 +160,7 @@ def test_an_outlier_next_to_the_sample_before_is_no_repeated_one():
         x = noisy(0.6 * T, seed)
         row = int(rng.integers(20, N - 20))
         x[row] += rng.choice([-1.0, 1.0]) * (0.6 / FPS + 1e-6 * rng.standard_normal())
-        made = even_table(TableData(T, x))
+        made = with_even_clock(TableData(T, x))
         assert made.notes == ()
         assert screened(displaced(x)).valid[row] == False  # noqa: E712 - a NumPy truth
 
@@ -214,7 +214,7 @@ def table(t, x):
 
 def test_a_clean_table_stays_as_it_is():
     data = table(T, noisy(slide(T)))
-    even = even_table(data)
+    even = with_even_clock(data)
     assert even.data is data
     assert even.valid.all()
     assert even.notes == ()
@@ -223,7 +223,7 @@ def test_a_clean_table_stays_as_it_is():
 def test_positions_that_were_held_are_left_out():
     x = noisy(slide(T))
     x[1::2] = x[::2]
-    even = even_table(table(T, x))
+    even = with_even_clock(table(T, x))
     np.testing.assert_array_equal(even.data.t, T)
     assert not even.valid[1:400:2].any()
     assert even.valid[::2].all()
@@ -233,19 +233,19 @@ def test_positions_that_were_held_are_left_out():
 def test_missing_samples_become_gaps_and_repeated_ones_go():
     x = noisy(slide(T))
     kept = np.setdiff1d(np.arange(N), [100, 200, 201])
-    even = even_table(table(T[: len(kept)], x[kept]))
+    even = with_even_clock(table(T[: len(kept)], x[kept]))
     np.testing.assert_allclose(even.data.t, T[kept], atol=1e-12)
     assert even.notes[0].startswith("3 samples are missing, told by the motion: before frames 100, 199")
     twice = np.sort(np.r_[np.arange(N - 3), [80, 80, 300]])
-    even = even_table(table(T, x[twice]))
+    even = with_even_clock(table(T, x[twice]))
     np.testing.assert_allclose(even.data.t, T[: N - 3], atol=1e-12)
     assert even.notes[0].startswith("3 samples repeat the one before: frames 81, 82, 303")
 
 
 def test_jitter_of_the_stamps_and_jitter_of_the_samples():
     late = 0.05 / FPS * np.random.default_rng(1).standard_normal(N)
-    written = even_table(table(T + late, noisy(slide(T), noise=1e-6)))
-    sampled = even_table(table(T + late, noisy(slide(T + late), noise=1e-6)))
+    written = with_even_clock(table(T + late, noisy(slide(T), noise=1e-6)))
+    sampled = with_even_clock(table(T + late, noisy(slide(T + late), noise=1e-6)))
     assert "the rows are taken as evenly spaced" in written.notes[0]
     assert "moved to the even clock" in sampled.notes[0]
     for even in (written, sampled):
@@ -263,7 +263,7 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     assert 0.0 < still < 4e-6 + 0.5 * share / FPS
     (tmp_path / "a.csv").write_text("t_s,x_m")
     run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
-    seen = tabled(TableData(t, x), run)
+    seen = make_displacement_from_table(TableData(t, x), run)
     assert seen.notes[0].startswith("the noise grows with the speed, ")
     assert "as if samples jittered by " in seen.notes[0]
     assert seen.notes[0].endswith("deviations grow with it")
@@ -276,7 +276,7 @@ def test_jitter_adds_to_the_noise_at_rest_that_a_table_states(tmp_path):
     x = 4 * late - 8.8 * late**2 + 1e-5 * rng.standard_normal(900)
     (tmp_path / "a.csv").write_text("t_s,x_m,sigma_m")
     run = RunTable.model_validate({"table": "a.csv"}, context={"folder": tmp_path})
-    seen = tabled(TableData(t, x, sigma=np.full(900, 1e-5)), run)
+    seen = make_displacement_from_table(TableData(t, x, sigma=np.full(900, 1e-5)), run)
     speed = np.abs(4 - 17.6 * t)
     np.testing.assert_allclose(seen.sigma_x, np.hypot(1e-5, 0.07 / FPS * speed), rtol=0.15)
 
@@ -295,7 +295,7 @@ def test_runs_at_one_speed_each_show_their_jitter_together():
     assert common_unevenness(runs(0.0)) == 0.0
     assert common_unevenness(runs(0.05)[:3]) == 0.0
     x = [displaced(one[1]) for one in runs(0.05)]
-    assert "as if samples jittered by" in uneven_runs(x)[0]
+    assert "as if samples jittered by" in jitter_notes(x)[0]
 
 
 @pytest.mark.parametrize("coarse", [0.0, 5e-5])
@@ -311,7 +311,7 @@ def test_even_samples_show_no_jitter_whatever_their_motion(coarse):
 
 @pytest.mark.parametrize(("digits", "said"), [(3, "time stamps are rounded to 0.001 s"), (9, "")])
 def test_rounded_stamps(digits, said):
-    even = even_table(table(np.round(T, digits), noisy(slide(T))))
+    even = with_even_clock(table(np.round(T, digits), noisy(slide(T))))
     np.testing.assert_allclose(np.diff(even.data.t), 1 / FPS, rtol=1e-3)
     assert said in "".join(even.notes)
 
@@ -320,18 +320,18 @@ def test_a_stamp_and_a_row_that_were_written_twice():
     x = noisy(slide(T))
     t = T.copy()
     t[100] = t[99]
-    even = even_table(table(t, x))
+    even = with_even_clock(table(t, x))
     np.testing.assert_allclose(even.data.t, T, atol=1e-6)
     assert even.notes == ("the time stamp is wrong in frame 100; the row stays in its place",)
     rows = np.sort(np.r_[np.arange(N - 1), 100])
-    even = even_table(table(T[rows], x[rows]))
+    even = with_even_clock(table(T[rows], x[rows]))
     assert len(even.data.t) == N - 1
     assert even.notes == ("1 row has the time stamp of the row before: frame 101; left out",)
 
 
 def test_a_rate_that_is_given_and_another_one_in_the_stamps():
-    assert even_table(table(T, noisy(slide(T))), 4000.0).notes == ()
-    (note,) = even_table(table(T, noisy(slide(T))), 4200.0).notes
+    assert with_even_clock(table(T, noisy(slide(T))), 4000.0).notes == ()
+    (note,) = with_even_clock(table(T, noisy(slide(T))), 4200.0).notes
     assert note == "the time stamps say 4000 Hz but fps = 4200 is given; the time stamps are used"
 
 

@@ -395,7 +395,7 @@ class TestFlow:
 
     def test_pictures_show_newtons(self, session):
         run = strokes()
-        results = session.tried.results(session.tried.groups[-1])
+        results = session.models.results(session.models.groups[-1])
         assert plots.noise_um(results) is None
         assert results.summary["errors"]["noise_N"] < 1e-3
         assert results.motion == ()

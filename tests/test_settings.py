@@ -13,7 +13,7 @@ from frictrack import models
 from frictrack.effects import catalogue, settings
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
-from frictrack.flow import Session, open_study, own_effects
+from frictrack.flow import Session, open_study, user_effects
 from frictrack.study.write import EFFECT
 
 WIDER = 0.02  # as far as a stated deviation is wider than a known noise would make it
@@ -454,14 +454,14 @@ def test_a_study_files_effects_are_fitted_kept_and_brought_back(study_of_its_own
     assert [m["name"] for m in told] == ["1_coulomb+viscous", "2_coulomb+viscous+magnet"]
     assert told[0]["settings"] == ["viscous.F_v known as 0.4 ± 0.001 N s/m"]
     assert "magnet.x_c = 0.12 m" in told[1]["settings"]
-    back = Session(open_study(study_of_its_own)).tried
+    back = Session(open_study(study_of_its_own)).models
     assert back.fit("2_coulomb+viscous+magnet").parameters["magnet.F"].value == pytest.approx(
         added["parameters"]["magnet.F"]["value"], rel=1e-12
     )
 
 
 def test_a_study_files_own_effects_are_listed_and_its_model_is_read_alone(study_of_its_own):
-    listed = catalogue(own_effects(open_study(study_of_its_own).effects))
+    listed = catalogue(user_effects(open_study(study_of_its_own).effects))
     entry = next(e for e in listed if e["name"] == "magnet")
     assert [p["name"] for p in entry["parameters"]] == ["F", "x_c", "w"]
     assert entry["equation"] == "L * s * F * exp(-((x - x_c)/w)^2 / 2)"
@@ -481,7 +481,7 @@ def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
         study_file.write_text(f"{bare}\n{keys[0]}\n{keys[1]}\n{key}\n")
         assert open_study(study_file).effects[0].effect == "vibration"
     study_file.write_text(bare + "\n" + "\n".join(keys[cut[1] :]))
-    assert [e.name for e in own_effects(open_study(study_file).effects)] == ["magnet"]
+    assert [e.name for e in user_effects(open_study(study_file).effects)] == ["magnet"]
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_the_law_is_found_and_a_beam_measured_anew_is_fitted_anew(study_file: Pa
 
 
 def test_a_length_that_nobody_measured_is_fitted(study_file: Path) -> None:
-    runs = [work.record() for work in Session(open_study(study_file)).bring_up_to("motion")]
+    runs = [work.to_run() for work in Session(open_study(study_file)).bring_up_to("motion")]
     blind = [replace(run, beam_length=None) for run in runs]
     found = fit(["coulomb", "viscous", "beam_vibration"], blind).parameters["beam_vibration.beam_length"]
     assert found.reason != "fixed"  # from so short a travel it may well be told as unknown, but not as given
@@ -70,7 +70,7 @@ def test_a_length_that_nobody_measured_is_fitted(study_file: Path) -> None:
 
 def test_the_sign_of_y_counts(study_file: Path) -> None:
     """A picture turned upside down lightens the mass where it is pressed on."""
-    runs = [work.record() for work in Session(open_study(study_file)).bring_up_to("motion")]
+    runs = [work.to_run() for work in Session(open_study(study_file)).bring_up_to("motion")]
     turned = [replace(r, motion=replace(r.motion, a_y=-r.motion.a_y)) for r in runs]
     law = ["coulomb", "viscous", "measured_load"]
     assert fit(law, runs).parameters["measured_load.coefficient"].value > 0.5

@@ -20,7 +20,7 @@ import pytest
 from browser import CHROMIUM, SLOW, Open, Server
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, script
+from frictrack.flow import Session, open_study, replay_script
 from frictrack.workbench.compare_tab import CompareTab
 from frictrack.workbench.film_tab import stored_upload
 from frictrack.workbench.missing_tab import MissingTab
@@ -171,10 +171,10 @@ def test_the_script_of_a_session_repeats_it(bench: Server, tmp_path: Path) -> No
     folder = tmp_path / "again"
     shutil.copytree(bench.study, folder)
     study = open_study(folder / "study.toml")
-    before = Session(study).tried.groups
-    (folder / "repeat.py").write_text(script(study), encoding="utf-8")
+    before = Session(study).models.groups
+    (folder / "repeat.py").write_text(replay_script(study), encoding="utf-8")
     subprocess.run([sys.executable, "repeat.py"], cwd=folder, check=True, capture_output=True)
-    assert [name.split("_", 1)[1] for name in Session(study).tried.groups] == [n.split("_", 1)[1] for n in before]
+    assert [name.split("_", 1)[1] for name in Session(study).models.groups] == [n.split("_", 1)[1] for n in before]
 
 
 def test_two_tabs_see_the_same_and_do_not_undo_each_other_unseen(tables: Server, tab: Open) -> None:

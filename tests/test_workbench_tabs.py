@@ -15,7 +15,7 @@ import pytest
 from browser import CHROMIUM, Open, Server, Tab
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, previewed, stored
+from frictrack.flow import Session, open_study, preview_motion, read_results
 from frictrack.motion import differentiate, low_pass
 from frictrack.workbench.compare_tab import CompareTab
 from frictrack.workbench.history_tab import HistoryTab
@@ -106,9 +106,9 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
 
 @pytest.mark.parametrize("cutoff", [60.0, 300.0, 900.0])
 def test_a_preview_is_what_the_study_would_give(bench: Server, cutoff: float) -> None:
-    run = stored(open_study(bench.study)).runs[0]
+    run = read_results(open_study(bench.study)).runs[0]
     would = differentiate(low_pass(run.displacement, cutoff))
-    seen = previewed(run, cutoff)
+    seen = preview_motion(run, cutoff)
     np.testing.assert_allclose(seen, [would.x, would.v, would.a], rtol=1e-9, atol=1e-9)
 
 
@@ -185,7 +185,7 @@ def test_models_of_the_same_name_are_told_apart(study_file: Path) -> None:
     compare, record = CompareTab(state, OpenFilms()), HistoryTab(state)
     compare.refresh()
     record.refresh()
-    names = [model.name for model in stored(open_study(study_file)).models]
+    names = [model.name for model in read_results(open_study(study_file)).models]
     assert [name.split("_", 1)[1] for name in names].count("coulomb+viscous") == 2
     assert list(compare.model.options.values()) == list(record.choice.options.values()) == names
     assert list(compare.behind.options.values())[1:] == names

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from stat import S_ISDIR
 
-from frictrack.flow.stages import RunWork
+from frictrack.flow.stages import run_pipeline
 from frictrack.remote import Remote, is_remote
 from frictrack.study import Study
 
@@ -14,9 +14,9 @@ Seen = dict[str, list[int]]  # path -> size, time of change in ns
 
 def seen(study: Study) -> Seen:
     """What a study rests on, and what it has come to, as the files are now."""
-    works = [RunWork(study, run) for run in study.runs]
-    inputs = [path for work in works for path in work.files()]
-    results = [work.path for work in works] + [study.output / name for name in ("study.h5", "report.html")]
+    pipelines = [run_pipeline(study, run) for run in study.runs]
+    inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
+    results = [pipeline.path for pipeline in pipelines] + [study.output / name for name in ("study.h5", "report.html")]
     return {str(path): _state(path) for path in (study.path, *inputs, *results)}
 
 

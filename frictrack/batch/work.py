@@ -11,7 +11,7 @@ from typing import Any
 from frictrack.batch.seen import Seen, seen
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.flow.stages import RunWork
+from frictrack.flow.stages import run_pipeline
 from frictrack.study import RunTable, Study
 
 Reasons = Mapping[str, str]  # run -> why it failed
@@ -109,11 +109,11 @@ def without(study: Study, failed: Reasons) -> Study:
 
 def _measured(study: Study, name: str) -> str | None:
     """Every stage of a run brought up to date; the reason where one fails."""
-    work = RunWork(study, _run(study, name))
+    pipeline = run_pipeline(study, _run(study, name))
     try:
-        for stage in work.stages:
-            if not work.is_current(stage):  # what is there need not be read: the study reads it
-                work.get(stage)
+        for stage in pipeline.stages:
+            if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
+                pipeline.get(stage)
     except Exception as e:  # noqa: BLE001
         return in_words(e).removeprefix(f'run "{name}", ')
     return None

@@ -21,7 +21,7 @@ from frictrack.blind.truth import Truth
 from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
-from frictrack.flow import Progress, silent
+from frictrack.flow import Progress, no_progress
 from frictrack.results import plain
 from frictrack.workers import run_parallel
 
@@ -37,7 +37,7 @@ def make(
     seed: int = 0,
     film: bool = False,
     workers: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write n studies (default 420 of tables, 40 of films) into a new folder and seal their truths: its JSON.
 
@@ -83,7 +83,9 @@ def _make_study(folder: Path, seed: int, kind: str, turn: int, *, film: bool) ->
     return truth
 
 
-def score(folder: Path, *, seed: int = 0, workers: int | None = None, progress: Progress = silent) -> dict[str, Any]:
+def score(
+    folder: Path, *, seed: int = 0, workers: int | None = None, progress: Progress = no_progress
+) -> dict[str, Any]:
     """Open the seal, diagnose every study, add what is named, and count: JSON of the command.
 
     An outcome is kept in the folder as soon as it is there, so that a score that was interrupted goes on. Raises

@@ -73,7 +73,7 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
     diagnosis = session.diagnose(seed)
     seconds = time.process_time() - begin
     named = tuple(diagnosis["missing"])
-    fit: Fit = session.tried.fit(session.tried.current()[0])
+    fit: Fit = session.models.fit(session.models.current()[0])
     low_pass_half_width = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
     out = replace(
         blank,

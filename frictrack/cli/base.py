@@ -37,7 +37,7 @@ def working(study: Path) -> Iterator[Session]:
 
     opened = open_study(study)
     with bars() as progress:
-        yield Session(opened, progress, who="cli")
+        yield Session(opened, progress, author="cli")
 
 
 def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:

@@ -214,9 +214,9 @@ def effects(
 ) -> None:
     """The library: equations, parameters with units, what an effect looks like and is mistaken for."""
     from frictrack.effects import catalogue  # noqa: PLC0415
-    from frictrack.flow import open_study, own_effects  # noqa: PLC0415
+    from frictrack.flow import open_study, user_effects  # noqa: PLC0415
 
-    own = [] if study is None else own_effects(open_study(study).effects)
+    own = [] if study is None else user_effects(open_study(study).effects)
     tell({"effects": catalogue(own)}, as_json, "effects")
 
 

@@ -6,31 +6,31 @@
 `Session` is the only code that loads, runs and saves; the command line and the workbench speak to it.
 """
 
-from frictrack.flow.demo import demo
-from frictrack.flow.films import sheet
+from frictrack.flow.film_stages import contact_sheet_path
 from frictrack.flow.opening import open_study, start_study
-from frictrack.flow.planned import plan
-from frictrack.flow.script import script
+from frictrack.flow.pipeline import Progress, no_progress
+from frictrack.flow.replay import replay_script
+from frictrack.flow.run_plan import plan
+from frictrack.flow.sample_demo import demo
 from frictrack.flow.session import Session
-from frictrack.flow.stages import Progress, silent
-from frictrack.flow.stored import attempted, previewed, stored
-from frictrack.flow.tried import Spec, own_effects
-from frictrack.flow.verify import verify
+from frictrack.flow.stored_results import preview_motion, read_attempt, read_results
+from frictrack.flow.tried_models import FitRequest, user_effects
+from frictrack.flow.verification import verify
 
 __all__ = [
+    "FitRequest",
     "Progress",
     "Session",
-    "Spec",
-    "attempted",
+    "contact_sheet_path",
     "demo",
+    "no_progress",
     "open_study",
-    "own_effects",
     "plan",
-    "previewed",
-    "script",
-    "sheet",
-    "silent",
+    "preview_motion",
+    "read_attempt",
+    "read_results",
+    "replay_script",
     "start_study",
-    "stored",
+    "user_effects",
     "verify",
 ]

@@ -8,8 +8,8 @@ from typing import Any
 
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, gather
-from frictrack.flow.stages import RunWork
-from frictrack.flow.tried import Spec
+from frictrack.flow.stages import run_pipeline
+from frictrack.flow.tried_models import FitRequest
 from frictrack.study import Study, load, write_study
 
 
@@ -18,16 +18,16 @@ def open_study(path: str | Path, *, bare: bool = False) -> Study:
 
     A `bare` one may have no runs yet. Raises `FrictrackError` (usage) with every fault.
     """
-    return checked(load(path, bare=bare))
+    return check_study(load(path, bare=bare))
 
 
-def checked(study: Study) -> Study:
+def check_study(study: Study) -> Study:
     """The same of a study that was read."""
     faults = []
     for run in study.runs:
         if run.scale is not None:
             faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
-    faults += _fault(lambda: Spec(study.model).model(study.effects), "model")
+    faults += _fault(lambda: FitRequest(study.model).model(study.effects), "model")
     try:
         gather(faults, study.path.name)
     except FrictrackError as e:
@@ -46,8 +46,8 @@ def start_study(path: Path, recordings: Sequence[Path], keys: Mapping[str, Any])
     write_study(path, recordings, keys)
     try:
         study = open_study(path)
-        for work in (RunWork(study, run) for run in study.runs):
-            work.get("recording" if work.run.video else "displacement")
+        for pipeline in (run_pipeline(study, run) for run in study.runs):
+            pipeline.get("recording" if pipeline.run.video else "displacement")
     except FrictrackError:
         path.unlink()
         raise

@@ -21,7 +21,7 @@ from frictrack.records import Curve, Modelled
 from frictrack.store import Provenance
 
 PAGE = Path(store.__file__).parent / "SCHEMA.md"
-MODEL = {
+MODEL_MEMBERS = {
     "current": ("bool", "the model in force"),
     "equation": ("text", "the printed model"),
     "summary": ("JSON text", "what `frictrack fit --json` prints: parameters, deviations, errors, free runs"),
@@ -34,7 +34,7 @@ MODEL = {
         "`summary` (JSON of `frictrack diagnose`) and `figures`, its curves",
     ),
 }
-ASIDE = {
+STUDY_GROUPS = {
     "runs": "a link per run to its file",
     "models": "a group per model in the order tried, `<number>_<name>`; `study_model` is the study file's (JSON)",
     "comparison": "`summary`: JSON of `frictrack compare`",
@@ -112,22 +112,25 @@ h5dump -d /motion/v {run}.h5
 """
 
 
-def page() -> str:
+def schema_page() -> str:
     """The page, in Markdown."""
     head = _HEAD.format(
         schema=store.SCHEMA, room=store.HEADER_BYTES, start=store.CHECKSUM_START, after=store.CHECKSUM_START + 1
     )
-    provenance = ((f.name, "text", _comments(Provenance).get(f.name, "")) for f in fields(Provenance))
+    provenance = ((f.name, "text", _field_comments(Provenance).get(f.name, "")) for f in fields(Provenance))
     parts = [head + _table(("attribute", "type", "what"), provenance), "\n## A run: `<run>.h5`\n"]
-    parts += [_stage(name) for name in {**FILM, **TABLE}]
-    parts += ["\n## The study: `study.h5`\n\n", _table(("group", "what"), ((f"`/{k}`", v) for k, v in ASIDE.items()))]
-    model = ((f"`{name}`", *told) for name, told in MODEL.items())
+    parts += [_stage_section(name) for name in {**FILM, **TABLE}]
+    parts += [
+        "\n## The study: `study.h5`\n\n",
+        _table(("group", "what"), ((f"`/{k}`", v) for k, v in STUDY_GROUPS.items())),
+    ]
+    model = ((f"`{name}`", *told) for name, told in MODEL_MEMBERS.items())
     parts += ["\n### `/models/<number>_<name>`\n\n", _table(("name", "type", "what"), model)]
-    parts += [_record("`curves/<number>_<run>`", Curve), _record("`motion/<run>`", Modelled)]
+    parts += [_record_section("`curves/<number>_<run>`", Curve), _record_section("`motion/<run>`", Modelled)]
     return "".join(parts) + _READ.format(run="v3")
 
 
-def _stage(name: str) -> str:
+def _stage_section(name: str) -> str:
     """One stage of a film, a table or both: what it is made from, and its record."""
     chains = {kind: chain[name] for kind, chain in (("film", FILM), ("table", TABLE)) if name in chain}
     made: dict[str, list[str]] = {}
@@ -140,20 +143,22 @@ def _stage(name: str) -> str:
     kind = next(iter(chains.values())).kind
     if kind is dict:
         return f"\n### `/{name}`\n\n{words}A group per further target, `/{name}/<name>`, like `/track`.\n"
-    return _record(f"`/{name}`", kind, words)
+    return _record_section(f"`/{name}`", kind, words)
 
 
-def _record(title: str, kind: Any, words: str = "") -> str:
+def _record_section(title: str, kind: Any, words: str = "") -> str:
     """What a record becomes: datasets first, then attributes."""
-    says = _comments(kind)
-    rows = sorted((_row(f) for f in fields(kind)), key=lambda row: ("dataset", "attribute", "group").index(row[1]))
+    says = _field_comments(kind)
+    rows = sorted(
+        (_field_row(f) for f in fields(kind)), key=lambda row: ("dataset", "attribute", "group").index(row[1])
+    )
     doc = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
     head = ("name", "is a", "type", "unit", "what")
     body = _table(head, ((f"`{name}`", *rest, says.get(name, "")) for name, *rest in rows))
     return f"\n### {title}\n\n{doc}\n{words}\n{body}"
 
 
-def _row(f: Field[Any]) -> tuple[str, str, str, str]:
+def _field_row(f: Field[Any]) -> tuple[str, str, str, str]:
     """Name, kind of thing, type with shape, and unit of a field."""
     unit, told = f.metadata.get("unit") or "", str(f.type)
     or_empty = " or empty" if told.endswith("| None") else ""
@@ -165,7 +170,7 @@ def _row(f: Field[Any]) -> tuple[str, str, str, str]:
     return f.name, "group" if what == "group" else "attribute", what + or_empty, unit
 
 
-def _comments(kind: Any) -> dict[str, str]:
+def _field_comments(kind: Any) -> dict[str, str]:
     """What stands beside the fields in the code."""
     assert is_dataclass(kind)
     return dict(_COMMENT.findall(inspect.getsource(kind)))  # type: ignore[arg-type]
@@ -182,4 +187,4 @@ def _table(head: tuple[str, ...], rows: Iterable[Iterable[str]]) -> str:
 
 
 if __name__ == "__main__":
-    replace_text(PAGE, page())
+    replace_text(PAGE, schema_page())

@@ -1,4 +1,7 @@
-"""A study at work: every step first brings up to date what it rests on, and leaves its result in the store."""
+"""Work on one study: fit, compare, diagnose, add effects, report. Every step first updates what it depends on.
+
+Results are stored when they are computed, and read when nothing that they depend on has changed.
+"""
 
 from __future__ import annotations
 
@@ -15,133 +18,201 @@ from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
 from frictrack.files import working
 from frictrack.fit import analyse_uncertainty
-from frictrack.flow import changes
-from frictrack.flow.doubts import doubted
-from frictrack.flow.films import overlaid
-from frictrack.flow.ledger import Ledger
+from frictrack.flow import study_edits
+from frictrack.flow.auxiliary_signals import auxiliary_signals
+from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.contradictions import withhold_verdict
+from frictrack.flow.duplicate_runs import find_duplicate_runs
+from frictrack.flow.film_stages import write_overlay
 from frictrack.flow.opening import open_study
-from frictrack.flow.plausible import Findings
-from frictrack.flow.stages import Progress, RunWork, copied, digest, hashed, silent
-from frictrack.flow.stored import stored
-from frictrack.flow.summary import summary
-from frictrack.flow.tables import uneven_runs
-from frictrack.flow.tried import Spec, Tried, own_effects, told_effects
-from frictrack.flow.witnesses import seen_beside
+from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.plausibility_checks import Findings
+from frictrack.flow.run_summaries import run_summaries
+from frictrack.flow.stages import run_pipeline
+from frictrack.flow.stored_results import read_results
+from frictrack.flow.table_stage import jitter_notes
+from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.friction import impact
 from frictrack.results import Results, plain
 from frictrack.store import GroupContent
 from frictrack.study import Study, nearest
 from frictrack.version import __version__
 
-AFTER_MOTION = ("motion", "events", "cutoff", "friction")  # stages that rest on the motion, and itself
-EDITS = ("fit", "add", "remove")  # of the model
-CHOICES: dict[str, Callable[..., dict[str, Any]]] = {
-    "edit": changes.edit,
-    "take_in": changes.take_in,
-    "leave_out": changes.leave_out,
-    "define": changes.define,
-    "use": changes.use,
-    "undo": changes.undo,
-    "redo": changes.redo,
+STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
+MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
+STUDY_EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
+    "edit": study_edits.set_key,
+    "take_in": study_edits.add_recordings,
+    "leave_out": study_edits.remove_run,
+    "define": study_edits.define_effect,
+    "use": study_edits.select_model,
+    "undo": study_edits.undo,
+    "redo": study_edits.redo,
 }
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def one_at_a_time(do: Callable[Concatenate[Session, P], T]) -> Callable[Concatenate[Session, P], T]:
-    """One process at a time works on the models of a study; the next one waits, and finds what the first has done."""
+def exclusive(method: Callable[Concatenate[Session, P], T]) -> Callable[Concatenate[Session, P], T]:
+    """Let one process at a time work on the models of a study; the next one waits and uses what the first computed."""
 
-    @wraps(do)
-    def done(session: Session, *told: P.args, **named: P.kwargs) -> T:
+    @wraps(method)
+    def locked(session: Session, *arguments: P.args, **keywords: P.kwargs) -> T:
         with working(session.study.output, lambda: session.progress(0, 1, "waiting for another frictrack")):
-            return do(session, *told, **named)
+            return method(session, *arguments, **keywords)
 
-    return done
+    return locked
 
 
 class Session:
-    """One study, its runs and the models tried on it."""
+    """One study, its runs and the models tried on it.
+
+    The methods return the dictionaries that the command line prints with ``--json``.
+
+    Parameters
+    ----------
+    study
+        The study, as `open_study` returns it.
+    progress
+        Called as ``progress(done, total, what)``.
+    author
+        Recorded in the command history with every change.
+    expected_revision
+        Revision of the study that the user has seen; a change is refused if the study is at another one. None allows
+        any.
+    notes
+        Sentences for the report, for example on runs that were left out.
+
+    Examples
+    --------
+    Fit, diagnose, add the best candidate and write the report::
+
+        session = Session(open_study("study.toml"))
+        session.fit()
+        session.add(session.diagnose()["missing"][0])
+        session.report()
+
+    """
 
     def __init__(
         self,
         study: Study,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
         *,
-        who: str = "python",
-        seen: int | None = None,
+        author: str = "python",
+        expected_revision: int | None = None,
         notes: tuple[str, ...] = (),
     ) -> None:
         self.progress = progress
-        self.notes = notes  # for the report: what was done to the study before
-        self.ledger = Ledger(study.output, who, seen)
-        self._take(study)
+        self.notes = notes
+        self.commands = CommandHistory(study.output, author, expected_revision)
+        self._load(study)
 
-    def _take(self, study: Study) -> None:
+    def _load(self, study: Study) -> None:
         self.study = study
-        self.runs = [RunWork(study, run, self.progress) for run in study.runs]
-        self.tried = Tried(study, self.runs, self.progress, self.ledger)
+        self.runs = [run_pipeline(study, run, self.progress) for run in study.runs]
+        self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.findings = Findings(study)
         self.path = study.output / "study.h5"
 
-    def apply(self, do: str, **told: Any) -> dict[str, Any]:
-        """One command that changes the study, by its name and words: the door of the log, of jobs and of scripts.
+    def apply(self, command: str, **arguments: Any) -> dict[str, Any]:
+        """Run one command that changes the study; the command history, jobs and scripts use this method.
 
-        Raises `FrictrackError` for an unknown command, or where the study was changed since it was `seen`.
+        Parameters
+        ----------
+        command
+            One of `MODEL_EDITS` or `STUDY_EDITS`.
+        **arguments
+            Those of the method, or of the function in `frictrack.flow.study_edits`.
+
+        Raises
+        ------
+        FrictrackError
+            If the command is unknown, fails, or the study is not at the expected revision.
+
         """
-        self.ledger.check()
-        if do in CHOICES:
-            return self._chosen(do, **told)
-        if do not in EDITS:
-            raise FrictrackError(f"expected a command but got {do!r}; {nearest(do, (*EDITS, *CHOICES))}", usage=True)
-        result: dict[str, Any] = getattr(self, do)(**told)
+        self.commands.check_revision()
+        if command in STUDY_EDITS:
+            return self._edit_study(command, **arguments)
+        if command not in MODEL_EDITS:
+            hint = nearest(command, (*MODEL_EDITS, *STUDY_EDITS))
+            raise FrictrackError(f"expected a command but got {command!r}; {hint}", usage=True)
+        result: dict[str, Any] = getattr(self, command)(**arguments)
         return result
 
-    def _chosen(self, do: str, **told: Any) -> dict[str, Any]:
-        found = CHOICES[do](self, **told)
-        self._take(open_study(self.study.path, bare=True))
-        return found
+    def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
+        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
+        result = STUDY_EDITS[command](opened, **arguments)
+        self._load(open_study(self.study.path, bare=True))
+        return result
 
-    def bring_up_to(self, stage: str) -> list[RunWork]:
-        """Do every run up to a stage of its table; a table has no recording and no track to do.
+    def bring_up_to(self, stage: str) -> list[RunPipeline]:
+        """Bring every run up to date, up to one stage; stages that a table of positions does not have are skipped.
 
-        What was typed is checked first, and the motion before anything is made of it. Raises `FrictrackError` for what
-        cannot be right.
+        The numbers in the study file are checked first, and the motion before anything is computed from it.
+
+        Parameters
+        ----------
+        stage
+            Name of the stage; see `frictrack.flow.stages`.
+
+        Raises
+        ------
+        FrictrackError
+            If a stage fails, or a number cannot be right.
+
         """
-        self.findings.of_study()
-        if stage in AFTER_MOTION:
-            self._each("motion")
-            self.findings.of_runs(self.runs)
-        self._each(stage)
+        self.findings.check_study_file()
+        if stage in STAGES_FROM_MOTION:
+            self._update_runs("motion")
+            self.findings.check_runs(self.runs)
+        self._update_runs(stage)
         if stage == "friction":
-            self.findings.of_all(self.runs)
+            self.findings.check_all_runs(self.runs)
         return self.runs
 
-    def _each(self, stage: str) -> None:
-        for i, work in enumerate(self.runs):
+    def _update_runs(self, stage: str) -> None:
+        for i, pipeline in enumerate(self.runs):
             self.progress(i, len(self.runs), "runs")
-            if stage in work.stages:
-                work.get(stage)
+            if stage in pipeline.stages:
+                pipeline.get(stage)
         self.progress(len(self.runs), len(self.runs), "runs")
 
     def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
-        """Every run up to `track`, `motion` or `friction`: JSON of those commands. A motion has its cut-off priced.
+        """Bring every run up to ``"track"``, ``"motion"`` or ``"friction"``: JSON of those commands.
 
-        With `overlay` every film is written once more with what was tracked in it.
+        Parameters
+        ----------
+        stage
+            The stage.
+        overlay
+            Write every film once more with the tracked positions drawn into it.
+
         """
-        for work in self.runs if overlay else ():
-            if work.run.video:
-                overlaid(work)
-        works = self.bring_up_to("tracks" if stage == "track" else stage)
+        for pipeline in self.runs if overlay else ():
+            if pipeline.run.video:
+                write_overlay(pipeline)
+        pipelines = self.bring_up_to("tracks" if stage == "track" else stage)
         if stage != "track":
             self.bring_up_to("cutoff")
-        return {"runs": summary(works, stage), "warnings": self.findings.summary, "output": str(self.study.output)}
+        rows = run_summaries(pipelines, stage)
+        return {"runs": rows, "warnings": self.findings.summary, "output": str(self.study.output)}
 
-    @one_at_a_time
+    @exclusive
     def fit(self, model: str | None = None, *, profiles: bool = False, draws: int = 0, **how: Any) -> dict[str, Any]:
         """Fit the current model, or another one that becomes current: JSON of `fit`.
 
-        `how` may hold domain, search, over, seed, per; what is None stays as it was for the current model. `profiles`
-        and a bootstrap of so many `draws` are added to what is known of the fit.
+        Parameters
+        ----------
+        model
+            Name of a model, or effects separated by commas; None for the current model.
+        profiles
+            Compute 95 % intervals by profile likelihood.
+        draws
+            Number of parametric bootstrap draws for 95 % intervals; 0 for none.
+        **how
+            `domain`, `search`, `over`, `seed`, `per`; None keeps the setting of the current model.
+
         """
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
@@ -149,115 +220,117 @@ class Session:
         if model is not None:
             base = tuple(part.strip() for part in model.split(",")) if "," in model else model
             asked |= {"base": base, "edits": ()}
-            Spec(base).model(self.study.effects)
+            FitRequest(base).model(self.study.effects)
         self.bring_up_to("friction")
-        group, spec = self._first(asked) if not self.tried.groups else self.tried.current()
-        if replace(spec, **asked) != spec:
-            group, spec = self.tried.append(replace(spec, **asked), model=model, **how)
+        group, request = self._append_first_model(asked) if not self.models.groups else self.models.current()
+        if replace(request, **asked) != request:
+            group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:
-            self._make_sure(group, profiles, draws, spec.seed)
-        found = self._summary(group)
-        twice = [f'run "{name}" is {note}' for name, note in copied(self.runs).items()]
-        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._in_records()}
-        uneven = uneven_runs([work.get("displacement") for work in self.runs if work.run.table])
-        return {**found, "remarks": [*found["remarks"], *twice, *uneven], **more}
+            self._add_uncertainty(group, profiles, draws, request.seed)
+        result = self._fit_summary(group)
+        twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
+        more = {"scale_error": self._scale_error(), "warnings": self.findings.summary, "findings": self._run_notes()}
+        uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
+        return {**result, "remarks": [*result["remarks"], *twice, *uneven], **more}
 
-    def _in_records(self) -> list[dict[str, str]]:
-        """What was found in the displacement of every run and what its mass first hits, nothing looked for in vain."""
-        notes = [(work.run.name, note) for work in self.runs for note in work.get("displacement").notes]
+    def _run_notes(self) -> list[dict[str, str]]:
+        """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
+        notes = [(pipeline.run.name, note) for pipeline in self.runs for note in pipeline.get("displacement").notes]
         found = [{"run": run, "words": note} for run, note in notes if not note.startswith(("no ", "nothing "))]
-        impacts = [{"run": work.run.name, "words": impact(work.record())} for work in self.runs]
-        return [*found, *(hit for hit in impacts if hit["words"])]
+        impacts = [{"run": pipeline.run.name, "words": impact(pipeline.to_run())} for pipeline in self.runs]
+        return [*found, *(one for one in impacts if one["words"])]
 
-    def _make_sure(self, group: str, profiles: bool, draws: int, seed: int) -> None:
-        """Profiles and bootstrap of a fit, put beside it; what was known of it so stays."""
-        fitted, inside = self.tried.fit(group), f"models/{group}/certainty"
+    def _add_uncertainty(self, group: str, profiles: bool, draws: int, seed: int) -> None:
+        """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
+        fitted, inside = self.models.fit(group), f"models/{group}/certainty"
 
         def make() -> dict[str, Any]:
-            known = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
+            stored = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
             asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
             found = analyse_uncertainty(fitted, **asked, progress=self.progress)
-            return {"summary": json.dumps(known | plain(found.summary()))}
+            return {"summary": json.dumps(stored | plain(found.summary()))}
 
-        key = digest(["certainty", profiles, draws, seed, self.tried.key(self.tried.spec(group))])
-        self._summarised(inside, make, key, seed)
+        key = digest(["certainty", profiles, draws, seed, self.models.fit_key(self.models.request(group))])
+        self._stored_summary(inside, make, key, seed)
 
     def _scale_error(self) -> float:
-        """Relative standard deviation that the scale adds to every force told from acceleration, all runs alike."""
-        told = [run for run in self.tried.runs if run.drive is None and run.friction_N is None]
-        return max((run.displacement.relative_scale_error for run in told), default=0.0)
+        """Relative standard deviation that the scale adds to every force computed from acceleration, all runs alike."""
+        from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
+        return max((run.displacement.relative_scale_error for run in from_motion), default=0.0)
 
-    def _first(self, asked: dict[str, Any]) -> tuple[str, Spec]:
-        """The study file's model comes first, even where another one is asked for."""
+    def _append_first_model(self, asked: dict[str, Any]) -> tuple[str, FitRequest]:
+        """Fit the study file's model first, even if another one is asked for."""
         how = {} if "base" in asked else asked
-        return self.tried.append(replace(Spec(self.study.model, domain=self.tried.domain()), **how))
+        return self.models.append(replace(FitRequest(self.study.model, domain=self.models.domain()), **how))
 
-    def _summary(self, group: str) -> dict[str, Any]:
-        self.tried.fit(group)  # again when something it rests on has changed
-        return self.tried.results(group).summary
+    def _fit_summary(self, group: str) -> dict[str, Any]:
+        self.models.fit(group)  # again if something that it depends on has changed
+        return self.models.results(group).summary
 
-    @one_at_a_time
+    @exclusive
     def compare(self) -> dict[str, Any]:
-        """Errors of all models tried, and where the current one fails: JSON of `compare`."""
+        """Compare the errors of all models tried, and find where the current one fails: JSON of `compare`."""
 
         def make() -> dict[str, Any]:
-            return {"summary": json.dumps(self._named(compare(self._fits(), self._place()).summary()))}
+            comparison = compare(self._fits(), self._current_index())
+            return {"summary": json.dumps(self._with_group_names(comparison.summary()))}
 
-        return self._summarised("comparison", make, self._history_key())
+        return self._stored_summary("comparison", make, self._history_key())
 
-    @one_at_a_time
+    @exclusive
     def history(self) -> dict[str, Any]:
-        """Every model tried, in order, with its errors: JSON of `history`."""
-        return self._named(history(self._fits(), self._place()).summary())
+        """List every model tried with its errors, in order: JSON of `history`."""
+        return self._with_group_names(history(self._fits(), self._current_index()).summary())
 
-    def _place(self) -> int:
-        """Of the current model among those tried."""
-        return self.tried.groups.index(self.tried.current()[0])
+    def _current_index(self) -> int:
+        return self.models.groups.index(self.models.current()[0])
 
-    def _named(self, summary: dict[str, Any]) -> dict[str, Any]:
-        """The models under the names that they have in the store."""
-        named = [{**model, "name": group} for model, group in zip(summary["models"], self.tried.groups, strict=True)]
-        found: dict[str, Any] = plain({**summary, "models": named})
-        return found
+    def _with_group_names(self, summary: dict[str, Any]) -> dict[str, Any]:
+        """Name the models of a summary as the store does."""
+        named = [{**model, "name": group} for model, group in zip(summary["models"], self.models.groups, strict=True)]
+        result: dict[str, Any] = plain({**summary, "models": named})
+        return result
 
-    @one_at_a_time
+    @exclusive
     def diagnose(self, seed: int = 0) -> dict[str, Any]:
-        """Which effect is missing: JSON of `diagnose`."""
+        """Find the effect that the current model lacks: JSON of `diagnose`."""
         self.bring_up_to("friction")
-        group, spec = self.tried.current()
+        group, request = self.models.current()
 
         def make() -> dict[str, Any]:
-            own, auxiliary = told_effects(self.study.effects), seen_beside(self.runs)
-            diagnosis = diagnose(self.tried.fit(group), own=own, auxiliary=auxiliary, seed=seed, progress=self.progress)
-            summary = doubted(diagnosis.summary(), self.findings.contradictions)
+            own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
+            diagnosis = diagnose(self.models.fit(group), own=own, auxiliary=signals, seed=seed, progress=self.progress)
+            summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
             return {"summary": json.dumps(plain(summary)), "figures": diagnosis.figures}
 
-        self.tried.fit(group)  # a refit drops the old diagnosis
+        self.models.fit(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
-        found = self._summarised(inside, make, digest(["diagnosis", seed, self.tried.key(spec), self._told()]), seed)
+        key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
+        found = self._stored_summary(inside, make, key, seed)
         if store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
-        return {**found, "warnings": self.findings.summary, "findings": self._in_records()}
+        return {**found, "warnings": self.findings.summary, "findings": self._run_notes()}
 
-    def _told(self) -> list[Any]:
-        """What a diagnosis rests on beside the fit: the `[[effect]]` tables, and what else was seen or doubted."""
-        beside = [work.key(name) for work in self.runs for name in ("sensors", "tracks") if name in work.stages]
+    def _diagnosis_inputs(self) -> list[Any]:
+        """What a diagnosis depends on besides the fit: sensors, further tracks, contradictions, `[[effect]]` tables."""
+        names = ("sensors", "tracks")
+        keys = [pipeline.key(name) for pipeline in self.runs for name in names if name in pipeline.stages]
         contradicted = [str(finding) for finding in self.findings.contradictions]
-        return [beside, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
+        return [keys, contradicted, *(table.model_dump(mode="json") for table in self.study.effects)]
 
-    @one_at_a_time
+    @exclusive
     def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
-        """Fit again with one effect more: JSON of `add`."""
-        return self._edit("+", effect, seed)
+        """Add one effect to the current model and fit again: JSON of `add`."""
+        return self._change_model("+", effect, seed)
 
-    @one_at_a_time
+    @exclusive
     def remove(self, effect: str, seed: int | None = None) -> dict[str, Any]:
-        """Fit again with one effect less: JSON of `remove`."""
-        return self._edit("-", effect, seed)
+        """Remove one effect from the current model and fit again: JSON of `remove`."""
+        return self._change_model("-", effect, seed)
 
-    def _edit(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
-        effects.get(effect, own_effects(self.study.effects))  # the nearest right name, before any work
-        before, after = self._edited(sign + effect, seed)
+    def _change_model(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
+        effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
+        before, after = self._fit_changed(sign + effect, seed)
         return {
             "effect": effect,
             "error_before": before["errors"],
@@ -265,25 +338,34 @@ class Session:
             "parameters": after["parameters"],
         }
 
-    def _edited(self, edit: str, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _fit_changed(self, edit: str, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Fit the current model with one edit; return the summaries before and after."""
         self.bring_up_to("friction")
-        group, spec = self.tried.current()
-        spec = spec.edited(edit) if seed is None else replace(spec.edited(edit), seed=seed)
-        spec.model(self.study.effects)
-        before = self._summary(group)
-        do = "add" if edit[0] == "+" else "remove"
-        return before, self._summary(self.tried.append(spec, do, effect=edit[1:], seed=spec.seed)[0])
+        group, request = self.models.current()
+        request = request.edited(edit) if seed is None else replace(request.edited(edit), seed=seed)
+        request.model(self.study.effects)
+        before = self._fit_summary(group)
+        command = "add" if edit[0] == "+" else "remove"
+        new_group, _ = self.models.append(request, command, effect=edit[1:], seed=request.seed)
+        return before, self._fit_summary(new_group)
 
-    @one_at_a_time
+    @exclusive
     def attempt(self, effect: str, path: Path) -> dict[str, Any]:
-        """Fit with one effect more and put the model into a file of its own: nothing of the study changes."""
-        self.bring_up_to("friction")
-        spec = self.tried.current()[1].edited(f"+{effect}")
-        return self.tried.attempt(spec, path)
+        """Fit the current model with one more effect into a separate file; the study is not changed.
 
-    @one_at_a_time
+        Returns
+        -------
+        dict
+            The JSON of `fit`.
+
+        """
+        self.bring_up_to("friction")
+        request = self.models.current()[1].edited(f"+{effect}")
+        return self.models.attempt(request, path)
+
+    @exclusive
     def run(self, seed: int = 0) -> dict[str, Any]:
-        """Everything: JSON of `run`."""
+        """Fit, compare, diagnose and report: JSON of `run`."""
         fit = self.fit()
         self.compare()
         diagnosis = self.diagnose(seed)
@@ -291,89 +373,96 @@ class Session:
         warnings = self.findings.summary
         return {"fit": fit, "diagnose": diagnosis, "warnings": warnings, "output": str(self.study.output)}
 
-    @one_at_a_time
+    @exclusive
     def report(self, seed: int | None = None, *, anew: bool = True) -> Path:
-        """Write ``report.html`` and say where; `seed` is that of the diagnosis, the last one's when None.
+        """Write ``report.html`` and return its path.
 
-        Unless asked for `anew`, a page that was made from the very same results stays.
+        Parameters
+        ----------
+        seed
+            Seed of the diagnosis; None for that of the last one.
+        anew
+            Write the page even if it was made from the same results before.
+
         """
         path = self.study.output / "report.html"
-        notes = self._up_to_date(seed)
-        warnings = self.findings.words
-        key = digest([__version__, notes, warnings, *(hashed(p) for p in self._files())])
-        if anew or not _holds(path, key):
-            from frictrack import report  # noqa: PLC0415 - draws for seconds
+        notes = self._update_all(seed)
+        warnings = self.findings.messages
+        key = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
+        if anew or not _has_key(path, key):
+            from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw
 
-            report.write(replace(stored(self.study), notes=notes, warnings=warnings), path, key)
+            report.write(replace(read_results(self.study), notes=notes, warnings=warnings), path, key)
         return path
 
-    def _files(self) -> list[Path]:
-        """All that a report rests on."""
-        return [self.study.path, self.path, *(work.path for work in self.runs)]
+    def _report_inputs(self) -> list[Path]:
+        """The files that a report depends on."""
+        return [self.study.path, self.path, *(pipeline.path for pipeline in self.runs)]
 
     def restart(self) -> None:
-        """Forget the models tried; what was measured stays."""
+        """Remove the models tried; measurements are kept."""
         if self.path.exists():
-            with self.ledger.turn("restart"):
+            with self.commands.record("restart"):
                 store.write(self.path, {}, remove=("models", "comparison", "diagnosis", "papers"))
-        self._take(self.study)
+        self._load(self.study)
 
-    @one_at_a_time
+    @exclusive
     def results(self, seed: int | None = None) -> Results:
-        """All that the study has come to, for the report and the export."""
-        notes = self._up_to_date(seed)
-        return replace(stored(self.study), notes=notes, warnings=self.findings.words)
+        """Bring everything up to date and return all results, for the report and the export."""
+        notes = self._update_all(seed)
+        return replace(read_results(self.study), notes=notes, warnings=self.findings.messages)
 
-    def _up_to_date(self, seed: int | None) -> tuple[str, ...]:
-        """Do all that is missing or stale; what could not be done, in words."""
-        for work in self.runs:
-            for stage in work.stages:
-                work.get(stage)
+    def _update_all(self, seed: int | None) -> tuple[str, ...]:
+        """Compute all that is missing or outdated; return notes, also on what could not be computed."""
+        for pipeline in self.runs:
+            for stage in pipeline.stages:
+                pipeline.get(stage)
         self.compare()
-        self.diagnose(self._seed() if seed is None else seed)
-        return (*self.notes, *self._papers())
+        self.diagnose(self._last_seed() if seed is None else seed)
+        return (*self.notes, *self._update_papers_route())
 
-    def _seed(self) -> int:
-        """The seed of the last diagnosis."""
+    def _last_seed(self) -> int:
+        """Return the seed of the last diagnosis."""
         held = store.provenance(self.path, "diagnosis")
         return int(json.loads(held.settings)["seed"]) if held else 0
 
-    def _papers(self) -> tuple[str, ...]:
-        """Bring the papers' route beside ours up to date, or say why there is none.
+    def _update_papers_route(self) -> tuple[str, ...]:
+        """Bring the fit by the papers' route up to date, or return a note why there is none.
 
-        Friction that was measured has no other route.
+        Where friction was measured, there is no other route.
         """
-        if all(run.friction_N is None for run in self.tried.runs):
+        if all(run.friction_N is None for run in self.models.runs):
             try:
-                self.tried.papers()
+                self.models.fit_papers_route()
             except FrictrackError as e:
                 return (f"the papers' route (force domain, SGA) was not possible: {e}",)
         return ()
 
     def _fits(self) -> list[Any]:
         self.bring_up_to("friction")
-        self.tried.current()
-        return [self.tried.fit(group) for group in self.tried.groups]
+        self.models.current()
+        return [self.models.fit(group) for group in self.models.groups]
 
     def _history_key(self) -> str:
         self.bring_up_to("friction")
-        self.tried.current()
-        return digest([self._place(), *(self.tried.key(self.tried.spec(group)) for group in self.tried.groups)])
+        self.models.current()
+        keys = (self.models.fit_key(self.models.request(group)) for group in self.models.groups)
+        return digest([self._current_index(), *keys])
 
-    def _summarised(
+    def _stored_summary(
         self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None
     ) -> dict[str, Any]:
-        """A stored summary, made again when its key has changed."""
+        """Return a stored summary; it is computed again if its key has changed."""
         held = store.provenance(self.path, group)
         if held is None or held.key != key:
-            provenance = self.tried.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
+            provenance = self.models.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
             store.write(self.path, {group: GroupContent(make(), provenance)})
         found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
         return found
 
 
-def _holds(path: Path, key: str) -> bool:
-    """Whether a page was made from what has this key: it stands in its head."""
+def _has_key(path: Path, key: str) -> bool:
+    """Return whether a page was made with this key, which is written in its head."""
     if not path.exists():
         return False
     with path.open("rb") as file:

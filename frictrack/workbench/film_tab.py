@@ -11,7 +11,7 @@ import panel as pn
 
 from frictrack.errors import FrictrackError
 from frictrack.files import replaced
-from frictrack.flow import sheet
+from frictrack.flow import contact_sheet_path
 from frictrack.report.tables import table
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
@@ -85,7 +85,7 @@ class FilmTab:
         self.plots_with_film.draw(plot_data.tracked(run) if run else plot_data.PlotData(), self.state.run)
         self.audit.object = self._audit_html()
         self._show_run_keys()
-        path = sheet(self.state.study, self.state.run) if self.state.study else None
+        path = contact_sheet_path(self.state.study, self.state.run) if self.state.study else None
         self.sheet.visible = run is not None and run.film is not None and path is not None and path.exists()
         if self.sheet.visible and path is not None:
             self.show_frame.alt_text = f"contact sheet: what was tracked in {self.state.run}"

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.export import write
-from frictrack.flow import script
+from frictrack.flow import replay_script
 from frictrack.report import printed
 from frictrack.report.tables import history
 from frictrack.results import Results
@@ -126,7 +126,7 @@ class HistoryTab:
 
     def _script(self) -> bytes:
         assert self.state.study is not None
-        return script(self.state.study).encode()
+        return replay_script(self.state.study).encode()
 
     def _figures(self) -> bytes:
         kind = self.kind.value

@@ -62,7 +62,10 @@ def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     from frictrack.results import plain  # noqa: PLC0415
 
     session = Session(
-        open_study(spec["study"]), ProgressFile(folder / "progress.jsonl"), who=spec["who"], seen=spec["seen"]
+        open_study(spec["study"]),
+        ProgressFile(folder / "progress.jsonl"),
+        author=spec["who"],
+        expected_revision=spec["seen"],
     )
     done: dict[str, Any] = plain(ACTIONS.get(spec["do"], _apply_change)(session, spec["do"], folder, **spec["told"]))
     return {"done": done}

@@ -9,7 +9,7 @@ import numpy as np
 import panel as pn
 
 from frictrack.effects import catalogue
-from frictrack.flow import own_effects
+from frictrack.flow import user_effects
 from frictrack.plots.style import BLUE
 from frictrack.report.markup import mark_equation
 from frictrack.workbench.effect_blocks import EffectBlocks
@@ -86,7 +86,7 @@ class ModelTab:
     def _library(self) -> dict[str, dict[str, Any]]:
         """Every effect that can be chosen, the study's own among them."""
         tables = self.state.study.effects if self.state.study else ()
-        return {e["name"]: e for e in catalogue(own_effects(tables))}
+        return {e["name"]: e for e in catalogue(user_effects(tables))}
 
     def _describe_choice(self) -> None:
         """What the chosen effect is."""

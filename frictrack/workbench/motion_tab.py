@@ -10,7 +10,7 @@ import panel as pn
 
 from frictrack import plots
 from frictrack.errors import FrictrackError
-from frictrack.flow import previewed
+from frictrack.flow import preview_motion
 from frictrack.results import RunResults
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
@@ -118,7 +118,7 @@ class MotionTab:
                 run = self.state.measured
                 if run is None:
                     return
-                found = await asyncio.to_thread(previewed, run, wanted[1])
+                found = await asyncio.to_thread(preview_motion, run, wanted[1])
                 if self._ghost is not None and self.state.measured is run:
                     self.plots_with_film.draw(plot_data.motion(run, found, f"at {wanted[1]:.3g} Hz"))
                     shown = wanted

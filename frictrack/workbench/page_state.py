@@ -14,9 +14,9 @@ from typing import Any
 import param
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, start_study, stored
-from frictrack.flow.ledger import Ledger
-from frictrack.flow.plausible import Findings
+from frictrack.flow import Session, open_study, read_results, start_study
+from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.plausibility_checks import Findings
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.study import RunTable, Study, find_recordings, written
 from frictrack.workbench import jobs
@@ -40,7 +40,7 @@ class PageState(param.Parameterized):
         self.path = path
         self.study: Study | None = None
         self.results: Results | None = None
-        self.ledger: Ledger | None = None
+        self.ledger: CommandHistory | None = None
         self.rev = 0
         self.job: Job | None = None
         self._print: object = None
@@ -69,8 +69,8 @@ class PageState(param.Parameterized):
             return
         self.study, self.results = found
         if self.study is not None:
-            self.ledger = Ledger(self.study.output, WHO)
-            self.rev = self.ledger.rev
+            self.ledger = CommandHistory(self.study.output, WHO)
+            self.rev = self.ledger.revision
             self._ended = {job.folder.name for job in jobs.list_jobs(self.study) if job.state != jobs.RUNNING}
             names = [run.name for run in self.study.runs]
             if self.run not in names:
@@ -122,7 +122,7 @@ class PageState(param.Parameterized):
 
     def can(self, do: str) -> bool:
         """Whether there is something to undo or to redo."""
-        done, undone = self.ledger.stacks() if self.ledger else ([], [])
+        done, undone = self.ledger.undo_stacks() if self.ledger else ([], [])
         return bool(done if do == "undo" else undone)
 
     # --- what is done
@@ -140,8 +140,8 @@ class PageState(param.Parameterized):
             self.notify(str(e), is_error=True)
             return False
         found = Findings(open_study(self.path))
-        found.of_study()
-        self._notify_done(f"{self.path.name} is written; now run everything", found.words)
+        found.check_study_file()
+        self._notify_done(f"{self.path.name} is written; now run everything", found.messages)
         return True
 
     def _notify_done(self, words: str, warnings: Sequence[str]) -> None:
@@ -152,11 +152,11 @@ class PageState(param.Parameterized):
         """A quick change of the study; whether it was made. Refused where the study was changed meanwhile."""
         assert self.study is not None
         try:
-            Session(open_study(self.path, bare=True), who=WHO, seen=self.rev).apply(do, **arguments)
+            Session(open_study(self.path, bare=True), author=WHO, expected_revision=self.rev).apply(do, **arguments)
         except FrictrackError as e:
             self.notify(str(e), is_error=True)
             return False
-        self.rev = Ledger(self.study.output).rev
+        self.rev = CommandHistory(self.study.output).revision
         self.notify(
             " ".join((f"{do}: done", *(str(arguments[k]) for k in ("which", "key") if arguments.get(k) is not None)))
         )
@@ -211,10 +211,10 @@ class PageState(param.Parameterized):
             self.notify(f"{words}: {state}; what was finished stays, start it again to go on", is_error=True)
 
     def _show_attempt(self, job: Job) -> None:
-        from frictrack.flow import attempted  # noqa: PLC0415
+        from frictrack.flow import read_attempt  # noqa: PLC0415
 
         effect = job.spec["told"]["effect"]
-        self.ghost = replace(attempted(job.folder / "attempt.h5"), name=f"0_with {effect}")
+        self.ghost = replace(read_attempt(job.folder / "attempt.h5"), name=f"0_with {effect}")
 
 
 def _read(path: Path) -> tuple[Study | None, Results | None] | FrictrackError:
@@ -223,6 +223,6 @@ def _read(path: Path) -> tuple[Study | None, Results | None] | FrictrackError:
         return None, None
     try:
         study = open_study(path, bare=True)
-        return study, stored(study)
+        return study, read_results(study)
     except FrictrackError as e:
         return e

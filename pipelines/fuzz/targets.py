@@ -21,8 +21,8 @@ from frictrack.calibration import parse_scale
 from frictrack.calibration.lens import read_lens
 from frictrack.effects.formula import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.errors import FrictrackError
-from frictrack.flow.ledger import Ledger
-from frictrack.flow.opening import checked
+from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
 from frictrack.recording import open_recording, random_access
 from frictrack.sensors import SensorRecord
@@ -124,7 +124,7 @@ def study(data: bytes, folder: Path) -> None:
         (folder / name).touch()
     path = folder / "study.toml"
     path.write_bytes(data)
-    told = checked(load(path))
+    told = check_study(load(path))
     assert told.output.resolve().is_relative_to(folder.resolve())
     for run in told.runs:
         assert (told.output / f"{run.name}.h5").resolve().parent == told.output.resolve()
@@ -266,9 +266,9 @@ def _used(path: Path) -> None:
 def log(data: bytes, folder: Path) -> None:
     """The log of a study."""
     (folder / "log.jsonl").write_bytes(data)
-    ledger = Ledger(folder)
-    ledger.stacks()
-    assert all(isinstance(change.words, str) for change in ledger.changes)
+    history = CommandHistory(folder)
+    history.undo_stacks()
+    assert all(isinstance(change.text, str) for change in history.changes)
 
 
 ODD = (

@@ -17,7 +17,7 @@ from frictrack.blind.outcome import NOTE_PHRASES, parameter_deviations
 from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.flow.stages import RunWork
+from frictrack.flow.pipeline import RunPipeline
 from reality.faults import Fault, noted, read_fault
 from reality.studies import Case, write_case
 
@@ -175,13 +175,13 @@ def notes(session: Session | None) -> list[str]:
     """All that the measuring chain says of the runs: warnings on what was typed, notes of stages that are done."""
     if session is None:
         return []
-    found = list(session.findings.words)
+    found = list(session.findings.messages)
     for work in session.runs:
         found += [f'run "{work.run.name}": {note}' for note in _of_run(work)]
     return found
 
 
-def _of_run(work: RunWork) -> list[str]:
+def _of_run(work: RunPipeline) -> list[str]:
     """Notes of the recording, the track and the displacement of a run."""
     out: list[str] = []
     for stage in ("recording", "track", "displacement"):
@@ -212,7 +212,7 @@ def indistinguishable(case: Case) -> dict[str, tuple[str, ...]]:
         write_study(truth, folder)
         session = Session(open_study(folder / "study.toml"))
         session.fit()
-        return equivalent_effects(truth, session.tried.fit(session.tried.current()[0]).solution)
+        return equivalent_effects(truth, session.models.fit(session.models.current()[0]).solution)
 
 
 @contextmanager

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.flow.opening import open_study
+from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
-from frictrack.flow.stages import Progress, silent
 
-ROUNDS = 4  # effects that may be added before the demo gives up
+MAX_EFFECTS_ADDED = 4  # effects that may be added before the demo gives up
 
 
-def demo(folder: Path, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
     """Run the sample study in `folder` (written there when it is missing): JSON of `demo`.
 
     What is missing is added, best first, until the diagnosis finds nothing more.
@@ -26,7 +26,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = silent) -> dict[str, 
     session.restart()
     first = found = session.diagnose(seed)
     added: list[dict[str, Any]] = []
-    while found["missing"] and len(added) < ROUNDS:
+    while found["missing"] and len(added) < MAX_EFFECTS_ADDED:
         added.append(session.add(found["missing"][0], seed))
         found = session.diagnose(seed)
     history = session.history()

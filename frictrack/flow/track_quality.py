@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.calibration import estimate_shake, subtract_shake
-from frictrack.flow.rotation import turning_note
+from frictrack.flow.target_rotation import rotation_note
 from frictrack.records import MEASURED, Array, Track
 from frictrack.results import Film
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from frictrack.samples import Slip
 
 Rows = NDArray[np.int64]
-OFTEN = 0.3  # share of the frames of a film that were put in: it was stretched
-STRETCHED = (
+MIN_STRETCHED_SHARE = 0.3  # share of the frames of a film that were put in: it was stretched
+NOTE_STRETCHED = (
     "the film was stretched by showing pictures more than once; the frame rate is taken as that of the pictures: "
     "if it is that of the stretched film, divide fps by how often a picture is shown (friction goes with its square)"
 )
-FEW_LOST = 0.01  # of the frames of a path, that may be empty without a word
-DEPENDS = 0.5  # standard deviations between forward and backward that are worth a word
+MIN_LOST_SHARE = 0.01  # of the frames of a path, that may be empty without a word
+MIN_DIRECTION_SIGMAS = 0.5  # standard deviations between forward and backward that are worth a word
 
 
-def judged(
+def correct_track(
     track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
 ) -> tuple[Track, tuple[str, ...], Rows]:
     """The track without camera shake (of at least `least` px) and with true times, findings, and its frame numbers.
@@ -37,21 +37,25 @@ def judged(
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
-    clean, notes, slips = _clean(track, tracks.get("reference"), clocked=clocked, least=least)
-    notes += (*_both_ways(track, tracks.get("backward")), *self_test(clean, ()).notes)
-    notes += (*turning_note(clean), *lost_note(clean))
-    rows = np.arange(len(track)) if clocked else rows_kept(len(track), slips)
-    return clean, (*notes, *(_doubted(slips) if clocked else _corrected(slips, len(track)))), rows
+    clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, least=least)
+    notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean, ()).notes)
+    notes += (*rotation_note(clean), *lost_frames_note(clean))
+    rows = np.arange(len(track)) if clocked else kept_rows(len(track), slips)
+    return (
+        clean,
+        (*notes, *(_overruled_slip_notes(slips) if clocked else _corrected_slip_notes(slips, len(track)))),
+        rows,
+    )
 
 
-def lost_note(track: Track) -> tuple[str, ...]:
+def lost_frames_note(track: Track) -> tuple[str, ...]:
     """Return a finding on frames that are empty between the first and the last that show the target, at most one."""
     found = np.flatnonzero(track.found)
     if not len(found):
         return ()
     between = track.rows(slice(int(found[0]), int(found[-1]) + 1))
     count = int(np.count_nonzero(~between.found))
-    if count < max(FEW_LOST * len(between), 2):
+    if count < max(MIN_LOST_SHARE * len(between), 2):
         return ()
     why = ", ".join(f"{reason} in {frames}" for reason, frames in between.lost.most_common())
     gap = int(np.argmax(np.diff(found)))
@@ -59,7 +63,7 @@ def lost_note(track: Track) -> tuple[str, ...]:
     return (f"{count} of {len(between)} frames of the path are empty: {why}; {where}",)
 
 
-def _clean(
+def _corrected_track(
     track: Track, reference: Track | None, *, clocked: bool, least: float = 0.0
 ) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
     """The track without shake and with true times, what was done about shake, and what the motion tells of the times.
@@ -68,15 +72,15 @@ def _clean(
     """
     from frictrack.tracking.checks import slips  # noqa: PLC0415
 
-    found = slips(_beside(track, reference))
+    found = slips(_minus_reference(track, reference))
     if clocked:  # a frame that shows the one before is left out, but no time is changed
-        track = retimed(track, [replace(s, frames=0) for s in found if s.doubled])
+        track = correct_times(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
-        track, reference = retimed(track, found), None if reference is None else retimed(reference, found)
+        track, reference = correct_times(track, found), None if reference is None else correct_times(reference, found)
     return *subtract_shake(track, reference, least), found
 
 
-def _beside(track: Track, reference: Track | None) -> Track:
+def _minus_reference(track: Track, reference: Track | None) -> Track:
     """The track less the reference as it was measured, where that shakes."""
     if reference is None or not estimate_shake(reference).detected:
         return track
@@ -90,7 +94,7 @@ def _beside(track: Track, reference: Track | None) -> Track:
     )
 
 
-def left_of_shake(reference: Track | None, least: float) -> tuple[float, float, str] | None:
+def residual_shake(reference: Track | None, least: float) -> tuple[float, float, str] | None:
     """What may be left of a camera shake: frequency in Hz, rms along x in px, and why; None without any."""
     if reference is None:
         return None
@@ -103,22 +107,22 @@ def left_of_shake(reference: Track | None, least: float) -> tuple[float, float, 
     return None
 
 
-def _both_ways(forward: Track, backward: Track | None) -> tuple[str, ...]:
+def _forward_backward_note(forward: Track, backward: Track | None) -> tuple[str, ...]:
     """What the same film tracked backward says, where the two differ."""
     from frictrack.tracking.checks import forward_backward  # noqa: PLC0415
 
     if backward is None:
         return ()
     both = forward_backward(forward, backward)
-    return (both.summary,) if both.only_one or both.in_sigma > DEPENDS else ()
+    return (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
 
 
-def rows_kept(n: int, slips: Sequence[Slip]) -> Rows:
+def kept_rows(n: int, slips: Sequence[Slip]) -> Rows:
     """Rows of a track of n frames that stay: doubled frames that were put in do not."""
     return np.setdiff1d(np.arange(n), [s.frame for s in slips if s.frames < 0])
 
 
-def retimed(track: Track, slips: Sequence[Slip]) -> Track:
+def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
     """The track with gaps in time where frames are missing, and without doubled frames.
 
     A doubled frame in place of a lost one is not found; one that was put in is left out.
@@ -130,7 +134,7 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
     right, keep = correct_ticks(ticks, slips)
-    rows = rows_kept(len(track), slips)
+    rows = kept_rows(len(track), slips)
     lost = ~keep[rows]
     columns: dict[str, Any] = {
         f.name: np.array(column)[rows]
@@ -144,7 +148,7 @@ def retimed(track: Track, slips: Sequence[Slip]) -> Track:
     return replace(track, **columns)
 
 
-def _doubted(slips: Sequence[Slip]) -> tuple[str, ...]:
+def _overruled_slip_notes(slips: Sequence[Slip]) -> tuple[str, ...]:
     """The same where the camera's own time stamps say otherwise."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
@@ -154,24 +158,24 @@ def _doubted(slips: Sequence[Slip]) -> tuple[str, ...]:
     return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
 
 
-def _corrected(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
+def _corrected_slip_notes(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
     """The faults of the time base and what was done about them."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     doubled = timing_note([s for s in slips if s.doubled])
     missing = timing_note([s for s in slips if not s.doubled])
-    stretched = (STRETCHED,) if sum(s.frames < 0 for s in slips) > OFTEN * n else ()
+    stretched = (NOTE_STRETCHED,) if sum(s.frames < 0 for s in slips) > MIN_STRETCHED_SHARE * n else ()
     left_out = (*(f"{note}; left out" for note in doubled), *stretched)
     return (*left_out, *(f"{note}; left as gaps in time" for note in missing))
 
 
-def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
+def track_quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
     """Numbers on one film's measurement; `pitch` is that of the displacement, m, None where there is none."""
     from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
 
     found = track.found
     um = None if pitch is None else 1e6 * pitch
-    clean, *_ = _clean(track, tracks.get("reference"), clocked=film.clocked)
+    clean, *_ = _corrected_track(track, tracks.get("reference"), clocked=film.clocked)
     locking, history = peak_locking(clean), scores(track)
     both = forward_backward(track, tracks["backward"]) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
@@ -182,27 +186,27 @@ def quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | N
         "travel_px": float(np.ptp(track.x_px[found])) if np.any(found) else None,
         "sigma_px": sigma,
         "sigma_um": None if um is None or sigma is None else um * sigma,
-        "sigma_angle_rad": _usual(track.sigma_angle),
+        "sigma_angle_rad": _median(track.sigma_angle),
         "score": history.median if history else None,
         "lowest_score": history.lowest if history else None,
         "peak_locking_px": locking.amplitude if locking else None,
         "peak_locking_std_px": locking.error if locking else None,
         "forward_backward_px": both.rms if both else None,
         "forward_backward_sigmas": both.in_sigma if both else None,
-        **_reference(tracks.get("reference"), um),
+        **_reference_noise(tracks.get("reference"), um),
         "exposure_s": film.exposure,
-        "blur_px": None if film.exposure is None else _fastest(track) * film.exposure,
+        "blur_px": None if film.exposure is None else _high_speed(track) * film.exposure,
         "timebase": [{"what": what, "value": value, "verdict": verdict} for what, value, verdict in film.audit],
     }
 
 
-def _usual(values: Array | None) -> float | None:
+def _median(values: Array | None) -> float | None:
     """Median of the known values of a column; None without any."""
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else None
 
 
-def _reference(track: Track | None, um: float | None) -> dict[str, Any]:
+def _reference_noise(track: Track | None, um: float | None) -> dict[str, Any]:
     """The live noise floor: what a fixed reference does beyond camera shake."""
     if track is None:
         return dict.fromkeys(("reference", "noise_floor_px", "noise_floor_um", "shake_px", "shake_Hz"))
@@ -217,7 +221,7 @@ def _reference(track: Track | None, um: float | None) -> dict[str, Any]:
     }
 
 
-def _fastest(track: Track) -> float:
+def _high_speed(track: Track) -> float:
     """Speed of the target, px/s, that is exceeded in one frame of a hundred."""
     step = np.hypot(np.diff(track.x_px), np.diff(track.y_px)) / np.diff(track.t)
     known = step[np.isfinite(step)]

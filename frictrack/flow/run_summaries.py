@@ -7,54 +7,55 @@ from typing import Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.flow.beside import sensor_rows
-from frictrack.flow.budgets import budgeted
-from frictrack.flow.films import overlay, sheet
-from frictrack.flow.quality import quality
-from frictrack.flow.stages import RunWork, copied
+from frictrack.flow.duplicate_runs import find_duplicate_runs
+from frictrack.flow.film_stages import contact_sheet_path, overlay_path
+from frictrack.flow.pipeline import RunPipeline
+from frictrack.flow.run_budget import run_budget
+from frictrack.flow.sensor_stage import sensor_summary
+from frictrack.flow.track_quality import track_quality
 from frictrack.records import Displacement, Friction, Happenings, Motion, Trade
 from frictrack.results import plain
 
 
-def summary(works: list[RunWork], stage: str) -> list[dict[str, Any]]:
+def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
     """The rows of all runs, after they were brought up to the stage; a table has no track and no row there."""
-    describe = {"track": _track, "motion": _motion, "friction": _friction}[stage]
+    describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
     made: list[dict[str, Any]] = plain(
-        [{"run": work.run.name, **describe(work)} for work in works if stage in work.stages]
+        [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
     )
     if stage == "track":  # what cannot be calibrated has no displacement to compare
         return made
-    twice = copied(works)
+    twice = find_duplicate_runs(pipelines)
     return [{**row, "notes": [*row["notes"], *filter(None, [twice.get(row["run"])])]} for row in made]
 
 
-def _track(work: RunWork) -> dict[str, Any]:
+def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     from frictrack.tracking import target_line  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    displacement, notes = _displacement(work)
+    displacement, notes = _displacement_and_notes(pipeline)
     pitch = displacement.pixel_pitch if displacement else None
-    track = work.get("track")
+    track = pipeline.get("track")
     return {
-        **quality(work.get("recording"), track, work.get("tracks"), pitch),
+        **track_quality(pipeline.get("recording"), track, pipeline.get("tracks"), pitch),
         "target": target_line(track),
-        "contact_sheet": str(sheet(work.study, work.run.name)),
-        "overlay": str(overlay(work)) if overlay(work).exists() else None,
+        "contact_sheet": str(contact_sheet_path(pipeline.study, pipeline.run.name)),
+        "overlay": str(overlay_path(pipeline)) if overlay_path(pipeline).exists() else None,
         "notes": notes,
     }
 
 
-def _displacement(work: RunWork) -> tuple[Displacement | None, list[str]]:
+def _displacement_and_notes(pipeline: RunPipeline) -> tuple[Displacement | None, list[str]]:
     """What was found on the way to metres; a track is shown even where it cannot be calibrated."""
     try:
-        displacement: Displacement = work.get("displacement")
+        displacement: Displacement = pipeline.get("displacement")
     except FrictrackError as e:
-        return None, [*work.get("track").notes, f"not calibrated: {e}"]
+        return None, [*pipeline.get("track").notes, f"not calibrated: {e}"]
     return displacement, list(displacement.notes)
 
 
-def _motion(work: RunWork) -> dict[str, Any]:
-    motion: Motion = work.get("motion")
-    displacement: Displacement = work.get("displacement")
+def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
+    motion: Motion = pipeline.get("motion")
+    displacement: Displacement = pipeline.get("displacement")
     return {
         "frames": len(motion),
         "cutoff_Hz": motion.cutoff,
@@ -63,19 +64,19 @@ def _motion(work: RunWork) -> dict[str, Any]:
         "v_max": float(motion.v[np.argmax(np.abs(motion.v))]),
         "sigma_v": float(np.median(motion.sigma_v)),
         "sigma_a": float(np.median(motion.sigma_a)),
-        "smoothing": work.get("filtered").reason,
+        "smoothing": pipeline.get("filtered").reason,
         "lines_Hz": list(motion.lines),
         "guard_frames": motion.guard,
-        "cutoff": _cutoff(work),
-        **_events(work),
-        **_beside(work),
+        "cutoff": _cutoff_summary(pipeline),
+        **_events_summary(pipeline),
+        **_sensor_notes(pipeline),
     }
 
 
-def _cutoff(work: RunWork) -> dict[str, Any]:
+def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """What a plain low-pass would cost, in newtons where the mass is known, and what lies above its cut-off."""
-    found: Trade = work.get("cutoff")
-    mass = work.run.mass[0] if isinstance(work.run.mass, tuple) else None
+    found: Trade = pipeline.get("cutoff")
+    mass = pipeline.run.mass[0] if isinstance(pipeline.run.mass, tuple) else None
     unit, factor = ("m/s^2", 1.0) if mass is None else ("N", mass)
     noise, lost = found.at(found.chosen)
     return {
@@ -89,9 +90,9 @@ def _cutoff(work: RunWork) -> dict[str, Any]:
     }
 
 
-def _events(work: RunWork) -> dict[str, Any]:
+def _events_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Release, impacts, stops, starts, reversals; and the noise that a resting mass shows."""
-    found: Happenings = work.get("events")
+    found: Happenings = pipeline.get("events")
     noise = found.noise_at_rest
     return {
         "events": [{"kind": kind, "from_s": begins, "to_s": ends} for kind, begins, ends in found.events],
@@ -99,9 +100,9 @@ def _events(work: RunWork) -> dict[str, Any]:
     }
 
 
-def _friction(work: RunWork) -> dict[str, Any]:
-    friction: Friction = work.get("friction")
-    motion: Motion = work.get("motion")
+def _friction_summary(pipeline: RunPipeline) -> dict[str, Any]:
+    friction: Friction = pipeline.get("friction")
+    motion: Motion = pipeline.get("motion")
     free = friction.free
     judged = friction.t[free]
     resisting = friction.F * np.sign(motion.v)
@@ -111,19 +112,19 @@ def _friction(work: RunWork) -> dict[str, Any]:
         "mean_F_N": float(np.mean(resisting[free])) if len(judged) else None,
         "sigma_F_N": float(np.median(friction.sigma_F[free])) if len(judged) else None,
         "reason": friction.reason,
-        **_budget(work),
-        **_beside(work),
+        **_budget_summary(pipeline),
+        **_sensor_notes(pipeline),
     }
 
 
-def _budget(work: RunWork) -> dict[str, Any]:
+def _budget_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Where the error of the friction force comes from, the total last, and what would make it smaller."""
-    found = budgeted(work)
+    found = run_budget(pipeline)
     return {"budget": found["rows"], "budget_says": found["says"]} if found else {}
 
 
-def _beside(work: RunWork) -> dict[str, Any]:
+def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
     """What sensors and the blow say of the run, and all findings in words; no keys where there is nothing."""
-    rows = sensor_rows(work)
-    notes = [*work.get("displacement").notes, *rows.pop("notes")]
+    rows = sensor_summary(pipeline)
+    notes = [*pipeline.get("displacement").notes, *rows.pop("notes")]
     return {key: row for key, row in rows.items() if row} | {"notes": notes}

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from frictrack.recording.timebase import Stamps
 
 Rows = NDArray[np.int64]
-DISAGREE = 1e-3  # relative difference of two frame rates that is worth a word
-DIGITS = 8 * np.finfo(float).eps  # relative error of what a double holds
-CLEAR = 10.0  # times its noise: a smaller jump of a position is no missing sample
-LONGEST_GAP = 1000  # frames
-STILL = 1e-15  # m: what moves by less does not move
-FEWEST = 16  # rows that can show a fault of the clock
-NEGLIGIBLE = 0.1  # of the noise at rest: less adds half a percent to a deviation
+MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is worth a word
+DOUBLE_RESOLUTION = 8 * np.finfo(float).eps  # relative error of what a double holds
+MIN_JUMP_SIGMAS = 10.0  # times its noise: a smaller jump of a position is no missing sample
+MAX_GAP_FRAMES = 1000  # frames
+MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
+MIN_ROWS = 16  # rows that can show a fault of the clock
+MIN_JITTER_SHARE = 0.1  # of the noise at rest: less adds half a percent to a deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +43,15 @@ class EvenTable:
     notes: tuple[str, ...] = ()
 
 
-def own_table(run: RunTable) -> TableData:
+def read_run_table(run: RunTable) -> TableData:
     """The table that a run is."""
     assert run.table is not None
     return read_table(local(run.table), run.columns)
 
 
-def tabled(data: TableData, run: RunTable) -> Displacement:
+def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement:
     """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
-    table = even_table(data, run.fps)
+    table = with_even_clock(data, run.fps)
     data = table.data
     assert data.x is not None
     nan = np.full(len(data.t), np.nan)
@@ -71,22 +71,22 @@ def tabled(data: TableData, run: RunTable) -> Displacement:
         ),
         table.numbers,
     )
-    seen = _uneven(seen)
+    seen = _with_jitter_noise(seen)
     return replace(seen, sigma_x=_table_sigma(seen)) if np.all(np.isnan(seen.sigma_x)) else seen
 
 
-def _uneven(seen: Displacement) -> Displacement:
+def _with_jitter_noise(seen: Displacement) -> Displacement:
     """A displacement whose samples may come unevenly under even stamps: then its deviations grow with the speed."""
-    if len(seen) < FEWEST or not is_even(seen.t):
+    if len(seen) < MIN_ROWS or not is_even(seen.t):
         return seen
     interval = float(np.median(np.diff(seen.t)))
-    late, still = unevenness(seen.t, seen.x, _coarse(seen))
+    late, still = unevenness(seen.t, seen.x, _max_resolved_speed(seen))
     if not late:
         return seen
     stated = np.isfinite(seen.sigma_x)
     at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
     moved = late * np.abs(speed(seen.t, seen.x))
-    if np.max(moved) < NEGLIGIBLE * np.median(at_rest):
+    if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return seen
     note = (
         f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
@@ -96,10 +96,10 @@ def _uneven(seen: Displacement) -> Displacement:
     return replace(seen, sigma_x=np.hypot(at_rest, moved), notes=(*seen.notes, note))
 
 
-def uneven_runs(displacements: Sequence[Displacement]) -> tuple[str, ...]:
+def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
     """What the noise of all tables together says of their samples: a run at nearly one speed cannot show its jitter."""
-    even = [d for d in displacements if len(d) >= FEWEST and is_even(d.t)]
-    late = common_unevenness([(d.t, d.x, _coarse(d)) for d in even])
+    even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
+    late = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
     if not late:
         return ()
     share = 100 * late / float(np.median([np.median(np.diff(d.t)) for d in even]))
@@ -109,7 +109,7 @@ def uneven_runs(displacements: Sequence[Displacement]) -> tuple[str, ...]:
     )
 
 
-def _coarse(seen: Displacement) -> float:
+def _max_resolved_speed(seen: Displacement) -> float:
     """Speed of half a pixel or half a step a sample, m/s: up to it the error of either grows with the speed."""
     return 0.5 * max(seen.pixel_pitch or 0.0, seen.resolution) / float(np.median(np.diff(seen.t)))
 
@@ -123,56 +123,56 @@ def _table_sigma(seen: Displacement) -> Array:
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
-def even_table(data: TableData, fps: float | None = None) -> EvenTable:
+def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """The same rows on an even clock; nothing is changed where nothing is found."""
     n = len(data.t)
     rows = np.arange(n)
-    if data.x is None or n < FEWEST:
+    if data.x is None or n < MIN_ROWS:
         return EvenTable(data, np.ones(n, dtype=bool), rows)
     clocked = not is_even(data.t)
-    data, rows, notes = _clocked(data) if clocked else (data, rows, ())
+    data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
     notes += _rate_note(data.t, fps)
-    if not _followed(data):  # the smoother says what is wrong with it
+    if not _can_find_slips(data):  # the smoother says what is wrong with it
         return EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes)
-    return _steady(EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes), clocked=clocked)
+    return _without_slips(EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes), clocked=clocked)
 
 
-def _followed(data: TableData) -> bool:
+def _can_find_slips(data: TableData) -> bool:
     """Whether rows lie on an even clock without long gaps, and something moves."""
     assert data.x is not None
     gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
-    return is_even(data.t) and float(np.max(gaps)) < LONGEST_GAP and float(np.ptp(data.x)) > STILL
+    return is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
 
 
-def _clocked(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
+def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
     """A table of uneven stamps on an even clock, the numbers of its rows, and what was done."""
     from frictrack.recording.timebase import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
     rows = np.arange(len(data.t))
     rounded = rounded_clock(data.t)
     if rounded is not None:
-        return _on(data, rounded), rows, rounded.notes
+        return _at_clock(data, rounded), rows, rounded.notes
     read = read_stamps(data.t)
     if read is None:
         return data, rows, ()
     rows = np.setdiff1d(rows, read.doubled)
-    ticks = _filled(read.ticks)[rows]
+    ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
-    taken = replace(_taken(data, rows), t=stamps)
+    taken = replace(_select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
         return data, np.arange(len(data.t)), ()
-    moved, notes = _evened(taken, ticks)
+    moved, notes = _without_jitter(taken, ticks)
     return moved, rows, (*_stamp_notes(read), *notes)
 
 
-def _evened(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
+def _without_jitter(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
     """A table whose rows are so many intervals after the first, on an even clock, and what was done."""
     assert data.x is not None
     if is_even(data.t):
         return data, ()
     clock = jittered_clock(data.t, ticks, data.x)
-    return (data, ()) if clock is None else (_on(data, clock), clock.notes)
+    return (data, ()) if clock is None else (_at_clock(data, clock), clock.notes)
 
 
 def _stamp_notes(read: Stamps) -> tuple[str, ...]:
@@ -191,13 +191,13 @@ def _count(n: int) -> str:
     return "1 row has" if n == 1 else f"{n} rows have"
 
 
-def _filled(ticks: Rows) -> Rows:
+def _fill_corrupt_ticks(ticks: Rows) -> Rows:
     """Frame numbers with those of corrupt stamps (-1) in their place."""
     known = ticks >= 0
     return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
 
 
-def _on(data: TableData, clock: EvenClock) -> TableData:
+def _at_clock(data: TableData, clock: EvenClock) -> TableData:
     """The table at the times of a clock, positions moved by how late they were sampled."""
     moved = {
         name: column - speed(data.t, column) * clock.late if np.any(clock.late) else column
@@ -207,7 +207,7 @@ def _on(data: TableData, clock: EvenClock) -> TableData:
     return replace(data, t=clock.t, **moved)
 
 
-def _taken(data: TableData, rows: Rows) -> TableData:
+def _select_rows(data: TableData, rows: Rows) -> TableData:
     """Some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
     taken: dict[str, Any] = {name: None if column is None else column[rows] for name, column in columns.items()}
@@ -217,12 +217,12 @@ def _taken(data: TableData, rows: Rows) -> TableData:
 def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
     """A rate that is given and that of the stamps, where they disagree."""
     rate = 1.0 / float(np.median(np.diff(t)))
-    if fps is None or abs(rate / fps - 1) <= DISAGREE:
+    if fps is None or abs(rate / fps - 1) <= MIN_RATE_DIFFERENCE:
         return ()
     return (f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; the time stamps are used",)
 
 
-def _steady(table: EvenTable, *, clocked: bool) -> EvenTable:
+def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
     """The table without the samples that repeat the one before, and with gaps in time where samples are missing.
 
     Stamps that are not even were written by a clock: then they are believed, and only repeated samples are left out.
@@ -238,7 +238,7 @@ def _steady(table: EvenTable, *, clocked: bool) -> EvenTable:
     right, keep = correct_ticks(ticks, found)
     stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
     t = np.where(right == ticks, data.t, t0 + right * interval)
-    taken = _taken(replace(data, t=t), stay)
+    taken = _select_rows(replace(data, t=t), stay)
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
@@ -248,9 +248,11 @@ def _course(data: TableData) -> SampledPath:
     x = data.x
     own = x[np.concatenate(([True], np.diff(x) != 0))]
     noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
-    noise = max(noise, rounding_noise(quantum(x)), DIGITS * float(np.max(np.abs(x))))
+    noise = max(noise, rounding_noise(quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
     ticks = frame_numbers(data.t).astype(np.int64)
-    return SampledPath(x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), CLEAR * noise, exact=True)
+    return SampledPath(
+        x, np.full(len(x), noise), ticks, np.ones(len(x), dtype=bool), MIN_JUMP_SIGMAS * noise, exact=True
+    )
 
 
 def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:

@@ -11,35 +11,35 @@ import numpy as np
 
 from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
-from frictrack.flow.quality import judged, left_of_shake
+from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import Film
 from frictrack.samples import screened
 
 if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
-    from frictrack.flow.stages import RunWork
+    from frictrack.flow.pipeline import RunPipeline
     from frictrack.recording import Recording
     from frictrack.study import RunTable, Study
     from frictrack.tracking import TargetModel
 
 BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
-COVERED = "the target passes over it"
+REASON_COVERED = "the target passes over it"
 # What every reference that is found by itself shows. Less would be taken out of some films of a study and stay in
 # others, where the diagnosis then could not tell it from a vibration of the course.
-LEAST_SHAKE = 0.02  # px, rms
-NO_REFERENCE = (
+MIN_SHAKE_PX = 0.02  # px, rms
+NOTE_NO_REFERENCE = (
     "nothing was found in the picture that rests while the target moves, so that camera shake stays in the "
     "displacement; reference = [x, y, width, height] names one"
 )
 
 
-def recorded(work: RunWork) -> Film:
+def make_recording(pipeline: RunPipeline) -> Film:
     """What stays of the recording."""
-    rec = work.recording
+    rec = pipeline.recording
     return Film(
         t=rec.t,
-        path=work.settings("recording")["video"],
+        path=pipeline.settings("recording")["video"],
         fps=rec.fps,
         n_frames=rec.n_frames,
         bit_depth=rec.bit_depth,
@@ -52,59 +52,61 @@ def recorded(work: RunWork) -> Film:
     )
 
 
-def tracked(work: RunWork, film: Film) -> Track:
+def make_track(pipeline: RunPipeline, film: Film) -> Track:
     """The target's track; a calibration that cannot serve is said before the film is gone through."""
     from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
 
-    early_plane(work)
-    with work.filmed() as opened:
-        work.progress(0, film.n_frames, "find the target")
-        run = work.run
+    plane_before_tracking(pipeline)
+    with pipeline.open_film() as opened:
+        pipeline.progress(0, film.n_frames, "find the target")
+        run = pipeline.run
         rectangle, frame = resolve_target(opened, run.target, run.template or 0)
         where = run.target if is_polygon(run.target) else rectangle
         drawn = Areas(where, run.exclude, run.obstacles)
-        work.lesson = learn_target(opened, drawn, template=frame, progress=work.progress)
-        return track(opened, drawn, template=frame, known=work.lesson, progress=work.progress)
+        pipeline.lesson = learn_target(opened, drawn, template=frame, progress=pipeline.progress)
+        return track(opened, drawn, template=frame, known=pipeline.lesson, progress=pipeline.progress)
 
 
-def tracked_beside(work: RunWork, film: Film, track: Track) -> dict[str, Track]:
+def make_further_tracks(pipeline: RunPipeline, film: Film, track: Track) -> dict[str, Track]:
     """The fixed reference, further targets, the target once more backward; and the contact sheet of them all."""
     from frictrack import tracking  # noqa: PLC0415
 
     found: dict[str, Track] = {}
-    with work.filmed() as opened:
-        for name, target in work.run.targets.items():
-            drawn = tracking.Areas(target, obstacles=work.run.obstacles)
-            found[name] = tracking.track(opened, drawn, name=name, progress=work.progress)
-        found |= _reference(opened, track, work)
-        tracking.contact_sheet(opened, track, sheet(work.study, work.run.name), tuple(found.values()))
-        return found | _backward(opened, track, work)
+    with pipeline.open_film() as opened:
+        for name, target in pipeline.run.targets.items():
+            drawn = tracking.Areas(target, obstacles=pipeline.run.obstacles)
+            found[name] = tracking.track(opened, drawn, name=name, progress=pipeline.progress)
+        found |= _reference_track(opened, track, pipeline)
+        tracking.contact_sheet(
+            opened, track, contact_sheet_path(pipeline.study, pipeline.run.name), tuple(found.values())
+        )
+        return found | _backward_track(opened, track, pipeline)
 
 
-def _reference(opened: Recording, target: Track, work: RunWork) -> dict[str, Track]:
+def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """The track of something fixed: what is named, or what is found; nothing where neither is there."""
     from frictrack.tracking import find_reference, track  # noqa: PLC0415
     from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
-    wanted = work.run.reference
+    wanted = pipeline.run.reference
     if wanted == "none":
         return {}
     if wanted != "auto":
-        made = track(opened, wanted, name=REFERENCE, progress=work.progress)
+        made = track(opened, wanted, name=REFERENCE, progress=pipeline.progress)
         return {
-            REFERENCE: _uncovered(replace(made, notes=()), target)
+            REFERENCE: _without_covered_frames(replace(made, notes=()), target)
         }  # what is to be said of the film, the target says
     rectangle = find_reference(opened, target)
     if rectangle is None:
         return {}
-    found = _tried(lambda: track(opened, rectangle, name=REFERENCE, progress=work.progress))
+    found = _track_or_none(lambda: track(opened, rectangle, name=REFERENCE, progress=pipeline.progress))
     if found is None or moves_with(target, found):
         return {}
     return {REFERENCE: replace(found, notes=())}
 
 
-def _uncovered(reference: Track, target: Track) -> Track:
+def _without_covered_frames(reference: Track, target: Track) -> Track:
     """The reference without the frames in which the target passes over it: there it would move with the target."""
     assert reference.target is not None
     assert target.target is not None
@@ -116,7 +118,7 @@ def _uncovered(reference: Track, target: Track) -> Track:
         return reference
     gone = np.where(over, np.nan, 0.0)
     columns = {c: q + gone for c in MEASURED if (q := getattr(reference, c)) is not None}
-    reason = np.where(over & reference.found, COVERED, reference.reason)
+    reason = np.where(over & reference.found, REASON_COVERED, reference.reason)
     note = (
         f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, which tell nothing of shake; "
         "choose a rectangle beside its path"
@@ -124,7 +126,7 @@ def _uncovered(reference: Track, target: Track) -> Track:
     return replace(reference, **columns, reason=reason, notes=(*reference.notes, note))
 
 
-def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Track]:
+def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """The target followed from the last frame that shows the whole of it, by what the film has taught."""
     from frictrack.tracking import Areas, track  # noqa: PLC0415
 
@@ -138,15 +140,15 @@ def _backward(opened: Recording, forward: Track, work: RunWork) -> dict[str, Tra
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
     def followed() -> Track:
-        known: TargetModel = work.lesson or _taught_again(opened, forward)
+        known: TargetModel = pipeline.lesson or _learn_again(opened, forward)
         drawn = Areas(rectangle, obstacles=forward.obstacles)
-        return track(opened, drawn, template=last, known=known, name=BACKWARD, progress=work.progress)
+        return track(opened, drawn, template=last, known=known, name=BACKWARD, progress=pipeline.progress)
 
-    made = _tried(followed)
+    made = _track_or_none(followed)
     return {} if made is None else {BACKWARD: replace(made, picture=None, notes=())}
 
 
-def _taught_again(opened: Recording, track: Track) -> TargetModel:
+def _learn_again(opened: Recording, track: Track) -> TargetModel:
     """What a film teaches of the target of a track that was stored."""
     from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
 
@@ -154,7 +156,7 @@ def _taught_again(opened: Recording, track: Track) -> TargetModel:
     return learn_target(opened, drawn, template=track.template)
 
 
-def _tried(make: Callable[[], Track]) -> Track | None:
+def _track_or_none(make: Callable[[], Track]) -> Track | None:
     """What nobody asked for must not end the work."""
     try:
         return make()
@@ -162,28 +164,30 @@ def _tried(make: Callable[[], Track]) -> Track | None:
         return None
 
 
-def early_plane(work: RunWork) -> PlaneMap | None:
+def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
     """The map to the course as far as it needs no track; None where it does, after all else was looked at."""
-    run = work.run
+    run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
     of_target = [isinstance(one, dict) and "target" in one for one in several]
     made = [
-        plane_map("1 mm/px" if later else one, lens=run.lens, film=work.recording, axis=run.axis)
+        plane_map("1 mm/px" if later else one, lens=run.lens, film=pipeline.recording, axis=run.axis)
         for one, later in zip(several, of_target, strict=True)
     ]
     return made[0] if len(made) == 1 and not any(of_target) else None
 
 
-def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displacement:
+def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Track]) -> Displacement:
     """The displacement from the first to the last frame that shows the target, without shake, on a true time base."""
     from frictrack.tracking import aligned  # noqa: PLC0415
 
-    run, anchor = work.run, work.anchor
-    plane = early_plane(work) or plane_map(run.scale, lens=run.lens, track=track, film=work.recording, axis=run.axis)
+    run, anchor = pipeline.run, pipeline.anchor
+    plane = plane_before_tracking(pipeline) or plane_map(
+        run.scale, lens=run.lens, track=track, film=pipeline.recording, axis=run.axis
+    )
     seen = aligned(track, anchor.get("track")) if anchor else track
-    least = least_shake(run)
-    clean, notes, numbers = judged(seen, tracks, clocked=work.get("recording").clocked, least=least)
-    unseen = (NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
+    least = min_shake_px(run)
+    clean, notes, numbers = correct_track(seen, tracks, clocked=pipeline.get("recording").clocked, least=least)
+    unseen = (NOTE_NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
     made = calibrate(
         replace(clean, notes=tuple(dict.fromkeys((*track.notes, *notes, *unseen)))),
         plane,
@@ -193,36 +197,36 @@ def calibrated(work: RunWork, track: Track, tracks: dict[str, Track]) -> Displac
     )
     made = screened(made, numbers)
     made = made.rows(made.span)
-    left = left_of_shake(tracks.get(REFERENCE), least)
+    left = residual_shake(tracks.get(REFERENCE), least)
     if left is None or made.pixel_pitch is None:
         return made
     return replace(made, shake=(left[0], left[1] * made.pixel_pitch))
 
 
-def least_shake(run: RunTable) -> float:
+def min_shake_px(run: RunTable) -> float:
     """Shake below which it is left in, px rms."""
-    return LEAST_SHAKE if run.reference == "auto" else 0.0
+    return MIN_SHAKE_PX if run.reference == "auto" else 0.0
 
 
-def sheet(study: Study, run: str) -> Path:
+def contact_sheet_path(study: Study, run: str) -> Path:
     """Where the contact sheet of a run's film lies."""
     return study.output / f"{run}_track.png"
 
 
-def overlaid(work: RunWork) -> Path:
+def write_overlay(pipeline: RunPipeline) -> Path:
     """Write the film with what was tracked in it, and say where."""
     from frictrack.tracking import overlay_video  # noqa: PLC0415
 
-    with work.filmed() as opened:
-        track, tracks = work.get("track"), work.get("tracks")
-        return overlay_video(opened, track, overlay(work), others=beside(tracks))
+    with pipeline.open_film() as opened:
+        track, tracks = pipeline.get("track"), pipeline.get("tracks")
+        return overlay_video(opened, track, overlay_path(pipeline), others=tracks_to_draw(tracks))
 
 
-def overlay(work: RunWork) -> Path:
+def overlay_path(pipeline: RunPipeline) -> Path:
     """Where the overlay video of a film lies, when it was asked for."""
-    return work.study.output / f"{work.run.name}_overlay.avi"
+    return pipeline.study.output / f"{pipeline.run.name}_overlay.avi"
 
 
-def beside(tracks: dict[str, Any]) -> tuple[Track, ...]:
+def tracks_to_draw(tracks: dict[str, Any]) -> tuple[Track, ...]:
     """The tracks to be drawn beside the target's."""
     return tuple(track for name, track in tracks.items() if name != BACKWARD)

@@ -7,12 +7,12 @@ import numpy as np
 from frictrack.calibration.rotating_target import MIN_ROTATION
 from frictrack.records import Array, Mask, Track
 
-SPAN = 9  # frames over which an angle is averaged
-FEWEST = 3 * SPAN  # frames with an angle that can show a turn
-CLEAR = 5.0  # standard deviations
+WINDOW_FRAMES = 9  # frames over which an angle is averaged
+MIN_FRAMES = 3 * WINDOW_FRAMES  # frames with an angle that can show a turn
+MIN_SIGMAS = 5.0  # standard deviations
 
 
-def turning_note(track: Track) -> tuple[str, ...]:
+def rotation_note(track: Track) -> tuple[str, ...]:
     """Return a finding on a target that turns; none where nothing stands out.
 
     Parameters
@@ -27,23 +27,23 @@ def turning_note(track: Track) -> tuple[str, ...]:
 
     """
     known = track.found & np.isfinite(track.angle)
-    if track.target is None or np.count_nonzero(known) < FEWEST:
+    if track.target is None or np.count_nonzero(known) < MIN_FRAMES:
         return ()
     angle = np.unwrap(track.angle[known])
-    mean = _averaged(angle)
+    mean = _running_mean(angle)
     arm = float(np.hypot(*track.target[2:])) / 2
     place = float(np.median(track.sigma_px[known])) / arm
-    if np.ptp(mean) < CLEAR * max(_doubt(track, angle, known, mean), place):
+    if np.ptp(mean) < MIN_SIGMAS * max(_range_std(track, angle, known, mean), place):
         return ()
     degrees = float(np.degrees(np.ptp(angle)))
-    rate = float(np.degrees(np.max(np.abs(mean[SPAN:] - mean[:-SPAN])))) / SPAN
+    rate = float(np.degrees(np.max(np.abs(mean[WINDOW_FRAMES:] - mean[:-WINDOW_FRAMES])))) / WINDOW_FRAMES
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
     turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"
     return (turns + (rocks if np.ptp(angle) < MIN_ROTATION else ""),)
 
 
-def _doubt(track: Track, angle: Array, known: Mask, mean: Array) -> float:
+def _range_std(track: Track, angle: Array, known: Mask, mean: Array) -> float:
     """Standard deviation of the largest and the smallest running mean of the angle, together, rad.
 
     It is the stated one, as far as neighbouring frames agree with that; a target half hidden has a poor angle.
@@ -53,10 +53,10 @@ def _doubt(track: Track, angle: Array, known: Mask, mean: Array) -> float:
     curvature = np.diff(angle, 2)
     expected = sigma[:-2] ** 2 + 4 * sigma[1:-1] ** 2 + sigma[2:] ** 2
     unit = np.mean(np.where(np.isfinite(expected), curvature**2 / expected, 0.0))
-    doubt = np.sqrt(unit * _averaged(sigma**2) / SPAN)
+    doubt = np.sqrt(unit * _running_mean(sigma**2) / WINDOW_FRAMES)
     return float(np.hypot(doubt[np.argmax(mean)], doubt[np.argmin(mean)]))
 
 
-def _averaged(angle: Array) -> Array:
+def _running_mean(angle: Array) -> Array:
     """Running means (n - `SPAN` + 1,) of angles (n,)."""
-    return np.convolve(angle, np.full(SPAN, 1.0 / SPAN), mode="valid")
+    return np.convolve(angle, np.full(WINDOW_FRAMES, 1.0 / WINDOW_FRAMES), mode="valid")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.flow.tables import even_table, own_table
+from frictrack.flow.table_stage import read_run_table, with_even_clock
 from frictrack.friction import release_time
 from frictrack.motion import differentiate, low_pass
 from frictrack.motion.known_acceleration import KnownAcceleration
@@ -30,50 +30,51 @@ from frictrack.sensors import (
 from frictrack.study import RunTable, TableData, read_clocked
 
 if TYPE_CHECKING:
-    from frictrack.flow.stages import RunWork
+    from frictrack.flow.pipeline import RunPipeline
 
-HEAVIER = 3.0  # standard deviations between the mass that the drive moves and the one that was weighed
+# Standard deviations between the mass that the drive moves and the weighed mass, from which a note is made.
+MIN_MASS_DIFFERENCE_SIGMAS = 3.0
 
 
-def sensed(run: RunTable, displacement: Displacement) -> Sensors:
+def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
     """Drive, acceleration and friction that were measured, on the camera's clock at its frames.
 
     Columns of the run's own table are taken as they are, their clock being the camera's. Raises FrictrackError when
     a sensor was not running while it is needed.
     """
-    beside = _Beside(displacement)
+    beside = _SensorReader(displacement)
     if run.table:
-        beside.own(even_table(own_table(run)).data, run.table.name)
+        beside.own(with_even_clock(read_run_table(run)).data, run.table.name)
     if run.drive is not None:
-        beside.drive(run.drive if isinstance(run.drive, dict) else _spelled(run.drive))
+        beside.drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
     if run.sensor is not None:
         beside.sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
     return Sensors(displacement.t, **beside.found, clocks=beside.clocks, notes=tuple(beside.notes))
 
 
-def known(sensors: Sensors) -> KnownAcceleration | None:
+def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
     """The acceleration that is known beside the camera, if a sensor agrees with it."""
     if sensors.known_a is None or sensors.sigma_known_a is None:
         return None
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
-def sensor_rows(work: RunWork) -> dict[str, Any]:
+def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """What `motion` and `friction` tell of sensors and of the blow: `sensors`, `impact`, and `notes` in words."""
-    sensors: Sensors = work.get("sensors")
-    notes = [*sensors.notes, *_moved_mass(work.run, sensors)]
-    impact = _impact(work)
+    sensors: Sensors = pipeline.get("sensors")
+    notes = [*sensors.notes, *_moved_mass_notes(pipeline.run, sensors)]
+    impact = _impact_energy(pipeline)
     if impact and impact["verdict"] != "plausible":
         notes.append(impact["says"])
     return {"sensors": sensors.clocks, "impact": impact, "notes": notes}
 
 
-def _spelled(drive: Path | float) -> dict[str, Any]:
+def _drive_table(drive: Path | float) -> dict[str, Any]:
     """A drive in the short form, written out."""
     return {"table": drive} if isinstance(drive, Path) else {"force": drive}
 
 
-class _Beside:
+class _SensorReader:
     """What has been found of one run so far."""
 
     def __init__(self, displacement: Displacement) -> None:
@@ -104,7 +105,7 @@ class _Beside:
             self.found["drive"] = np.where(acting, spec["force"], 0.0)
             return
         assert motion is not None
-        series = _force(spec)
+        series = _drive_force(spec)
         found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._tell("drive", series, found)
         self.found["drive"] = self._everywhere(series, found, acting)
@@ -134,7 +135,7 @@ class _Beside:
         found = align(problem, offset)
         values = series.average(t - found.lag(t), frames.interval)
         if not np.any(np.isfinite(values)):
-            raise FrictrackError(_apart(series, found, t))
+            raise FrictrackError(_no_overlap(series, found, t))
         compared = compare_with_camera(problem, found, self.displacement.relative_scale_error)
         self._tell("a", series, found, compared)
         self.found["a"] = values
@@ -146,7 +147,7 @@ class _Beside:
         self, what: str, series: SensorRecord, found: Alignment, compared: SensorComparison | None = None
     ) -> None:
         """Keep the numbers of an alignment and say it in words."""
-        self.clocks[what] = _numbers(found, compared)
+        self.clocks[what] = _alignment_to_dict(found, compared)
         if found.sigma_offset is not None:
             value = f"{1e3 * abs(found.offset):.4g} +/- {1e3 * found.sigma_offset:.2g} ms"
             side = "ahead of" if found.offset < 0 else "behind"
@@ -154,7 +155,7 @@ class _Beside:
         elif not found.reason.startswith("as given"):
             self.notes.append(f"{series.name}: its clock could not be aligned with the camera's: {found.reason}")
         if compared is not None and compared.verdict != "not compared":
-            self.notes.append(f"{series.name} {_agreement(compared)}")
+            self.notes.append(f"{series.name} {_describe_agreement(compared)}")
 
     def _everywhere(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
         """A force (n,) at all frames, 0 where it does not act, short gaps bridged."""
@@ -163,13 +164,13 @@ class _Beside:
         values = series.average(t - found.lag(t), h)
         rows, measured = np.flatnonzero(acting), np.flatnonzero(acting & np.isfinite(values))
         if len(measured) == 0 or np.any(np.isnan(values[rows[[0, -1]]])):
-            raise FrictrackError(_apart(series, found, t[rows]))
+            raise FrictrackError(_no_overlap(series, found, t[rows]))
         if missing := len(rows) - len(measured):
             self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")
         return np.where(acting, np.interp(t, t[measured], values[measured]), 0.0)
 
 
-def _force(spec: dict[str, Any]) -> SensorRecord:
+def _drive_force(spec: dict[str, Any]) -> SensorRecord:
     """The drive's table in N."""
     area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
     data = read_clocked(path, ("drive",) if area is None else ("pressure",), columns)
@@ -184,7 +185,7 @@ def _offset(spec: dict[str, Any]) -> float | None:
     return None if given == "auto" else float(given)
 
 
-def _apart(series: SensorRecord, found: Alignment, t: Array) -> str:
+def _no_overlap(series: SensorRecord, found: Alignment, t: Array) -> str:
     first, last = series.t[0] + found.offset, series.t[-1] + found.offset
     return (
         f"{series.name}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
@@ -193,7 +194,7 @@ def _apart(series: SensorRecord, found: Alignment, t: Array) -> str:
     )
 
 
-def _agreement(compared: SensorComparison) -> str:
+def _describe_agreement(compared: SensorComparison) -> str:
     differ = (
         f"they differ by {compared.rms_difference:.2g} m/s^2 rms in means over "
         f"{1e3 * (compared.window or 0.0):.3g} ms, of which their noises explain {compared.rms_expected:.2g}"
@@ -203,7 +204,7 @@ def _agreement(compared: SensorComparison) -> str:
     return "; ".join(["disagrees with the camera and is not used", *compared.says, differ])
 
 
-def _numbers(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
+def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
     """An alignment and a comparison as the store and the JSON have them."""
     numbers: dict[str, Any] = {
         "offset_s": found.offset,
@@ -222,15 +223,15 @@ def _numbers(found: Alignment, compared: SensorComparison | None) -> dict[str, A
     return numbers
 
 
-def _moved_mass(run: RunTable, sensors: Sensors) -> list[str]:
+def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
     """A note when the drive moves another mass than was weighed."""
     clock = sensors.clocks.get("drive", {})
     gain, spread = clock.get("gain"), clock.get("sigma_gain")
-    if gain is None or spread is None or not isinstance(run.mass, tuple) or gain < HEAVIER * spread:
+    if gain is None or spread is None or not isinstance(run.mass, tuple) or gain < MIN_MASS_DIFFERENCE_SIGMAS * spread:
         return []
     (mass, sigma), moved = run.mass, 1.0 / gain
     spread = spread / gain**2
-    if abs(moved - mass) < HEAVIER * np.hypot(sigma, spread):
+    if abs(moved - mass) < MIN_MASS_DIFFERENCE_SIGMAS * np.hypot(sigma, spread):
         return []
     return [
         f"the drive moves a mass of {moved:.4g} +/- {spread:.2g} kg but {mass:.4g} kg was weighed: check the drive's "
@@ -238,15 +239,15 @@ def _moved_mass(run: RunTable, sensors: Sensors) -> list[str]:
     ]
 
 
-def _impact(work: RunWork) -> dict[str, Any] | None:
+def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
     """The kinetic energy at release against `impact_energy`, where that is stated and the mass is known."""
-    run = work.run
+    run = pipeline.run
     if run.impact_energy is None or not isinstance(run.mass, tuple):
         return None
-    displacement: Displacement = work.get("displacement")
-    motion: Motion = work.get("motion")
+    displacement: Displacement = pipeline.get("displacement")
+    motion: Motion = pipeline.get("motion")
     try:
-        release = release_time(replace(work.record(), drive=None, friction_N=None))
+        release = release_time(replace(pipeline.to_run(), drive=None, friction_N=None))
     except FrictrackError:  # nothing slides, which the friction stage says
         return None
     released = int(np.argmin(np.abs(motion.t - release)))

@@ -10,27 +10,27 @@ from frictrack import plan as planning
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
+from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
-from frictrack.flow.stages import Progress, silent
 from frictrack.results import plain
 from frictrack.study import Study
 
 
-def plan(study: Study, progress: Progress = silent) -> dict[str, Any]:
+def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
     """Which runs to film so that the effects can be told apart: JSON of `frictrack plan`; the page is written.
 
     Raises FrictrackError where mass, frame rate or scale are not known, or the folder cannot be written.
     """
     from frictrack.report import plan_page  # noqa: PLC0415 - loads matplotlib
 
-    setup = _fitted(study, progress) if study.runs else _bare(study)
+    setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
     run_plan = planning.choose_runs(setup, progress)
     told = plain({**planning.summarise_plan(run_plan), "name": study.name})
     page = plan_page.write(told, study.output / "plan.html")
     return {**told, "page": str(page), "output": str(study.output)}
 
 
-def _bare(study: Study) -> planning.ExperimentSetup:
+def _setup_without_runs(study: Study) -> planning.ExperimentSetup:
     """The set-up of a study of which nothing was filmed: mass and camera, the rest assumed."""
     faults = []
     if study.mass is None:
@@ -52,10 +52,10 @@ def _bare(study: Study) -> planning.ExperimentSetup:
     return planning.default_setup(study.mass[0], study.fps, pitch)
 
 
-def _fitted(study: Study, progress: Progress) -> planning.ExperimentSetup:
+def _setup_of_fit(study: Study, progress: Progress) -> planning.ExperimentSetup:
     session = Session(study, progress)
     session.bring_up_to("friction")
-    fitted = session.tried.fit(session.tried.current()[0])
+    fitted = session.models.fit(session.models.current()[0])
     if not isinstance(fitted, Fit):
         raise FrictrackError("expected one fit of all runs to plan with but got one per group; fit without --per first")
     return planning.fitted_setup(fitted)

@@ -11,7 +11,7 @@ from frictrack.plausibility import Finding
 SAME_CAUSE = {"fps": ("clock_rate",), "incline": ("slope",)}
 
 
-def doubted(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
+def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
     """Return a diagnosis whose verdict is open while findings contradict what was typed.
 
     Parameters
@@ -39,13 +39,13 @@ def doubted(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[s
     if not contradictions:
         return dict(diagnosis)
     known = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
-    first = [_gap(f) for f in contradictions if not known.intersection(SAME_CAUSE.get(f.kind, ()))]
+    first = [_undetermined_entry(f) for f in contradictions if not known.intersection(SAME_CAUSE.get(f.kind, ()))]
     if not first:
         return dict(diagnosis)
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
 
 
-def _gap(finding: Finding) -> dict[str, Any]:
+def _undetermined_entry(finding: Finding) -> dict[str, Any]:
     """A contradiction as an entry of `undetermined`."""
     what = f'run "{finding.run}"' if finding.run else "what was typed"
     return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -18,19 +18,20 @@ from typing import Any
 from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.files import is_busy
-from frictrack.flow.ledger import NAME, Ledger
-from frictrack.flow.stages import FILM, TABLE, Progress, RunWork, digest, key_of, silent
-from frictrack.flow.tried import Tried
+from frictrack.flow.command_history import FILE_NAME, CommandHistory
+from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
+from frictrack.flow.stages import FILM, TABLE, run_pipeline
+from frictrack.flow.tried_models import TriedModels
 from frictrack.store import Fault, Provenance
 from frictrack.study import Study, load, results_of
 
 Provenances = Callable[[Path], dict[str, Provenance]]
-AGAIN = "run the study again"
+RUN_AGAIN = "run the study again"
 _GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # as `RunWork.inputs` and `Tried.inputs` name groups
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
 
 
-def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]:
+def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str, Any]:
     """Look at study files, folders of results, HDF5 files, or folders searched through: JSON of `verify`.
 
     Nothing is written. Raises `FrictrackError` (usage) for a path where there is nothing to verify.
@@ -38,12 +39,12 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
     files: dict[Path, Path] = {}
     studies: dict[Path, Path] = {}
     for path in paths:
-        mine, named = _files(path), _studies(path)
+        mine, named = _result_files(path), _study_files(path)
         if not mine and (path in named or not named):
             raise FrictrackError(f"expected results of frictrack in {path} but found none", usage=True)
         files |= {p.resolve(): p for p in mine}
         studies |= {p.resolve(): p for p in named}
-    faults, works = _opened(studies.values())
+    faults, pipelines = _open_studies(studies.values())
     sound: set[Path] = set()
     provenances = lru_cache(maxsize=256)(store.provenances)  # what is told of a file is asked for by those made from it
     for i, path in enumerate(files):
@@ -53,14 +54,14 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
         if "foreign" in kinds and files[path] not in paths:
             continue
         if not kinds & {"damage", "foreign"}:
-            found += _told(files[path], provenances)
+            found += _file_provenance_faults(files[path], provenances)
             sound.add(path)
         faults += found
     progress(len(files), len(files), "files")
-    for group in works:
-        faults += _study(group, sound)
+    for group in pipelines:
+        faults += _study_faults(group, sound)
     folders = dict.fromkeys(path.parent for path in files.values())
-    faults += [fault for folder in folders for fault in _folder(folder, sound)]
+    faults += [fault for folder in folders for fault in _folder_faults(folder, sound)]
     return {
         "sound": not faults,
         "files": len(files),
@@ -71,124 +72,129 @@ def verify(paths: Sequence[Path], progress: Progress = silent) -> dict[str, Any]
     }
 
 
-def _files(path: Path) -> list[Path]:
+def _result_files(path: Path) -> list[Path]:
     """The HDF5 files that a path stands for."""
     if path.suffix == ".toml" and path.is_file():
-        path = _output(path) or path
+        path = _output_folder(path) or path
     if path.is_dir():
         return sorted(p for p in path.rglob("*.h5") if not p.name.startswith("."))
     return [path] if path.suffix == ".h5" and path.exists() else []
 
 
-def _studies(path: Path) -> list[Path]:
+def _study_files(path: Path) -> list[Path]:
     """The study files that a path stands for: itself, those in a folder, or the one whose results the folder holds."""
     if path.suffix == ".toml" and path.is_file():
         return [path]
     if not path.is_dir():
         return []
     inside = [p for p in sorted(path.rglob("*.toml")) if _STUDY.search(p.read_text(encoding="utf-8", errors="replace"))]
-    beside = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output(p) == path.absolute()]
+    beside = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output_folder(p) == path.absolute()]
     return inside + beside
 
 
-def _output(path: Path) -> Path | None:
+def _output_folder(path: Path) -> Path | None:
     try:
         return results_of(path)
     except FrictrackError:
         return None
 
 
-def _opened(paths: Iterable[Path]) -> tuple[list[Fault], list[list[RunWork]]]:
+def _open_studies(paths: Iterable[Path]) -> tuple[list[Fault], list[list[RunPipeline]]]:
     """The runs of every study file, and what is wrong with those that cannot be read or have none."""
-    faults, works = [], []
+    faults, pipelines = [], []
     for path in paths:
         try:
             study = load(path)
-            works.append([RunWork(study, run, kept=True) for run in study.runs])
+            pipelines.append([run_pipeline(study, run, stored_only=True) for run in study.runs])
         except FrictrackError as e:
             faults.append(Fault(path, "", str(e), "put that right; its results are looked at all the same", "changed"))
-    return faults, works
+    return faults, pipelines
 
 
-def _of_study(works: list[RunWork]) -> list[Path]:
+def _existing_results(pipelines: list[RunPipeline]) -> list[Path]:
     """The result files of a study that there are."""
-    return [p for p in (*(work.path for work in works), works[0].study.output / "study.h5") if p.exists()]
+    return [
+        p for p in (*(pipeline.path for pipeline in pipelines), pipelines[0].study.output / "study.h5") if p.exists()
+    ]
 
 
-def _study(works: list[RunWork], sound: set[Path]) -> Iterator[Fault]:
+def _study_faults(pipelines: list[RunPipeline], sound: set[Path]) -> Iterator[Fault]:
     """What disagrees with the study file and the recordings that it names; of damaged files nothing is told twice."""
-    files = _of_study(works)
-    for work in works if files else ():
-        if work.path not in files:
-            yield Fault(work.path, "", "this run has no results while others have", "run the study", "missing")
-        elif work.path.resolve() in sound:
-            yield from _inputs(work)
-    if len(files) == len(works) + 1 and all(path.resolve() in sound for path in files):
-        yield from _models(works[0].study, works)
+    files = _existing_results(pipelines)
+    for pipeline in pipelines if files else ():
+        if pipeline.path not in files:
+            yield Fault(pipeline.path, "", "this run has no results while others have", "run the study", "missing")
+        elif pipeline.path.resolve() in sound:
+            yield from _run_faults(pipeline)
+    if len(files) == len(pipelines) + 1 and all(path.resolve() in sound for path in files):
+        yield from _model_faults(pipelines[0].study, pipelines)
 
 
-def _inputs(work: RunWork) -> Iterator[Fault]:
+def _run_faults(pipeline: RunPipeline) -> Iterator[Fault]:
     """What the run's keys and files are now against what was measured."""
-    for name, provenance in ((n, s) for n in work.stages if (s := store.provenance(work.path, n)) is not None):
-        then, now = json.loads(provenance.settings), work.settings(name)
+    for name, provenance in ((n, s) for n in pipeline.stages if (s := store.provenance(pipeline.path, n)) is not None):
+        then, now = json.loads(provenance.settings), pipeline.settings(name)
         if changed := [key for key in now if then.get(key) != now[key]]:
             words = f"was made with another {' and '.join(changed)} than the study file has now"
-            yield Fault(work.path, f"/{name}", words, AGAIN, "changed")
+            yield Fault(pipeline.path, f"/{name}", words, RUN_AGAIN, "changed")
         else:
-            yield from _measured(work, name, provenance)
+            yield from _input_faults(pipeline, name, provenance)
 
 
-def _measured(work: RunWork, name: str, provenance: Provenance) -> Iterator[Fault]:
+def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> Iterator[Fault]:
     """Whether the files that a stage read still hold the same."""
     then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
-        now = {str(work.written(path)): work.content(path) for path in work.files(work.stages[name])}
+        now = {
+            str(pipeline.as_written(path)): pipeline.content_hash(path)
+            for path in pipeline.input_files(pipeline.stages[name])
+        }
     except (FrictrackError, OSError) as e:
         words = f"what it was made from cannot be read ({e})"
-        yield Fault(work.path, f"/{name}", words, "put it back; these results still stand", "missing")
+        yield Fault(pipeline.path, f"/{name}", words, "put it back; these results still stand", "missing")
         return
     other = [file for file in then if now.get(file) != then[file]]
-    if not provenance.inputs and digest([found for _, found in work.inputs(name)]) != provenance.input_hash:
+    if not provenance.inputs and digest([found for _, found in pipeline.inputs(name)]) != provenance.input_hash:
         other = list(now)  # schema 1 named no inputs one by one
     if other:
         words = f"was made from {' and '.join(other)} as it was then, which has changed since; the results are sound"
-        yield Fault(work.path, f"/{name}", words, f"put the old one back, or {AGAIN}", "changed")
+        yield Fault(pipeline.path, f"/{name}", words, f"put the old one back, or {RUN_AGAIN}", "changed")
 
 
-def _models(study: Study, works: list[RunWork]) -> Iterator[Fault]:
+def _model_faults(study: Study, pipelines: list[RunPipeline]) -> Iterator[Fault]:
     """Models that were fitted to other runs, or under other words of the study file, than there are now."""
-    tried = Tried(study, works, silent, Ledger(study.output))
-    for group in tried.groups:
-        if tried.is_outdated(group):
+    models = TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
+    for group in models.groups:
+        if models.is_outdated(group):
             words = "was fitted to other runs, or under other settings, than there are now"
-            yield Fault(tried.path, f"/models/{group}", words, AGAIN, "outdated")
+            yield Fault(models.path, f"/models/{group}", words, RUN_AGAIN, "outdated")
 
 
-def _told(path: Path, provenances: Provenances) -> list[Fault]:
+def _file_provenance_faults(path: Path, provenances: Provenances) -> list[Fault]:
     """What is wrong with the provenance of a file whose bytes are sound."""
     try:
-        return list(_provenance(path, provenances))
+        return list(_group_provenance_faults(path, provenances))
     except (ValueError, TypeError, KeyError) as e:
-        return [Fault(path, "", f"its provenance is not that of frictrack ({e})", AGAIN)]
+        return [Fault(path, "", f"its provenance is not that of frictrack ({e})", RUN_AGAIN)]
 
 
-def _provenance(path: Path, provenances: Provenances) -> Iterator[Fault]:
+def _group_provenance_faults(path: Path, provenances: Provenances) -> Iterator[Fault]:
     """Whether every result of a file tells where it comes from, and comes from what lies there."""
     for group, provenance in provenances(path).items():
         full = f"/{group}"
         if not (provenance.key and provenance.input_hash and provenance.version):
-            yield Fault(path, full, "does not say what it was made from", AGAIN)
+            yield Fault(path, full, "does not say what it was made from", RUN_AGAIN)
             continue
         inputs = json.loads(provenance.inputs or "[]")
-        yield from _upstream(path, full, inputs, provenances)
+        yield from _upstream_faults(path, full, inputs, provenances)
         hashes = [found for _, found in inputs]
         if hashes and (group in FILM or group in TABLE):
-            key = key_of(group, provenance.version, json.loads(provenance.settings), hashes)
+            key = stage_key(group, provenance.version, json.loads(provenance.settings), hashes)
             if (key, digest(hashes)) != (provenance.key, provenance.input_hash):
-                yield Fault(path, full, "its key is not that of its settings, version and inputs", AGAIN)
+                yield Fault(path, full, "its key is not that of its settings, version and inputs", RUN_AGAIN)
 
 
-def _upstream(path: Path, full: str, inputs: list[list[str]], provenances: Provenances) -> Iterator[Fault]:
+def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances: Provenances) -> Iterator[Fault]:
     """Whether the groups that one was made from are there, and were not made again since."""
     for name, key in inputs:
         if found := _GROUP.fullmatch(name):
@@ -198,33 +204,35 @@ def _upstream(path: Path, full: str, inputs: list[list[str]], provenances: Prove
             except FrictrackError:
                 continue  # told of that file
             if held is None:
-                yield Fault(path, full, f"was made from {name}, which is not there", AGAIN, "missing")
+                yield Fault(path, full, f"was made from {name}, which is not there", RUN_AGAIN, "missing")
             elif held.key != key:
-                yield Fault(path, full, f"was made from {name}, which was made again since", AGAIN, "outdated")
+                yield Fault(path, full, f"was made from {name}, which was made again since", RUN_AGAIN, "outdated")
 
 
-def _tells_of_models(folder: Path) -> bool:
+def _history_has_models(folder: Path) -> bool:
     """Whether the log says that a model was fitted, and not forgotten since."""
     there = False
     with suppress(FrictrackError):  # told as damage
-        for change in Ledger(folder).changes:
-            there = change.do != "restart" and (there or "current" in change.after)
+        for change in CommandHistory(folder).changes:
+            there = change.command != "restart" and (there or "current" in change.after)
     return there
 
 
-def _folder(folder: Path, sound: set[Path]) -> Iterator[Fault]:
+def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
     """What lies beside the HDF5 files: the log, the report, and what a writer that was killed has left."""
     try:
-        changes = Ledger(folder)
-        changes.stacks()
+        changes = CommandHistory(folder)
+        changes.undo_stacks()
         if changes.path.exists() and (text := changes.path.read_bytes()) and not text.endswith(b"\n"):
             yield Fault(changes.path, "", "its last line is half-written", "the next change cuts it off", "leftover")
     except (FrictrackError, IndexError, AttributeError) as e:
-        words, _, _ = str(e).removeprefix(f"{folder / NAME} ").partition("; ")
-        yield Fault(folder / NAME, "", words, "move it away; the models tried are not in it")
+        words, _, _ = str(e).removeprefix(f"{folder / FILE_NAME} ").partition("; ")
+        yield Fault(folder / FILE_NAME, "", words, "move it away; the models tried are not in it")
     study = folder / "study.h5"
-    if _tells_of_models(folder) and not study.exists():
-        yield Fault(study, "", "the log tells of models that were tried, but this file is not there", AGAIN, "missing")
+    if _history_has_models(folder) and not study.exists():
+        yield Fault(
+            study, "", "the log tells of models that were tried, but this file is not there", RUN_AGAIN, "missing"
+        )
     if study.resolve() in sound and "diagnosis" in store.names(study) and not (folder / "report.html").exists():
         yield Fault(folder / "report.html", "", "there is a diagnosis but no report", "frictrack report", "missing")
     for left in sorted(folder.glob(".*.part*")) if not is_busy(folder) else ():

@@ -1,0 +1,358 @@
+"""Bring the stages of one run up to date: read what is stored, compute what is missing or outdated, store it.
+
+A stage is computed again only when its settings, its inputs or the version of frictrack changed. Its key is the hash of
+those three; it is stored with the result.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from frictrack import store
+from frictrack.errors import FrictrackError
+from frictrack.records import Displacement, Motion, Run, Track
+from frictrack.remote import Remote, local
+from frictrack.results import Sensors, plain
+from frictrack.store import GroupContent, Provenance
+from frictrack.study import RunTable, Study
+from frictrack.version import __version__
+
+if TYPE_CHECKING:
+    from frictrack.recording import Recording
+    from frictrack.tracking import TargetModel
+
+Progress = Callable[[int, int, str], None]
+"""Callable ``progress(done, total, what)``, called while something is being done."""
+
+
+def no_progress(done: int, total: int, what: str) -> None:
+    """Ignore progress."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the measuring chain: it computes one group from other groups and from keys of the study file.
+
+    Attributes
+    ----------
+    name
+        Name of the stage and of its group in the file of the run.
+    inputs
+        Names of the stages whose results it needs.
+    settings
+        Keys of ``[[run]]`` that it depends on.
+    make
+        Function ``make(pipeline, *results_of_the_inputs)`` that computes the result.
+    kind
+        Record type of the result, or `dict` for several tracks by name.
+
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    settings: tuple[str, ...]
+    make: Callable[..., Any]
+    kind: Any
+
+
+class RunPipeline:
+    """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated.
+
+    Parameters
+    ----------
+    study, run
+        The study, and the ``[[run]]`` of it.
+    stages
+        The stages by name, each after its inputs; see `frictrack.flow.stages`.
+    progress
+        Called while a stage is being computed.
+    stored_only
+        Take every stored result as up to date: nothing is computed and no recording is opened.
+
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        run: RunTable,
+        stages: Mapping[str, Stage],
+        progress: Progress = no_progress,
+        *,
+        stored_only: bool = False,
+    ) -> None:
+        self.study = study
+        self.stored_only = stored_only
+        self.run = run
+        self.path = study.output / f"{run.name}.h5"
+        self.stages = stages
+        self._progress = progress
+        self.lesson: TargetModel | None = None  # the learnt template, from the track stage to the tracks stage
+        self._film: Recording | None = None
+        self._results: dict[str, Any] = {}
+        self._keys: dict[str, str] = {}
+        self._inputs: dict[str, list[tuple[str, str]]] = {}
+        self._provenances: dict[str, Provenance | None] = {}
+
+    def progress(self, done: int, total: int, what: str) -> None:
+        """Report progress, with the name of the run before `what`."""
+        self._progress(done, total, f"{self.run.name}: {what}")
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The opened recording of a film; a remote one is fetched first."""
+        from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
+
+        assert self.run.video is not None
+        return open_recording(local(self.run.video), fps=self.run.fps)
+
+    @contextmanager
+    def open_film(self) -> Iterator[Recording]:
+        """Open the film with random access; inside nested blocks, a compressed film is decoded only once."""
+        from frictrack.recording import random_access  # noqa: PLC0415
+
+        if self._film is not None:
+            yield self._film
+            return
+        with random_access(self.recording) as film:
+            self._film = film
+            try:
+                yield film
+            finally:
+                self._film = None
+
+    def get(self, name: str) -> Any:
+        """Return the result of a stage; it is read if it is up to date, else computed and stored.
+
+        Raises
+        ------
+        FrictrackError
+            If the stage cannot be computed; the message names the run and the stage.
+
+        """
+        if name not in self._results:
+            self._results[name] = self._read(name) if self.is_current(name) else self._compute(name)
+        return self._results[name]
+
+    def is_current(self, name: str) -> bool:
+        """Return whether a stage is stored with the key that it would get today."""
+        provenance = self._provenance(name)
+        return provenance is not None and (self.stored_only or provenance.key == self.key(name))
+
+    def key(self, name: str) -> str:
+        """Return the hash of everything that a stage depends on."""
+        if self.stored_only:
+            provenance = self._provenance(name)
+            return provenance.key if provenance else "never made"
+        if name not in self._keys:
+            hashes = [found for _, found in self.inputs(name)]
+            self._keys[name] = stage_key(name, __version__, self.settings(name), hashes)
+        return self._keys[name]
+
+    def settings(self, name: str) -> dict[str, Any]:
+        """Return the keys of the study file that a stage depends on, with their values as JSON has them."""
+        return {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
+
+    def as_written(self, value: Any) -> Any:
+        """Convert the value of a key for JSON: numbers to Python numbers, paths as they stand in the study file."""
+        if isinstance(value, dict):
+            return {key: self.as_written(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [self.as_written(part) for part in value]
+        if isinstance(value, Remote):
+            return str(value)
+        if not isinstance(value, Path):
+            return plain(value)
+        inside = value.is_relative_to(self.study.folder)
+        return (value.relative_to(self.study.folder) if inside else value).as_posix()
+
+    def _provenance(self, name: str) -> Provenance | None:
+        """Return the provenance of a stored stage; with `stored_only` it is read once."""
+        if not self.stored_only:
+            return store.provenance(self.path, name)
+        if name not in self._provenances:
+            self._provenances[name] = store.provenance(self.path, name)
+        return self._provenances[name]
+
+    def changed_keys(self) -> list[str]:
+        """Return the keys of the study file whose values have changed since the stored stages were computed."""
+        held = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
+        pairs = ((json.loads(provenance.settings), plain(self.settings(name))) for name, provenance in held.items())
+        return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
+
+    def inputs(self, name: str) -> list[tuple[str, str]]:
+        """Return what a stage is computed from.
+
+        The hashes are computed once; a file that changes later is noticed by the next pipeline.
+
+        Returns
+        -------
+        list of (str, str)
+            Name and key of every group, then name and hash of every file. ``":/track"`` is a group of the file of this
+            run, ``"v3.h5:/track"`` a group of another file in the same folder.
+
+        """
+        if name not in self._inputs:
+            stage = self.stages[name]
+            groups = [(f":/{other}", self.key(other)) for other in stage.inputs]
+            if name == "displacement" and self.anchor:
+                groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
+            files = [(self.as_written(path), self.content_hash(path)) for path in self.input_files(stage)]
+            self._inputs[name] = groups + files
+        return self._inputs[name]
+
+    def input_files(self, *stages: Stage) -> list[Path | Remote]:
+        """Return the files that some stages read; those of all stages if none is given."""
+        keys = [key for stage in stages or self.stages.values() for key in stage.settings]
+        return [path for key in keys for path in _paths(getattr(self.run, key))]
+
+    @cached_property
+    def anchor(self) -> RunPipeline | None:
+        """The first film of the study, whose point of the target all films follow; None for itself and for tables."""
+        first = next((r for r in self.study.runs if r.video), None)
+        if first is None or not self.run.video or first.name == self.run.name:
+            return None
+        return RunPipeline(self.study, first, self.stages, self._progress, stored_only=self.stored_only)
+
+    def content_hash(self, path: Path | Remote) -> str:
+        """Return the hash of a file, or of the files of a folder.
+
+        Raises
+        ------
+        FrictrackError
+            If it cannot be read.
+
+        """
+        if path == self.run.video:
+            return self.recording.hash
+        try:
+            return hash_path(local(path))
+        except OSError as e:
+            raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
+
+    def to_run(self) -> Run:
+        """Return the measured run, as `frictrack.fit` takes it."""
+        sensors: Sensors = self.get("sensors")
+        return make_run(self.run, self.get("displacement"), self.get("motion"), sensors)
+
+    def _read(self, name: str) -> Any:
+        kind = self.stages[name].kind
+        if kind is dict:
+            return {n: store.read(self.path, f"{name}/{n}", Track) for n in store.names(self.path, name)}
+        return store.read(self.path, name, kind)
+
+    def _compute(self, name: str) -> Any:
+        """Compute a stage from its inputs and store it."""
+        stage = self.stages[name]
+        with self.open_film() if name == "tracks" else nullcontext():  # the track may be computed on the way
+            result, provenance = self._call(stage, [self.get(i) for i in stage.inputs])
+        store.write(self.path, {name: GroupContent(result, provenance)})
+        return result
+
+    def _new_provenance(self, name: str) -> Provenance:
+        inputs, settings = self.inputs(name), json.dumps(self.settings(name), sort_keys=True)
+        together = digest([found for _, found in inputs])
+        return Provenance(self.key(name), together, json.dumps(inputs), settings, __version__)
+
+    def _call(self, stage: Stage, inputs: list[Any]) -> tuple[Any, Provenance]:
+        """Compute the result of a stage and its provenance; name run, stage and notes on the film in an error.
+
+        The provenance comes first: a file that changes while it is read then counts as changed, not as what was read.
+        """
+        try:
+            provenance = self._new_provenance(stage.name)
+            return stage.make(self, *inputs), provenance
+        except FrictrackError as e:
+            film = self.get("recording") if self.run.video and stage.name != "recording" else None
+            notes = "".join(f" ({note})" for note in film.notes) if film else ""
+            where = f'run "{self.run.name}"'
+            what = str(e).removeprefix(f"{where}: ")
+            raise FrictrackError(f"{where}, {stage.name}: {what}{notes}", usage=e.usage) from e
+
+
+def stage_key(name: str, version: str, settings: dict[str, Any], hashes: list[str]) -> str:
+    """Return the key of a stage: a hash of its name, frictrack's version, its settings and the hashes of its inputs."""
+    return digest([name, version, settings, hashes])
+
+
+def hash_path(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the hashes of the files in a folder. Raise OSError if one cannot be read."""
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    found = []
+    for one in files:
+        with one.open("rb") as file:
+            found.append(hashlib.file_digest(file, "sha256").hexdigest())
+    return found[0] if found == found[:1] else digest(found)
+
+
+def digest(value: Any) -> str:
+    """Return the SHA-256 of a value as JSON; what JSON cannot write is written as `str` does.
+
+    Examples
+    --------
+    >>> digest({"b": 1, "a": 2}) == digest({"a": 2, "b": 1})
+    True
+
+    """
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _paths(value: Any) -> list[Path | Remote]:
+    """Return the files that the value of a key names, also inside a table or a list."""
+    if isinstance(value, dict | list):
+        return [path for part in (value.values() if isinstance(value, dict) else value) for path in _paths(part)]
+    return [value] if isinstance(value, Path | Remote) else []
+
+
+def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:
+    """Put the measurements of a run and the keys of its ``[[run]]`` together.
+
+    Raises
+    ------
+    FrictrackError
+        If ``mass = "fit"`` is given without a measured drive, or a specification has the unit of something else.
+
+    """
+    if run.mass == "fit" and sensors.drive is None:
+        raise FrictrackError(
+            'expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider'
+        )
+    mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
+    return Run(
+        displacement,
+        motion,
+        mass=mass,
+        sigma_mass=sigma,
+        name=run.name,
+        incline=run.incline or 0.0,
+        has_incline=run.incline is not None,
+        normal_load=run.normal_load,
+        drive=sensors.drive,
+        friction_N=sensors.friction_N,
+        free=run.free,
+        clamp_x=run.clamp_x,
+        beam_length=run.beam_length,
+        role=run.role,
+        group=run.group,
+        noise=_specification(run.noise, "noise", sensors),
+        drift=_specification(run.drift, "drift", sensors),
+    )
+
+
+def _specification(found: tuple[float, str] | None, key: str, sensors: Sensors) -> float | None:
+    """Return the specification of an instrument in the unit of what it measured: N of friction force, m of position."""
+    if found is None:
+        return None
+    unit = "m" if sensors.friction_N is None else "N"
+    if found[1] != unit:
+        what = "position" if unit == "m" else "friction force"
+        raise FrictrackError(
+            f"expected {key} in {unit}, since the {what} was measured, but got {found[0]:g} {found[1]}"
+        )
+    return found[0]

@@ -1,0 +1,40 @@
+"""What is known of one run beside its motion, brought together for the error budget."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from frictrack.budget import budget
+from frictrack.flow.film_stages import REFERENCE, min_shake_px
+from frictrack.flow.track_quality import residual_shake, track_quality
+from frictrack.results import plain
+
+if TYPE_CHECKING:
+    from frictrack.flow.pipeline import RunPipeline
+
+
+def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The error budget of a run as JSON, nothing for a run whose mass nobody knows.
+
+    `known` is what the film says of its own measurement, where that is at hand.
+    """
+    run = pipeline.to_run()
+    if run.mass is None and run.friction_N is None:
+        return {}
+    film = pipeline.get("recording") if pipeline.run.video else None
+    if film is not None:
+        known = (known or _quality(pipeline)) | _residual_shake(pipeline)
+    found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
+    made: dict[str, Any] = plain(found.summary())
+    return made
+
+
+def _quality(pipeline: RunPipeline) -> dict[str, Any]:
+    pitch = pipeline.get("displacement").pixel_pitch
+    return track_quality(pipeline.get("recording"), pipeline.get("track"), pipeline.get("tracks"), pitch)
+
+
+def _residual_shake(pipeline: RunPipeline) -> dict[str, Any]:
+    """How much of a camera shake may still be in the displacement, px rms along x."""
+    left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
+    return {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))

@@ -1,0 +1,142 @@
+"""Change a study: keys of its file, its runs, its own effects, the current model; undo and redo.
+
+A key is written into the study file only if the file stays valid; comments are kept. The command history records every
+change with the state before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frictrack.errors import FrictrackError
+from frictrack.files import replace_text
+from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.opening import check_study
+from frictrack.flow.tried_models import TriedModels
+from frictrack.study import Study, edited, parse, with_effect, with_runs, without_run
+
+
+@dataclass(frozen=True)
+class OpenStudy:
+    """The three parts of an open study that an edit may change."""
+
+    study: Study
+    history: CommandHistory
+    models: TriedModels
+
+
+def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
+    """Set one key of the study file.
+
+    Parameters
+    ----------
+    opened
+        The study.
+    table
+        ``"study"``, ``"camera"``, ``"run"`` or ``"effect"``.
+    key, value
+        The key and its new value; None removes the key.
+    which
+        Name of the run or effect.
+
+    Raises
+    ------
+    FrictrackError
+        If the study file would not be valid.
+
+    """
+
+    def rewrite(text: str) -> str:
+        after = edited(text, table, key, value, which)
+        if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
+            request = opened.models.request(opened.models.current_group)
+            request.model(parse(opened.study.path, after, bare=True).effects)
+        return after
+
+    with opened.history.record("edit", table=table, which=which, key=key, value=value) as change:
+        change.before, change.after = _rewrite(opened.study.path, rewrite)
+    return {"table": table, "which": which, "key": key, "value": value}
+
+
+def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
+    """Add a run for each recording; paths are relative to the study file."""
+    folder = opened.study.folder
+    paths = [folder / name for name in recordings]
+    if missing := [str(path) for path in paths if not path.exists()]:
+        raise FrictrackError(f"expected a recording {', '.join(missing)} but there is no such file", usage=True)
+    with opened.history.record("take_in", recordings=list(recordings)) as change:
+        change.before, change.after = _rewrite(opened.study.path, lambda text: with_runs(text, folder, paths))
+    return {"recordings": list(recordings)}
+
+
+def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
+    """Remove a run from the study file; its recording and its results stay where they are."""
+    with opened.history.record("leave_out", run=run) as change:
+        change.before, change.after = _rewrite(opened.study.path, lambda text: without_run(text, run))
+    return {"run": run}
+
+
+def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
+    """Write an ``[[effect]]`` with the given keys into the study file; it replaces one of the same name."""
+    keys = dict(effect)
+    with opened.history.record("define", effect=keys) as change:
+        change.before, change.after = _rewrite(opened.study.path, lambda text: with_effect(text, keys))
+    return {"effect": keys}
+
+
+def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
+    """Make a model current that was tried before, by its name in the history."""
+    if model not in opened.models.groups:
+        known = ", ".join(opened.models.groups) or "none"
+        raise FrictrackError(f'expected a model that was tried but got "{model}"; there are {known}', usage=True)
+    with opened.history.record("use", model=model) as change:
+        change.before, change.after = {"current": opened.models.current_group}, {"current": model}
+        opened.models.select(model)
+    return {"model": model}
+
+
+def undo(opened: OpenStudy) -> dict[str, Any]:
+    """Undo the last change; the models tried stay in the history."""
+    return _undo_or_redo(opened, "undo")
+
+
+def redo(opened: OpenStudy) -> dict[str, Any]:
+    """Redo the change that was undone last."""
+    return _undo_or_redo(opened, "redo")
+
+
+def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
+    with opened.history.record(command) as record:
+        done, undone = opened.history.undo_stacks()
+        stack = done if command == "undo" else undone
+        if not stack:
+            raise FrictrackError(f"there is nothing to {command}")
+        change = stack[-1]
+        old, new = (change.after, change.before) if command == "undo" else (change.before, change.after)
+        if "toml" in new:
+            _rewrite(opened.study.path, lambda text: _swap(text, old["toml"], new["toml"]))
+        else:
+            opened.models.select(new["current"])
+        record.arguments = {"of": change.revision}
+    return {"change": change.command, **change.arguments}
+
+
+def _swap(text: str, old: str, new: str) -> str:
+    if text != old:
+        raise FrictrackError("the study file was edited by hand since; undo the change there")
+    return new
+
+
+def _rewrite(path: Path, rewrite: Callable[[str], str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Replace the text of the study file; return the states before and after, as the history has them.
+
+    Raises `FrictrackError` if the file would not be valid, and leaves it unchanged.
+    """
+    before = path.read_bytes().decode()
+    after = rewrite(before)
+    check_study(parse(path, after, bare=True))
+    replace_text(path, after)
+    return {"toml": before}, {"toml": after}

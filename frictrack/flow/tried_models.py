@@ -1,0 +1,403 @@
+"""Keep the models tried on a study in ``study.h5``, in order, and fit again only what has changed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from frictrack import effects, models, store
+from frictrack.effects import Effect
+from frictrack.effects.settings import Settings, check_ties, definitions
+from frictrack.fit import MAX_SEARCH_GENERATIONS, fit, restore, state
+from frictrack.fit.uncertainty import merge_uncertainty
+from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.pipeline import Progress, RunPipeline, digest
+from frictrack.models import Model
+from frictrack.records import Curve, Modelled, Run
+from frictrack.results import ModelResults, plain
+from frictrack.store import GroupContent, Provenance
+from frictrack.study import EffectTable, RunTable, Study
+
+GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """What the user asked of a fit: a model, edits of it, and how it is fitted.
+
+    Attributes
+    ----------
+    base
+        Name of a model ("tustin"), or names of effects.
+    edits
+        Effects that were added ("+texture") or removed ("-viscous") since.
+    domain, search, seed, per, over
+        See `frictrack.fit`.
+
+    Examples
+    --------
+    >>> request = FitRequest("tustin").edited("+texture")
+    >>> request.name
+    'tustin+texture'
+    >>> request.edited("-texture") == FitRequest("tustin")
+    True
+
+    """
+
+    base: str | tuple[str, ...]
+    edits: tuple[str, ...] = ()
+    domain: str = "displacement"
+    search: str = "varpro"
+    seed: int = 0
+    per: str | None = None
+    over: str = "all"
+
+    def edited(self, edit: str) -> FitRequest:
+        """Return the request with one more edit (``"+texture"``, ``"-viscous"``); opposite edits cancel."""
+        opposite = ("-" if edit[0] == "+" else "+") + edit[1:]
+        kept = tuple(e for e in self.edits if e != opposite)
+        return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
+
+    def model(self, tables: Iterable[EffectTable] = ()) -> Model:
+        """Return the model, with the settings of the study's `[[effect]]` tables.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) For an unknown effect, or settings that contradict each other.
+
+        """
+        own = user_effects(tables)
+        model = models.parse(self.base, own)
+        for edit in self.edits:
+            model = model + effects.get(edit[1:], own) if edit[0] == "+" else model - edit[1:]
+        return apply_effect_tables(model, tables)
+
+    @property
+    def name(self) -> str:
+        """A short name that can be the name of a group: ``tustin+texture``."""
+        base = self.base if isinstance(self.base, str) else "+".join(self.base)
+        return re.sub(r"[\s,/]+", "+", base) + "".join(self.edits)
+
+    @classmethod
+    def from_json(cls, text: str) -> FitRequest:
+        """Read what `to_json` wrote."""
+        raw = json.loads(text)
+        base = raw["base"] if isinstance(raw["base"], str) else tuple(raw["base"])
+        return cls(**(raw | {"base": base, "edits": tuple(raw["edits"])}))
+
+    def to_json(self) -> str:
+        """Return the request as JSON; equal requests give equal texts."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+def _instrument_noise(run: RunTable) -> list[Any]:
+    """Return the stated noise and drift of the instrument; empty if neither is stated."""
+    return [run.noise, run.drift] if run.noise or run.drift else []
+
+
+def apply_effect_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
+    """Return the model with the settings of `[[effect]]` tables; tables of effects that it lacks are ignored.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If settings contradict each other.
+
+    """
+    adjusted = model.adjusted(_settings(tables))
+    check_ties(adjusted.effects)
+    return adjusted
+
+
+def user_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """Return the effects that `[[effect]]` tables define by a formula; every table is checked.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a formula or a setting is wrong.
+
+    """
+    return definitions(_settings(tables))
+
+
+def configured_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """Return every effect that has an `[[effect]]` table, with its settings applied."""
+    settings = _settings(tables)
+    own = definitions(settings)
+    return [one.applied(effects.get(one.effect, own)) for one in settings]
+
+
+def _settings(tables: Iterable[EffectTable]) -> list[Settings]:
+    return [Settings(**table.model_dump()) for table in tables]
+
+
+class TriedModels:
+    """The models tried on a study; one of them is current.
+
+    A model is a group in ``study.h5``: ``1_tustin``, ``2_tustin+texture``. It is fitted again if the runs, the
+    `[[effect]]` tables or the version of frictrack have changed.
+
+    Parameters
+    ----------
+    study
+        The study.
+    pipelines
+        The pipelines of its runs.
+    progress
+        Called while a model is being fitted.
+    commands
+        The command history, in which every new model is recorded.
+
+    """
+
+    def __init__(
+        self, study: Study, pipelines: list[RunPipeline], progress: Progress, commands: CommandHistory
+    ) -> None:
+        self.study = study
+        self.path = study.output / "study.h5"
+        self.commands = commands
+        self.progress = progress
+        self._pipelines = pipelines
+        self._fits: dict[str, Any] = {}
+        self._runs: list[Run] | None = None
+
+    @property
+    def runs(self) -> list[Run]:
+        """All runs, brought up to date."""
+        if self._runs is None:
+            self._runs = [pipeline.to_run() for pipeline in self._pipelines]
+        return self._runs
+
+    @property
+    def groups(self) -> list[str]:
+        """Names of the groups, in the order in which the models were tried."""
+        return sorted(store.names(self.path, "models"), key=lambda name: int(name.split("_")[0]))
+
+    def request(self, group: str) -> FitRequest:
+        """Return what was asked for in a group."""
+        return FitRequest.from_json(store.attributes(self.path, f"models/{group}")["settings"])
+
+    @property
+    def current_group(self) -> str | None:
+        """The group that is marked as current in the store; None if no model was tried."""
+        held = (group for group in reversed(self.groups) if store.attributes(self.path, f"models/{group}")["current"])
+        return next(held, None)
+
+    def current(self) -> tuple[str, FitRequest]:
+        """Return group and request of the current model.
+
+        The study file's model is fitted first if no model was tried, or if it was changed there.
+        """
+        group = self.current_group
+        if group is None:
+            return self.append(FitRequest(self.study.model, domain=self.domain()))
+        request = self.request(group)
+        if store.attributes(self.path, "models")["study_model"] != self._study_model:
+            return self.append(replace(request, base=self.study.model, edits=()))
+        return group, request
+
+    def is_current_outdated(self) -> bool:
+        """Return whether the current model belongs to other runs or settings than today's, or another study model."""
+        group = self.current_group
+        if group is None:
+            return False
+        same = store.attributes(self.path, "models")["study_model"] == self._study_model
+        return not same or self.is_outdated(group)
+
+    def is_outdated(self, group: str) -> bool:
+        """Return whether a model was fitted to other runs, or with other settings, than today's."""
+        return self._provenance(group).key != self.fit_key(self.request(group))
+
+    def select(self, group: str) -> None:
+        """Make a model current that was tried before."""
+        store.write(self.path, {}, remove=GROUPS_OF_CURRENT_MODEL, attribute_updates=self._current_flags(group))
+
+    def _current_flags(self, current: str) -> dict[str, dict[str, Any]]:
+        """Return the attributes of all groups once one of them is current."""
+        return {f"models/{group}": {"current": group == current} for group in self.groups}
+
+    @property
+    def _study_model(self) -> str:
+        """The study file's model as JSON, which is stored beside the models."""
+        return json.dumps(plain(self.study.model))
+
+    def domain(self) -> str:
+        """Return the domain of a new fit: "force" if a load cell measured friction, else "displacement"."""
+        return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
+
+    def append(self, request: FitRequest, command: str = "fit", **arguments: Any) -> tuple[str, FitRequest]:
+        """Fit a model, store it as the last one, make it current and record the command.
+
+        Parameters
+        ----------
+        request
+            The model and how it is fitted.
+        command, **arguments
+            For the command history.
+
+        Returns
+        -------
+        tuple of (str, FitRequest)
+            Name of the group, and the request.
+
+        """
+        fitted = self._fit(request)
+        base = request.base if isinstance(request.base, str) else ",".join(request.base)
+        with self.commands.record(command, **(arguments or {"model": base})) as change:
+            group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
+            flags = {"models": {"study_model": self._study_model}} | self._current_flags(group)
+            entry = {f"models/{group}": self._group_content(request, fitted, current=True)}
+            store.write(
+                self.path, entry, remove=GROUPS_OF_CURRENT_MODEL, links=self._run_links(), attribute_updates=flags
+            )
+            change.before = {} if before is None else {"current": before}
+            change.after = {"current": group}
+        self._fits[group] = fitted
+        return group, request
+
+    def _run_links(self) -> dict[str, str]:
+        """Return the links from ``study.h5`` to the files of the runs."""
+        return {f"runs/{pipeline.run.name}": pipeline.path.name for pipeline in self._pipelines}
+
+    def attempt(self, request: FitRequest, path: Path) -> dict[str, Any]:
+        """Fit a model into a file of its own, which is never updated: JSON of `fit`."""
+        name = f"attempt_{request.name}"
+        entry = self._group_content(request, self._fit(request), current=False)
+        standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
+        store.write(path, {f"models/{name}": standalone})
+        return model_results(path, name).summary
+
+    def fit(self, group: str) -> Any:
+        """Return the fit of a group: restored from the store if it is up to date, else computed again."""
+        if group not in self._fits:
+            request = self.request(group)
+            if not self.is_outdated(group):
+                self._fits[group] = self._restored(group)
+            else:
+                self._fits[group] = self._fit(request)
+                entry = self._group_content(request, self._fits[group], current=group == self.current_group)
+                removed = ("diagnosis",)  # a link into the group that is replaced
+                store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
+        return self._fits[group]
+
+    def _restored(self, group: str) -> Any:
+        return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
+
+    def fit_key(self, request: FitRequest) -> str:
+        """Return the hash of all that the fit of a model depends on."""
+        return digest(["toml", request.to_json(), [e.model_dump() for e in self.study.effects], self.input_hash])
+
+    @property
+    def inputs(self) -> list[tuple[str, str]]:
+        """The groups of the runs that a fit depends on, each with its key."""
+        return [(f"{p.path.name}:/{name}", p.key(name)) for p in self._pipelines for name in ("friction", "motion")]
+
+    def provenance(self, key: str, settings: str) -> Provenance:
+        """Return the provenance of something that is computed from today's runs."""
+        return Provenance(key, self.input_hash, json.dumps(self.inputs), settings)
+
+    @property
+    def input_hash(self) -> str:
+        """Hash of the runs, as far as a fit depends on them."""
+        keys = [
+            [
+                p.run.name,
+                p.run.role,
+                p.run.group,
+                p.run.clamp_x,
+                p.run.beam_length,
+                p.key("friction"),
+                p.key("motion"),
+                *_instrument_noise(p.run),
+            ]
+            for p in self._pipelines
+        ]
+        return digest([keys, self.study.mass])
+
+    def _fit(self, request: FitRequest) -> Any:
+        how: dict[str, Any] = {
+            "domain": request.domain,
+            "search": request.search,
+            "seed": request.seed,
+            "over": request.over,
+        }
+        if request.per is not None:
+            how["per"] = request.per
+        if self.study.mass is not None:
+            how["reference_mass"] = self.study.mass[0]
+        callback = self._search_callback(request.search)
+        fitted = fit(request.model(self.study.effects), self.runs, callback=callback, **how)
+        self.progress(MAX_SEARCH_GENERATIONS, MAX_SEARCH_GENERATIONS, request.search)
+        return fitted
+
+    def _search_callback(self, search: str) -> Callable[[int, Mapping[str, float], float], None]:
+        """Return a callback that reports the progress of a global search, generation by generation."""
+
+        def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
+            self.progress(
+                min(generation, MAX_SEARCH_GENERATIONS - 1), MAX_SEARCH_GENERATIONS, f"{search}: misfit {misfit:.4g}"
+            )
+
+        return report
+
+    def fit_papers_route(self) -> Any:
+        """Fit the current model by the papers' route (force domain, SGA) and store it beside the other models."""
+        request = replace(self.current()[1], domain="force", search="sga", over="all")
+        provenance = store.provenance(self.path, "papers")
+        if provenance is None or provenance.key != self.fit_key(request):
+            entry = self._group_content(request, self._fit(request), current=False)
+            store.write(self.path, {"papers": entry})
+        return self.results("papers")
+
+    def results(self, group: str) -> ModelResults:
+        """Return a stored model for the report; `group` may be ``papers``."""
+        return model_results(self.path, group)
+
+    def _provenance(self, group: str) -> Provenance:
+        return store.provenance(self.path, f"models/{group}") or Provenance()
+
+    def _group_content(self, request: FitRequest, fitted: Any, *, current: bool) -> GroupContent:
+        content = {
+            "current": current,
+            "equation": str(fitted.model),
+            "summary": json.dumps(plain(fitted.summary())),
+            "state": state(fitted),
+            "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
+            "motion": {motion.run: motion for motion in fitted.motion},
+        }
+        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+
+
+def model_results(path: Path, group: str) -> ModelResults:
+    """Read a model from the file of a study or of an attempt.
+
+    Parameters
+    ----------
+    path
+        The file.
+    group
+        Name of the group in ``models``, or ``papers``.
+
+    """
+    inside = group if group == "papers" else f"models/{group}"
+    with store.snapshot(path):
+        held = store.read(path, inside)
+        curves, motion = (store.names(path, f"{inside}/{part}") for part in ("curves", "motion"))
+        return ModelResults(
+            name=group,
+            equation=held["equation"],
+            summary=merge_uncertainty(
+                json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))
+            ),
+            curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
+            motion=tuple(store.read(path, f"{inside}/motion/{name}", Modelled) for name in motion),
+            current=bool(held["current"]),
+            diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
+            figures=held.get("diagnosis", {}).get("figures", {}),
+        )
