@@ -16,16 +16,16 @@ import numpy as np
 import pandas as pd
 import pytest
 from campaigns import campaign, results, slide
+from frictrack.batch.find_trends import drift, find_trends
 from rich.console import Console
 from scipy import stats
 
 from frictrack import workers
 from frictrack.batch import batch, find_studies
-from frictrack.batch.campaign import Campaign, State
 from frictrack.batch.journal import Journal
-from frictrack.batch.trends import drift, trends
-from frictrack.batch.work import Done
-from frictrack.cli.live import drawn
+from frictrack.batch.scheduler import BatchState, Scheduler
+from frictrack.batch.tasks import StudyOutcome
+from frictrack.cli.batch_progress import progress_table
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session
 
@@ -158,12 +158,12 @@ def test_the_journal_bears_a_line_that_was_cut_off(tmp_path: Path) -> None:
     study.write_text("")
     files = {str(study): [0, study.stat().st_mtime_ns]}
     journal = Journal(tmp_path / "all.jsonl")
-    journal.note(Done(str(study), {"runs": 1}, [{"run": "a"}], files=files))
+    journal.note(StudyOutcome(str(study), {"runs": 1}, [{"run": "a"}], files=files))
     whole = journal.path.read_bytes()
     for cut in range(len(whole)):
         journal.path.write_bytes(whole[:cut])
         assert set(journal.finished([study], 0)) <= {study}
-        journal.note(Done(str(study), {"runs": 2}, [{"run": "b"}], files=files))
+        journal.note(StudyOutcome(str(study), {"runs": 2}, [{"run": "b"}], files=files))
         assert journal.finished([study], 0)[study].summary == {"runs": 2}
     journal.path.write_bytes(b'\xff\x00{"version": 1}\n[]\n' + whole.replace(b'"version": "', b'"version": "9'))
     assert journal.finished([study], 0) == {}
@@ -171,7 +171,7 @@ def test_the_journal_bears_a_line_that_was_cut_off(tmp_path: Path) -> None:
 
 def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first one before all others, whose failure only makes the second one the first."""
-    from frictrack.batch import work  # noqa: PLC0415
+    from frictrack.batch import tasks  # noqa: PLC0415
 
     folder = campaign(tmp_path, 1, runs=4)
     path = folder / "day_1" / "study.toml"
@@ -182,12 +182,12 @@ def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch:
         seen.append((name, *(run.name for run in study.runs)))
         return "no light" if name == "r0" else None
 
-    monkeypatch.setattr(work, "_measured", measured)
-    monkeypatch.setattr(work.Session, "run", lambda session, seed: (_ for _ in ()).throw(FrictrackError("not asked")))
+    monkeypatch.setattr(tasks, "_measured", measured)
+    monkeypatch.setattr(tasks.Session, "run", lambda session, seed: (_ for _ in ()).throw(FrictrackError("not asked")))
     crew_ = Inline(room=2)
-    state = State(1)
+    state = BatchState(1)
     looks: list[int] = []
-    done = list(Campaign([path], 0, crew_, state).worked(lambda s: looks.append(len(s.under_way))))
+    done = list(Scheduler([path], 0, crew_, state).worked(lambda s: looks.append(len(s.under_way))))
     assert [given[0] for given in crew_.given] == ["begin", "measure", "measure", "conclude"]
     assert seen[:4] == [
         ("r0", "r0", "r1", "r2", "r3"),
@@ -208,17 +208,17 @@ def test_a_crew_that_gives_up(tmp_path: Path) -> None:
             return future
 
     path = campaign(tmp_path, 1) / "day_1" / "study.toml"
-    done = list(Campaign([path], 0, Leaving(), State(1)).worked(lambda state: None))
+    done = list(Scheduler([path], 0, Leaving(), BatchState(1)).worked(lambda state: None))
     assert "gave it up" in done[0].failures[0]["reason"]
 
 
 def test_a_moment_of_a_batch_is_shown() -> None:
-    state = State(5, kept=1, done=["/a/b.toml"], runs=3)
+    state = BatchState(5, kept=1, done=["/a/b.toml"], runs=3)
     state.under_way = {"/a/[c].toml": state.began}
     state.failures = [{"study": "/a/b.toml", "run": "v3", "reason": "no light"}]
     console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
     with console.file:
-        console.print(drawn(state))
+        console.print(progress_table(state))
     text = console.export_text()
     for told in ("2 of 5, 1 of them before", "/a/[c].toml", "/a/b.toml, v3: no light", "a minute", "left"):
         assert told in text
@@ -260,8 +260,8 @@ def test_a_force_that_drifts_over_a_campaign_is_found() -> None:
         force = 5.0 + 0.1 * k + 0.1 * rng.standard_normal()
         row = {"run": "a", "role": "fit", "verdict": "complete", "level": 1.0, "noise_um": 5.0 + rng.standard_normal()}
         row |= {"coulomb.F_c": force, "coulomb.F_c std": 0.02, "viscous.F_v": None, "viscous.F_v std": None}
-        done.append(Done(str(k), {}, [row], units={"coulomb.F_c": "N", "viscous.F_v": "N s/m"}))
-    found = {trend.name: trend for trend in trends(done)}
+        done.append(StudyOutcome(str(k), {}, [row], units={"coulomb.F_c": "N", "viscous.F_v": "N s/m"}))
+    found = {trend.name: trend for trend in find_trends(done)}
     assert set(found) == {"coulomb.F_c", "noise of the displacement"}  # one is unknown, one is constant
     assert found["coulomb.F_c"].holds
     assert found["coulomb.F_c"].change == pytest.approx(1.9, abs=3 * found["coulomb.F_c"].change_std)

@@ -273,7 +273,7 @@ def test_help_comes_at_once() -> None:
 
 def test_help_loads_no_science() -> None:
     heavy = ("cv2", "scipy", "h5py", "pandas", "matplotlib")
-    call = f"import sys; from frictrack.cli import commands; print([m for m in {heavy} if m in sys.modules])"
+    call = f"import sys; from frictrack.cli import study_commands; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 

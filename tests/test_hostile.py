@@ -28,7 +28,7 @@ from frictrack.simulate.scene import read_scene, render_scene
 from frictrack.store import GroupContent
 from frictrack.store.file_header import HEADER_BYTES, with_header
 from frictrack.store.signatures import sign
-from frictrack.study import load, parse, read_table, tables, write_study
+from frictrack.study import load, parse, read_table, reading_tables, write_study
 from frictrack.units import quantity
 from frictrack.version import __version__
 
@@ -321,7 +321,7 @@ def numbers(row: int, first: float, second: float, column: str = "B") -> str:
 def test_a_sheet_that_claims_more_than_it_holds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sheet: str, said: str
 ) -> None:
-    monkeypatch.setattr(tables, "MOST_ROWS", 5000)  # a million empty ones take six seconds
+    monkeypatch.setattr(reading_tables, "MOST_ROWS", 5000)  # a million empty ones take six seconds
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match=said):
         read_table(workbook(tmp_path / "t.xlsx", sheet))

@@ -16,7 +16,7 @@ from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models, plots
-from frictrack.cli import show
+from frictrack.cli import output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import (
@@ -271,7 +271,7 @@ STEPS = [
 
 def test_terminal_and_report_say_the_same():
     out = io.StringIO()
-    show.next_experiment(Console(file=out, width=200), STEPS)
+    output.next_experiment(Console(file=out, width=200), STEPS)
     said = out.getvalue()
     assert "1. Film a run with half the mass: why" in said
     assert "tells vibration from camera_shake or load_modulation; expected delta BIC 41" in said

@@ -19,7 +19,7 @@ from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects, models
-from frictrack.cli import main, show
+from frictrack.cli import main, output
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
@@ -192,7 +192,7 @@ def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys):
     assert found["runs"][0]["what"] in page
     assert "http" not in page.replace("http://www.w3.org", "")
     out = io.StringIO()
-    show.plan(Console(file=out, width=200), found)
+    output.plan(Console(file=out, width=200), found)
     said = out.getvalue()
     assert "pairs left" in said
     assert "presliding is not seen" in said

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from frictrack import remote
-from frictrack.batch.seen import seen, unchanged
+from frictrack.batch.file_states import are_unchanged, file_states
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.remote import Remote
@@ -54,11 +54,11 @@ def test_a_study_of_an_address_is_fetched_once_and_again_when_it_changes(
     found = Session(opened).fit()
     assert found["parameters"]["coulomb.F_c"]["value"] == pytest.approx(1.2, rel=0.02)  # 2 * fall * mass
     assert [path.name for path in cache.rglob("*.csv")] == ["v3.csv"]
-    before = seen(opened)
+    before = file_states(opened)
     assert Session(open_study(opened.path)).runs[0].is_current("displacement")
-    assert unchanged({"memory://lab/v3.csv": before["memory://lab/v3.csv"]})
+    assert are_unchanged({"memory://lab/v3.csv": before["memory://lab/v3.csv"]})
     elsewhere.pipe("/lab/v3.csv", table(1.5) + b"\n")
-    assert not unchanged({"memory://lab/v3.csv": before["memory://lab/v3.csv"]})
+    assert not are_unchanged({"memory://lab/v3.csv": before["memory://lab/v3.csv"]})
     again = Session(open_study(opened.path)).fit()
     assert again["parameters"]["coulomb.F_c"]["value"] == pytest.approx(1.5, rel=0.02)
 

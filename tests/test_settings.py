@@ -14,7 +14,7 @@ from frictrack.effects import catalogue, settings
 from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, user_effects
-from frictrack.study.write import EFFECT
+from frictrack.study.writing import EFFECT
 
 WIDER = 0.02  # as far as a stated deviation is wider than a known noise would make it
 TWO = (Spec(4.0), Spec(5.0))

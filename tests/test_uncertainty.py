@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 import frictrack as ft
 from frictrack import models, plots
-from frictrack.cli.commands import app
+from frictrack.cli.study_commands import app
 from frictrack.errors import FrictrackError
 from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
 from frictrack.fit.uncertainty import merge_uncertainty

@@ -9,6 +9,7 @@ and the journal by which the next batch knows what is missing, ``frictrack_batch
 """
 
 from frictrack.batch.driver import batch
-from frictrack.batch.find import find_studies
+from frictrack.batch.scheduler import BatchState
+from frictrack.batch.study_search import find_studies
 
-__all__ = ["batch", "find_studies"]
+__all__ = ["BatchState", "batch", "find_studies"]

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frictrack.batch import table
-from frictrack.batch.campaign import Campaign, State
-from frictrack.batch.find import find_studies
+from frictrack.batch.trends import find_trends
 from frictrack.batch.journal import Journal
-from frictrack.batch.trends import trends
-from frictrack.batch.work import Done
+from frictrack.batch.run_table import write_table
+from frictrack.batch.scheduler import BatchState, Scheduler
+from frictrack.batch.study_search import find_studies
+from frictrack.batch.tasks import StudyOutcome
 from frictrack.report import campaign as page
 from frictrack.results import plain
 from frictrack.workers import cluster_workers, local_workers
 
-PAUSE = 10.0  # s between two tables while studies are being done
-SHARE = 0.05  # of the time that tables may take
+MIN_TABLE_INTERVAL_S = 10.0  # s between two tables while studies are being done
+MAX_TABLE_TIME_SHARE = 0.05  # of the time that tables may take
 
 
 def batch(
@@ -31,7 +31,7 @@ def batch(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
-    watch: Callable[[State], None] = lambda state: None,
+    watch: Callable[[BatchState], None] = lambda state: None,
 ) -> dict[str, Any]:
     """Run every study that is not finished and write the tables and the page: JSON of `batch`.
 
@@ -43,41 +43,41 @@ def batch(
     labels = {path.resolve(): path for path in paths}
     journal = Journal(stem.with_name(f"{stem.name}.jsonl"))
     done = journal.finished(labels, seed)
-    state = State(len(labels), kept=len(done))
+    state = BatchState(len(labels), kept=len(done))
     todo = [path for path in labels if path not in done]
-    told = _Told(stem, labels, done)
+    output = _BatchOutput(stem, labels, done)
     if todo:
         with cluster_workers(scheduler) if scheduler else local_workers(workers) as pool:
-            for one in Campaign(todo, seed, pool, state).worked(watch):
-                journal.note(one)
+            for one in Scheduler(todo, seed, pool, state).run(watch):
+                journal.append(one)
                 done[Path(one.study)] = one
-                told.now_and_then()
-    return told.whole(state)
+                output.write_if_due()
+    return output.write_all(state)
 
 
 @dataclass
-class _Told:
+class _BatchOutput:
     """What is written of a batch."""
 
     stem: Path
     labels: dict[Path, Path]  # a study file from the root -> as the user named it
-    done: dict[Path, Done]
+    done: dict[Path, StudyOutcome]
     _next: float = 0.0
 
-    def now_and_then(self) -> None:
+    def write_if_due(self) -> None:
         """The table of what is there, unless it was written just now."""
         start = time.monotonic()
         if start >= self._next:
-            table.write(self._rows(), self.stem)
+            write_table(self._rows(), self.stem)
             end = time.monotonic()
-            self._next = end + max(PAUSE, (end - start) / SHARE)
+            self._next = end + max(MIN_TABLE_INTERVAL_S, (end - start) / MAX_TABLE_TIME_SHARE)
 
-    def whole(self, state: State) -> dict[str, Any]:
+    def write_all(self, state: BatchState) -> dict[str, Any]:
         """Tables and page of all: JSON of `batch`."""
-        files = table.write(self._rows(), self.stem)
+        files = write_table(self._rows(), self.stem)
         kept = [(label, self.done[path]) for path, label in self.labels.items() if path in self.done]
         studies = [{"study": str(label), **one.summary} for label, one in kept]
-        found = trends([one for _, one in kept])
+        found = find_trends([one for _, one in kept])
         result: dict[str, Any] = plain(
             {
                 "studies": studies,

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from frictrack.batch.seen import unchanged
-from frictrack.batch.work import Done
+from frictrack.batch.file_states import are_unchanged
+from frictrack.batch.tasks import StudyOutcome
 from frictrack.errors import FrictrackError
 from frictrack.version import __version__
 
@@ -20,13 +20,13 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def finished(self, studies: Iterable[Path], seed: int) -> dict[Path, Done]:
+    def finished(self, studies: Iterable[Path], seed: int) -> dict[Path, StudyOutcome]:
         """Studies of which nothing has changed since they were finished with this seed by this version."""
         held = self._lines()
         kept = ((path, held.get(str(path))) for path in studies)
-        return {path: done for path, done in kept if done and done.seed == seed and unchanged(done.files)}
+        return {path: done for path, done in kept if done and done.seed == seed and are_unchanged(done.files)}
 
-    def note(self, done: Done) -> None:
+    def append(self, done: StudyOutcome) -> None:
         """Put down what came of a study. Raises `FrictrackError` where the journal cannot be written."""
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
@@ -42,7 +42,7 @@ class Journal:
                 f"cannot write {self.path}: {e.strerror or e}; what was finished before is kept"
             ) from e
 
-    def _lines(self) -> dict[str, Done]:
+    def _lines(self) -> dict[str, StudyOutcome]:
         """The last line of every study that this version has written."""
         try:
             lines = self.path.read_bytes().split(b"\n")
@@ -53,9 +53,9 @@ class Journal:
         held = {}
         for line in lines:
             try:
-                told = json.loads(line)
-                if told.pop("version") == __version__:
-                    held[told["study"]] = Done(**told)
+                raw = json.loads(line)
+                if raw.pop("version") == __version__:
+                    held[raw["study"]] = StudyOutcome(**raw)
             except (ValueError, TypeError, KeyError, AttributeError):
                 continue  # cut off or not ours: the study is done again
         return held

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
-from frictrack.batch.work import Done
+from frictrack.batch.tasks import StudyOutcome
 from frictrack.records import Array
 
-FEWEST = 4  # points that a slope is told from
+MIN_POINTS = 4  # points that a slope is told from
 ALPHA = 0.01  # of all trends of one batch together
 
 
@@ -38,7 +38,7 @@ class Trend:
     slope_std: float
     p: float  # of no slope; multiplied by the number of trends
     scatter: float  # tau
-    along: str = "study"  # what the places are of
+    axis: str = "study"  # what the places are of
 
     @property
     def holds(self) -> bool:
@@ -66,7 +66,7 @@ class Trend:
         return {"n": len(self.at), **{key: getattr(self, key) for key in told}}
 
 
-def trends(done: Sequence[Done]) -> list[Trend]:
+def find_trends(done: Sequence[StudyOutcome]) -> list[Trend]:
     """Trends of every parameter and of the noise over the studies, and of the friction level over all their runs."""
     first = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
     units = {name: unit for one in done for name, unit in one.units.items()}
@@ -74,9 +74,9 @@ def trends(done: Sequence[Done]) -> list[Trend]:
     noise = [_mean(_column(one.rows, "noise_um")) for one in done]
     found.append(_trend("noise of the displacement", "µm", np.array(noise)))
     fitted = [row for one in done for row in one.rows if row.get("role") == "fit"]
-    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), along="run"))
-    told = [one for one in found if one is not None]
-    return [replace(one, p=min(1.0, one.p * len(told))) for one in told]
+    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), axis="run"))
+    known = [one for one in found if one is not None]
+    return [replace(one, p=min(1.0, one.p * len(known))) for one in known]
 
 
 def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
@@ -85,18 +85,18 @@ def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
     return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
 
 
-def _trend(name: str, unit: str, y: Array, s: Array | None = None, along: str = "study") -> Trend | None:
+def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> Trend | None:
     """The trend of values y (n,) with standard deviations s (n,); None for too few values, or for a constant."""
     known = np.isfinite(y)
-    if np.count_nonzero(known) < FEWEST or np.ptp(y[known]) == 0.0:
+    if np.count_nonzero(known) < MIN_POINTS or np.ptp(y[known]) == 0.0:
         return None
     s = np.full(len(y), np.nan) if s is None else s
     at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
-    slope, slope_std, scatter, p = drift(at, y, np.nan_to_num(s))
-    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, along)
+    slope, slope_std, scatter, p = fit_slope(at, y, np.nan_to_num(s))
+    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, axis)
 
 
-def drift(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
+def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
     """Slope of y (n,) with standard deviations s (n,) over `at`: slope, its standard deviation, scatter tau, p."""
     n = len(y)
     unit = float(np.std(y)) or 1.0

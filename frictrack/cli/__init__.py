@@ -14,8 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 the work failed, 2 it was asked for wrongly."""
-    from frictrack.cli import commands, many  # noqa: F401, PLC0415 - so that importing this module costs nothing
-    from frictrack.cli.base import app  # noqa: PLC0415
+    from frictrack.cli import other_commands, study_commands  # noqa: F401, PLC0415 - so that importing this module costs nothing
+    from frictrack.cli.common import app  # noqa: PLC0415
 
     try:
         app(args=None if argv is None else list(argv), prog_name="frictrack")

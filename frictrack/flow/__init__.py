@@ -1,23 +1,38 @@
-"""One place shows the whole flow: from a study file to its report, and nothing done twice.
+"""Run a study from its file to its report; load, compute and save its results.
 
-    recording -> track -> displacement -> filtered -> motion -> friction        per run, the table in `stages`
-    fit -> compare -> diagnose -> (add, fit again) -> report                    per study, here
+    recording -> track -> displacement -> filtered -> motion -> friction        per run, the tables in `stages`
+    fit -> compare -> diagnose -> (add, fit again) -> report                    per study, `Session`
 
-`Session` is the only code that loads, runs and saves; the command line and the workbench speak to it.
+`Session` is the only code that computes and saves the results of a study; the command line and the workbench use it.
+`read_results` reads what is stored and computes nothing.
+
+    pipeline, stages            bring the stages of one run up to date
+    film_stages, track_quality, target_rotation                 from a film to its displacement
+    table_stage                 from a table of positions to its displacement
+    sensor_stage, auxiliary_signals                             what other instruments recorded
+    tried_models, study_edits, command_history, replay          models tried, changes of the study, undo
+    plausibility_checks, contradictions, duplicate_runs         checks of the numbers in the study file
+    stored_results, run_summaries, run_budget, verification     read, summarise and verify stored results
+    schema                      write the page that describes the HDF5 files
 """
 
+from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.film_stages import contact_sheet_path
 from frictrack.flow.opening import open_study, start_study
 from frictrack.flow.pipeline import Progress, no_progress
+from frictrack.flow.plausibility_checks import Findings
 from frictrack.flow.replay import replay_script
 from frictrack.flow.run_plan import plan
 from frictrack.flow.sample_demo import demo
 from frictrack.flow.session import Session
+from frictrack.flow.stages import run_pipeline
 from frictrack.flow.stored_results import preview_motion, read_attempt, read_results
 from frictrack.flow.tried_models import FitRequest, user_effects
 from frictrack.flow.verification import verify
 
 __all__ = [
+    "CommandHistory",
+    "Findings",
     "FitRequest",
     "Progress",
     "Session",
@@ -30,6 +45,7 @@ __all__ = [
     "read_attempt",
     "read_results",
     "replay_script",
+    "run_pipeline",
     "start_study",
     "user_effects",
     "verify",

@@ -4,11 +4,11 @@
 were measured by something other than a camera.
 """
 
-from frictrack.study.edit import edited, with_effect, with_runs, without_run, written
-from frictrack.study.load import Study, load, parse, read_toml, results_of
+from frictrack.study.editing import edited, with_effect, with_runs, without_run, written
+from frictrack.study.loading import Study, load, parse, read_toml, results_of
+from frictrack.study.reading_tables import TableData, read_clocked, read_table
 from frictrack.study.schema import EffectTable, RunTable, nearest
-from frictrack.study.tables import TableData, read_clocked, read_table
-from frictrack.study.write import TABLES, find_recordings, write_study
+from frictrack.study.writing import TABLES, find_recordings, write_study
 
 __all__ = [
     "TABLES",

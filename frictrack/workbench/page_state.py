@@ -14,9 +14,7 @@ from typing import Any
 import param
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, read_results, start_study
-from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.plausibility_checks import Findings
+from frictrack.flow import CommandHistory, Findings, Session, open_study, read_results, start_study
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.study import RunTable, Study, find_recordings, written
 from frictrack.workbench import jobs

@@ -15,43 +15,43 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from frictrack.batch.campaign import State
+    from frictrack.batch import BatchState
 
-LINES = 8  # of what is worked on, and of what failed
+MAX_LINES = 8  # of what is worked on, and of what failed
 
 
 @contextmanager
-def watching() -> Iterator[Callable[[State], None]]:
+def watch_batch() -> Iterator[Callable[[BatchState], None]]:
     """A callable that shows how far a batch is: a table on a terminal, a line per study anywhere else."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines()
+        yield _LinePrinter()
         return
     with Live(console=console, transient=True, auto_refresh=False) as live:
 
-        def show(state: State) -> None:
-            live.update(drawn(state), refresh=True)
+        def show(state: BatchState) -> None:
+            live.update(progress_table(state), refresh=True)
 
         yield show
 
 
-class _Lines:
+class _LinePrinter:
     """A line for every study that has ended."""
 
     def __init__(self) -> None:
         self._told = 0
         self._failed = 0
 
-    def __call__(self, state: State) -> None:
+    def __call__(self, state: BatchState) -> None:
         for study in state.done[self._told :]:
             self._told += 1
-            sys.stderr.write(f"{state.kept + self._told} of {state.studies}: {short(study)}\n")
+            sys.stderr.write(f"{state.kept + self._told} of {state.studies}: {relative_path(study)}\n")
         for one in state.failures[self._failed :]:
             self._failed += 1
             sys.stderr.write(f"failed: {_where(one)}: {one['reason']}\n")
 
 
-def drawn(state: State) -> Table:
+def progress_table(state: BatchState) -> Table:
     """The table of one moment."""
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     ended = state.kept + len(state.done)
@@ -60,22 +60,22 @@ def drawn(state: State) -> Table:
     table.add_row("runs", f"{state.runs}, {pace:.3g} a minute" if state.runs else "0")
     table.add_row("time", _clock(state.seconds) + (f", {_clock(state.left)} left" if state.left is not None else ""))
     now = time.monotonic()
-    for name, since in list(state.under_way.items())[:LINES]:
-        table.add_row("working on", f"{escape(short(name))}, {_clock(now - since)}")
+    for name, since in list(state.under_way.items())[:MAX_LINES]:
+        table.add_row("working on", f"{escape(relative_path(name))}, {_clock(now - since)}")
     if state.failures:
         table.add_row("[bold]failed[/bold]", f"{len(state.failures)}")
-    for one in state.failures[-LINES:]:
+    for one in state.failures[-MAX_LINES:]:
         table.add_row("", escape(f"{_where(one)}: {one['reason']}"))
     return table
 
 
-def short(path: str) -> str:
+def relative_path(path: str) -> str:
     """A path as seen from here, where it lies below."""
     return path.removeprefix(f"{Path.cwd()}/")
 
 
 def _where(failure: Mapping[str, str]) -> str:
-    return ", ".join(part for part in (short(failure["study"]), failure["run"]) if part)
+    return ", ".join(part for part in (relative_path(failure["study"]), failure["run"]) if part)
 
 
 def _clock(seconds: float) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.cli.base import Effect, Json, Search, Seed, Study, app, tell, working
+from frictrack.cli.common import Effect, Json, Search, Seed, Study, app, open_session, print_result
 from frictrack.errors import FrictrackError
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ def run(
 ) -> None:
     """Every stage, then fit, compare, diagnose, report. Bare recordings get a study.toml in this folder."""
     path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
-    with working(path) as session:
+    with open_session(path) as session:
         result = session.run(seed)
-    tell(result, as_json, "run", session.study.output / "report.html")
+    print_result(result, as_json, "run", session.study.output / "report.html")
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
@@ -65,13 +65,13 @@ def init(
     found = find_recordings(folder)
     path = write_study(folder / "study.toml", found, commented=True)
     result = {"study": str(path), "runs": [p.name for p in found], "output": str(path)}
-    tell(result, as_json, "", f"{path}; fill in mass, fps and scale, then `frictrack run {path}`")
+    print_result(result, as_json, "", f"{path}; fill in mass, fps and scale, then `frictrack run {path}`")
 
 
 def _measure(stage: str, study: Path, as_json: bool) -> None:
-    with working(study) as session:
+    with open_session(study) as session:
         result = session.measure(stage)
-    tell(result, as_json, "stages", session.study.output)
+    print_result(result, as_json, "stages", session.study.output)
 
 
 @app.command()
@@ -81,9 +81,9 @@ def track(
     as_json: Json = False,
 ) -> None:
     """Follow the slider through every film; a contact sheet shows whether that went well."""
-    with working(study) as session:
+    with open_session(study) as session:
         result = session.measure("track", overlay=overlay)
-    tell(result, as_json, "track", session.study.output)
+    print_result(result, as_json, "track", session.study.output)
 
 
 @app.command()
@@ -114,32 +114,32 @@ def fit(  # noqa: PLR0913, PLR0917 - the flags of DESIGN section 6
     as_json: Json = False,
 ) -> None:
     """Fit the current model, or another one that becomes the current one."""
-    with working(study) as session:
+    with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
         result = session.fit(model, profiles=profile, draws=bootstrap, **how)
-    tell(result, as_json, "fit", session.path)
+    print_result(result, as_json, "fit", session.path)
 
 
 @app.command()
 def compare(study: Study, as_json: Json = False) -> None:
     """Error of every model tried, and where the current one fails."""
-    with working(study) as session:
+    with open_session(study) as session:
         result = session.compare()
-    tell(result, as_json, "compare", session.path)
+    print_result(result, as_json, "compare", session.path)
 
 
 @app.command()
 def diagnose(study: Study, seed: Seed = 0, as_json: Json = False) -> None:
     """Which effect is missing."""
-    with working(study) as session:
+    with open_session(study) as session:
         result = session.diagnose(seed)
-    tell(result, as_json, "diagnose", session.path)
+    print_result(result, as_json, "diagnose", session.path)
 
 
 def _edit(how: Callable[[Session], dict[str, Any]], study: Path, as_json: bool) -> None:
-    with working(study) as session:
+    with open_session(study) as session:
         result = how(session)
-    tell(result, as_json, "edit", session.path)
+    print_result(result, as_json, "edit", session.path)
 
 
 @app.command()
@@ -157,21 +157,21 @@ def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) 
 @app.command()
 def history(study: Study, as_json: Json = False) -> None:
     """Every model tried, in order, with its errors."""
-    with working(study) as session:
+    with open_session(study) as session:
         result = session.history()
-    tell(result, as_json, "history", session.path)
+    print_result(result, as_json, "history", session.path)
 
 
 @app.command()
 def plan(study: Study, as_json: Json = False) -> None:
     """Which runs to film so that the effects can be told apart; needs mass, fps and scale, and no film."""
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import open_study  # noqa: PLC0415
     from frictrack.flow import plan as make  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = make(open_study(study, bare=True), progress)
-    tell(result, as_json, "plan", result["page"])
+    print_result(result, as_json, "plan", result["page"])
 
 
 @app.command()
@@ -181,7 +181,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """One page that shows it all."""
-    with working(study) as session:
+    with open_session(study) as session:
         path = session.report()
     files = {"report": str(path)}
     if pdf:
@@ -189,7 +189,7 @@ def report(
 
         path = printed(path)
         files["pdf"] = str(path)
-    tell({**files, "output": str(session.study.output)}, as_json, "", path)
+    print_result({**files, "output": str(session.study.output)}, as_json, "", path)
 
 
 @app.command()
@@ -201,10 +201,10 @@ def export(
     """Curves, parameters and errors as plain tables."""
     from frictrack.export import write  # noqa: PLC0415
 
-    with working(study) as session:
+    with open_session(study) as session:
         files = write(session.results(), to)
     where = files[0].parent if len(files) > 1 else files[0]
-    tell({"files": [str(f) for f in files], "output": str(session.study.output)}, as_json, "", where)
+    print_result({"files": [str(f) for f in files], "output": str(session.study.output)}, as_json, "", where)
 
 
 @app.command()
@@ -217,7 +217,7 @@ def effects(
     from frictrack.flow import open_study, user_effects  # noqa: PLC0415
 
     own = [] if study is None else user_effects(open_study(study).effects)
-    tell({"effects": catalogue(own)}, as_json, "effects")
+    print_result({"effects": catalogue(own)}, as_json, "effects")
 
 
 @app.command()
@@ -231,7 +231,7 @@ def render(
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
     render_scene(scene, out, seed=seed)
-    tell({"output": str(out)}, as_json, "", out)
+    print_result({"output": str(out)}, as_json, "", out)
 
 
 @app.command("app")

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.cli.cells import table
+from frictrack.cli.tables import table
 from frictrack.number_format import format_plain
 
 SHARES = (  # words, and where they stand

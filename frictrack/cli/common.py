@@ -30,27 +30,27 @@ Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 
 @contextmanager
-def working(study: Path) -> Iterator[Session]:
+def open_session(study: Path) -> Iterator[Session]:
     """A study at work, its progress on stderr."""
-    from frictrack.cli.bars import bars  # noqa: PLC0415 - `--help` need not wait for the science
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415 - `--help` need not wait for the science
     from frictrack.flow import Session, open_study  # noqa: PLC0415
 
     opened = open_study(study)
-    with bars() as progress:
+    with progress_bars() as progress:
         yield Session(opened, progress, author="cli")
 
 
-def tell(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
+def print_result(result: dict[str, Any], as_json: bool, show: str, where: str | Path = "") -> None:
     """Print a result for a machine or a person; a person is told where it lies."""
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return
     from rich.console import Console  # noqa: PLC0415
 
-    from frictrack.cli import show as shown  # noqa: PLC0415
+    from frictrack.cli import output  # noqa: PLC0415
 
     out = Console(highlight=False)
     if show:
-        getattr(shown, show)(out, result)
+        getattr(output, show)(out, result)
     if where:
         out.print(f"results: {where}", soft_wrap=True, markup=False)

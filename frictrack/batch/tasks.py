@@ -8,24 +8,23 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from frictrack.batch.seen import Seen, seen
+from frictrack.batch.file_states import FileStates, file_states
 from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study
-from frictrack.flow.stages import run_pipeline
+from frictrack.flow import Session, open_study, run_pipeline
 from frictrack.study import RunTable, Study
 
 Reasons = Mapping[str, str]  # run -> why it failed
 
 
 @dataclass
-class Done:
+class StudyOutcome:
     """A study that was worked on: its line of the summary, a row for every run, and the files as they were."""
 
     study: str  # the file, from the root
     summary: dict[str, Any]
     rows: list[dict[str, Any]]
     units: dict[str, str] = field(default_factory=dict)  # of the parameters
-    files: Seen = field(default_factory=dict)
+    files: FileStates = field(default_factory=dict)
     seed: int = 0
     seconds: float = 0.0
 
@@ -36,78 +35,78 @@ class Done:
 
 
 @dataclass
-class Begun:
+class StudyStarted:
     """A study whose first film was measured: the others can be, side by side."""
 
     others: list[str]
     failed: dict[str, str]
 
 
-def begin(path: Path, seed: int) -> Begun | Done:
+def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
     """Measure the first film, whose point of the body all others follow, or do all of a study that has no other."""
     try:
         study = open_study(path)
     except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
-        return undone(path, {}, in_words(e))
+        return failed_study(path, {}, describe_failure(e))
     films = [run.name for run in study.runs if run.video]
     failed: dict[str, str] = {}
     while len(films) > 1:
         first = films.pop(0)
-        reason = _measured(without(study, failed), first)
+        reason = _measure_run(without_runs(study, failed), first)
         if reason is None:
-            return Begun(films, failed)
+            return StudyStarted(films, failed)
         failed[first] = reason
-    return conclude(path, seed, failed)
+    return finish_study(path, seed, failed)
 
 
-def measure(path: Path, run: str, failed: Reasons) -> str | None:
+def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
     """Measure one film; the reason where that fails."""
     try:
-        study = without(open_study(path), failed)
+        study = without_runs(open_study(path), failed)
     except Exception as e:  # noqa: BLE001
-        return in_words(e)
-    return _measured(study, run)
+        return describe_failure(e)
+    return _measure_run(study, run)
 
 
-def conclude(path: Path, seed: int, failed: Reasons) -> Done:
+def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
     """Fit, diagnose and report a study, without the runs that failed."""
     start, failed = time.perf_counter(), dict(failed)
     try:
         study = open_study(path)
         for run in study.runs:
-            if run.name not in failed and (reason := _measured(without(study, failed), run.name)) is not None:
+            if run.name not in failed and (reason := _measure_run(without_runs(study, failed), run.name)) is not None:
                 failed[run.name] = reason
         if len(failed) == len(study.runs):
-            return undone(path, failed, "none of its runs could be measured")
-        kept = without(study, failed)
+            return failed_study(path, failed, "none of its runs could be measured")
+        kept = without_runs(study, failed)
         notes = tuple(f'run "{name}" is left out: {reason}' for name, reason in failed.items())
         result = Session(kept, notes=notes).run(seed)
-        done = _done(path, result, failed)
-        done.files = {} if failed else seen(study)  # what failed is tried again
+        done = _outcome(path, result, failed)
+        done.files = {} if failed else file_states(study)  # what failed is tried again
     except Exception as e:  # noqa: BLE001
-        return undone(path, failed, in_words(e))
+        return failed_study(path, failed, describe_failure(e))
     done.seed, done.seconds = seed, time.perf_counter() - start
     return done
 
 
-def undone(path: Path, failed: Reasons, reason: str) -> Done:
+def failed_study(path: Path, failed: Reasons, reason: str) -> StudyOutcome:
     """A study that failed, and the runs of it that did."""
     rows = [{"reason": reason}, *({"run": run, "reason": why} for run, why in failed.items())]
-    return Done(str(path), {"runs": 0, "reason": reason}, rows)
+    return StudyOutcome(str(path), {"runs": 0, "reason": reason}, rows)
 
 
-def in_words(e: BaseException) -> str:
+def describe_failure(e: BaseException) -> str:
     """A failure in one line."""
     said = str(e) if isinstance(e, FrictrackError) else f"{type(e).__name__}: {e}"
     return " ".join(said.split())
 
 
-def without(study: Study, failed: Reasons) -> Study:
+def without_runs(study: Study, failed: Reasons) -> Study:
     """The study without the runs that failed."""
     return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
 
 
-def _measured(study: Study, name: str) -> str | None:
+def _measure_run(study: Study, name: str) -> str | None:
     """Every stage of a run brought up to date; the reason where one fails."""
     pipeline = run_pipeline(study, _run(study, name))
     try:
@@ -115,7 +114,7 @@ def _measured(study: Study, name: str) -> str | None:
             if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
                 pipeline.get(stage)
     except Exception as e:  # noqa: BLE001
-        return in_words(e).removeprefix(f'run "{name}", ')
+        return describe_failure(e).removeprefix(f'run "{name}", ')
     return None
 
 
@@ -123,7 +122,7 @@ def _run(study: Study, name: str) -> RunTable:
     return next(run for run in study.runs if run.name == name)
 
 
-def _done(path: Path, result: dict[str, Any], failed: Reasons) -> Done:
+def _outcome(path: Path, result: dict[str, Any], failed: Reasons) -> StudyOutcome:
     """The lines of a study that was run."""
     fit, diagnosis = result["fit"], result["diagnose"]
     shared = {
@@ -146,7 +145,7 @@ def _done(path: Path, result: dict[str, Any], failed: Reasons) -> Done:
         "left_out": list(failed),
         "results": result["output"],
     }
-    return Done(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
+    return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
 
 
 def _run_row(run: dict[str, Any]) -> dict[str, Any]:

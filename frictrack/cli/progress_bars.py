@@ -10,11 +10,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from frictrack.flow import Progress as Callback
 
-OUTER = ("studies", "runs")  # these keep a bar of their own; below them, one bar says what is being done
+OWN_BAR = ("studies", "runs")  # these keep a bar of their own; below them, one bar says what is being done
 
 
 @contextmanager
-def bars() -> Iterator[Callback]:
+def progress_bars() -> Iterator[Callback]:
     """A callable ``progress(done, total, what)`` that draws what it is told; the bars go when all is done."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     tasks: dict[str, TaskID] = {}
@@ -22,7 +22,7 @@ def bars() -> Iterator[Callback]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as drawn:
 
         def progress(done: int, total: int, what: str) -> None:
-            bar = what if what in OUTER else "now"
+            bar = what if what in OWN_BAR else "now"
             if bar not in tasks:
                 tasks[bar] = drawn.add_task(what, total=total)
             drawn.update(tasks[bar], description=what, completed=done, total=total, visible=done < total)

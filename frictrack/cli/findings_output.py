@@ -7,12 +7,12 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-MOST_FINDINGS = 8  # in the records that the terminal shows
+MAX_FINDINGS = 8  # in the records that the terminal shows
 
 
-def in_records(out: Console, findings: list[dict[str, Any]]) -> None:
+def findings(out: Console, findings: list[dict[str, Any]]) -> None:
     """What was found in the records before they were used; the rest of a long list is left to the report."""
-    for found in findings[:MOST_FINDINGS]:
+    for found in findings[:MAX_FINDINGS]:
         out.print(escape(f"{found['run']}: {found['words']}"))
-    if (more := len(findings) - MOST_FINDINGS) > 0:
+    if (more := len(findings) - MAX_FINDINGS) > 0:
         out.print(f"and {more} more findings in the records; the report lists them")

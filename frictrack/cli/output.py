@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.cli.cells import table as _table
-from frictrack.cli.findings import in_records
-from frictrack.cli.scores import blind  # noqa: F401 - the command asks for `blind` here
-from frictrack.cli.settle import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
-from frictrack.cli.unexplained import evidence, unexplained
+from frictrack.cli.blind_output import blind  # noqa: F401 - the command asks for `blind` here
+from frictrack.cli.diagnosis_output import evidence, unexplained
+from frictrack.cli.findings_output import findings
+from frictrack.cli.plan_output import next_experiment, plan  # noqa: F401 - the command asks for `plan` here
+from frictrack.cli.tables import table as _table
 from frictrack.number_format import format_plain, format_plus_minus
 from frictrack.verdicts import describe_verdict
 
@@ -31,8 +31,14 @@ ERRORS = {
     "relative_force_error": ("relative force error", "force / %", 100.0),
     "reduced_chi2": ("reduced chi²", "chi²", 1.0),
 }  # key of `errors` -> words, column head with its unit, factor
-MOST_STUDIES = 100  # in the table of a batch; the page has more
-UNTABLED = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # told in words, or in JSON only
+MAX_STUDIES = 100  # in the table of a batch; the page has more
+NOT_IN_TABLE = (
+    "reason",
+    "smoothing",
+    "guard_frames",
+    "sigma_x_um",
+    "noise_at_rest_um",
+)  # written as text, or only in the JSON
 
 
 def fit(out: Console, result: dict[str, Any]) -> None:
@@ -165,7 +171,7 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result.get("fails_at") or [])
     if result.get("repeats_words"):
         out.print(escape(result["repeats_words"]))
-    in_records(out, result.get("findings") or [])
+    findings(out, result.get("findings") or [])
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
@@ -260,7 +266,7 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 def stages(out: Console, result: dict[str, Any]) -> None:
     """One row per run of `motion`, `friction`, then what was found on the way."""
     first = result["runs"][0]
-    keys = [k for k in first if k not in UNTABLED and not isinstance(first[k], dict | list)]
+    keys = [k for k in first if k not in NOT_IN_TABLE and not isinstance(first[k], dict | list)]
     table = _table(*(k.replace("_", " ") for k in keys))
     for row in result["runs"]:
         table.add_row(*(_cell(row.get(k)) for k in keys))
@@ -363,10 +369,10 @@ def effects(out: Console, result: dict[str, Any]) -> None:
 def batch(out: Console, result: dict[str, Any]) -> None:
     """One row per study, and what changes over the series."""
     table = _table("study", "runs", "verdict", "missing", "failed because")
-    for row in result["studies"][:MOST_STUDIES]:
+    for row in result["studies"][:MAX_STUDIES]:
         table.add_row(*(_cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(table)
-    if (more := len(result["studies"]) - MOST_STUDIES) > 0:
+    if (more := len(result["studies"]) - MAX_STUDIES) > 0:
         out.print(f"and {more} more")
     for run in (one for one in result["failed"] if one["run"]):
         out.print(f"left out of {run['study']}: {run['reason']}", markup=False)

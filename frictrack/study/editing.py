@@ -10,7 +10,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack.errors import FrictrackError
-from frictrack.study.write import apart, run_tables
+from frictrack.study.writing import apart, run_tables
 
 MANY = {"run": "name", "effect": "effect"}  # tables of which there are several, and the key that tells them apart
 

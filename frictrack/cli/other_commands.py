@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from frictrack.cli.base import Json, Seed, Workers, app, tell
+from frictrack.cli.common import Json, Seed, Workers, app, print_result
 from frictrack.errors import FrictrackError
 
 
@@ -27,11 +27,11 @@ def batch(
     Begun again, it does what is missing or has changed.
     """
     from frictrack.batch import batch as run_all  # noqa: PLC0415
-    from frictrack.cli.live import watching  # noqa: PLC0415
+    from frictrack.cli.batch_progress import watch_batch  # noqa: PLC0415
 
-    with watching() as watch:
+    with watch_batch() as watch:
         result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
-    tell(result, as_json, "batch", result["output"])
+    print_result(result, as_json, "batch", result["output"])
     if result["failed"]:
         failed = {one["study"] for one in result["failed"]}
         raise FrictrackError(
@@ -45,12 +45,12 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Find silent damage: checksums, schema, where results come from, and whether recordings are still the same."""
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import verify as look  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = look(paths, progress)
-    tell(result, as_json, "verify")
+    print_result(result, as_json, "verify")
     if not result["sound"]:
         n = len(result["faults"])
         raise FrictrackError(f"{n} fault(s) in {result['files']} file(s); each line says what to do")
@@ -59,12 +59,12 @@ def verify(
 @app.command()
 def demo(seed: Seed = 0, as_json: Json = False) -> None:
     """The whole loop on a sample study, in ./frictrack_demo."""
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import demo as show_it  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = show_it(Path("frictrack_demo"), seed, progress)
-    tell(result, as_json, "demo", result["report"])
+    print_result(result, as_json, "demo", result["report"])
 
 
 @app.command()
@@ -77,12 +77,12 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Tables and figures of both papers again: printed values beside ours, and which claims hold."""
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.reproduce import reproduce as make  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = make(out, quick=quick, seed=seed, progress=progress)
-    tell(result, as_json, "reproduce", result["page"])
+    print_result(result, as_json, "reproduce", result["page"])
 
 
 blind = typer.Typer(help="Studies with a sealed truth: how surely is what they hide named?", no_args_is_help=True)
@@ -104,19 +104,19 @@ def make(
     Of 420: 200, 100, 60 and 60. Of 40 films: 20 with one effect, 10 with none, 10 with a fault of the measurement.
     """
     from frictrack.blind import make as written  # noqa: PLC0415
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = written(out, n, seed=seed, film=film, workers=workers, progress=progress)
-    tell(result, as_json, "", out)
+    print_result(result, as_json, "", out)
 
 
 @blind.command()
 def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = False) -> None:
     """Diagnose every study, add what is named, open the seal and count. Goes on where it was interrupted."""
     from frictrack.blind import score as scored  # noqa: PLC0415
-    from frictrack.cli.bars import bars  # noqa: PLC0415
+    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
 
-    with bars() as progress:
+    with progress_bars() as progress:
         result = scored(out, seed=seed, workers=workers, progress=progress)
-    tell(result, as_json, "blind", out / "score.json")
+    print_result(result, as_json, "blind", out / "score.json")

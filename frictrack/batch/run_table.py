@@ -12,26 +12,26 @@ from frictrack.files import replaced
 if TYPE_CHECKING:
     import pandas as pd
 
-HEAD = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")
+FIRST_COLUMNS = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")
 
 
-def frame(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     """The rows as a table; what a row does not have is empty."""
     import pandas as pd  # noqa: PLC0415 - slow to load
 
-    names = list(dict.fromkeys([*HEAD, *(name for row in rows for name in row)]))
+    names = list(dict.fromkeys([*FIRST_COLUMNS, *(name for row in rows for name in row)]))
     table = pd.DataFrame(list(rows), columns=names)
-    for name in HEAD:
+    for name in FIRST_COLUMNS:
         table[name] = table[name].astype("string")
     return table
 
 
-def write(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
+def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
     """Write ``stem.csv`` and, where pyarrow is installed, ``stem.parquet``, each whole or not at all; their paths.
 
     Raises `FrictrackError` where one cannot be written.
     """
-    table = frame(rows)
+    table = make_table(rows)
     paths = [stem.with_name(f"{stem.name}.csv")]
     with replaced(paths[0]) as part:
         table.to_csv(part, index=False)

@@ -10,15 +10,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from frictrack.batch.work import Begun, Done, begin, conclude, in_words, measure, undone
+from frictrack.batch.tasks import (
+    StudyOutcome,
+    StudyStarted,
+    begin_study,
+    describe_failure,
+    failed_study,
+    finish_study,
+    measure_film,
+)
 from frictrack.errors import FrictrackError
 from frictrack.workers import WorkerPool
 
-LOOK = 0.5  # s between two looks at what is under way
+POLL_INTERVAL_S = 0.5  # s between two looks at what is under way
 
 
 @dataclass
-class State:
+class BatchState:
     """How far a campaign is, for who watches."""
 
     studies: int
@@ -41,11 +49,11 @@ class State:
         return self.seconds * todo / len(self.done) if self.done else None
 
 
-Watch = Callable[[State], None]
+Watch = Callable[[BatchState], None]
 
 
 @dataclass
-class _Case:
+class _StudyProgress:
     """One study under way."""
 
     path: Path
@@ -54,35 +62,35 @@ class _Case:
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _Task:
     """A piece of work on a study; of one of its films, where there is a name."""
 
-    case: _Case
-    of: Callable[..., Any]
-    told: tuple[Any, ...]
+    case: _StudyProgress
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
     run: str = ""
 
 
-class Campaign:
+class Scheduler:
     """Studies, and who works on them."""
 
-    def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: State) -> None:
+    def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
         self.seed = seed
         self.pool = pool
         self.state = state
-        self._later = deque(studies)
-        self._next: deque[_Piece] = deque()  # what goes on comes before what begins
-        self._going: dict[Future[Any], _Piece] = {}
+        self._studies = deque(studies)
+        self._tasks: deque[_Task] = deque()  # what goes on comes before what begins
+        self._running: dict[Future[Any], _Task] = {}
 
-    def worked(self, watch: Watch) -> Iterator[Done]:
+    def run(self, watch: Watch) -> Iterator[StudyOutcome]:
         """Every study as it is done. `watch` is told a few times a second."""
-        while self._fill() or self._going:
+        while self._fill() or self._running:
             watch(self.state)
-            ended, _ = wait(self._going, timeout=LOOK, return_when=FIRST_COMPLETED)
+            ended, _ = wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED)
             for future in ended:
-                piece = self._going.pop(future)
-                self.state.under_way.pop(_title(piece), None)
-                done = self._ended(piece, future)
+                task = self._running.pop(future)
+                self.state.under_way.pop(_title(task), None)
+                done = self._on_task_end(task, future)
                 if done is not None:
                     self._count(done)
                     yield done
@@ -91,49 +99,49 @@ class Campaign:
     def _fill(self) -> bool:
         """Give as many pieces away as there is room for; whether any is left or under way."""
         room = self.pool.capacity()
-        while len(self._going) < room and (self._next or self._later):
-            piece = self._next.popleft() if self._next else self._first(self._later.popleft())
-            self._going[self.pool.submit(piece.of, *piece.told)] = piece
-            self.state.under_way[_title(piece)] = time.monotonic()
-        return bool(self._next or self._later)
+        while len(self._running) < room and (self._tasks or self._studies):
+            task = self._tasks.popleft() if self._tasks else self._start_task(self._studies.popleft())
+            self._running[self.pool.submit(task.function, *task.arguments)] = task
+            self.state.under_way[_title(task)] = time.monotonic()
+        return bool(self._tasks or self._studies)
 
-    def _first(self, path: Path) -> _Piece:
-        return _Piece(_Case(path), begin, (path, self.seed))
+    def _start_task(self, path: Path) -> _Task:
+        return _Task(_StudyProgress(path), begin_study, (path, self.seed))
 
-    def _ended(self, piece: _Piece, future: Future[Any]) -> Done | None:
+    def _on_task_end(self, task: _Task, future: Future[Any]) -> StudyOutcome | None:
         """What a piece of work leads to; the study, where that was its last one."""
-        case = piece.case
-        died = _death(future)
-        if piece.of is measure:
-            reason = in_words(died) if died is not None else future.result()
+        case = task.case
+        error = _task_error(future)
+        if task.function is measure_film:
+            reason = describe_failure(error) if error is not None else future.result()
             case.films -= 1
             if reason is not None:
-                case.failed[piece.run] = reason
-            self._go_on(case)
+                case.failed[task.run] = reason
+            self._finish_if_measured(case)
             return None
-        if died is not None:
-            return undone(case.path, case.failed, in_words(died))
+        if error is not None:
+            return failed_study(case.path, case.failed, describe_failure(error))
         found = future.result()
-        if isinstance(found, Begun):
+        if isinstance(found, StudyStarted):
             case.failed |= found.failed
             case.films = len(found.others)
-            self._next += [_Piece(case, measure, (case.path, run, dict(case.failed)), run) for run in found.others]
-            self._go_on(case)
+            self._tasks += [_Task(case, measure_film, (case.path, run, dict(case.failed)), run) for run in found.others]
+            self._finish_if_measured(case)
             return None
-        return found if isinstance(found, Done) else None
+        return found if isinstance(found, StudyOutcome) else None
 
-    def _go_on(self, case: _Case) -> None:
+    def _finish_if_measured(self, case: _StudyProgress) -> None:
         """Conclude a study once its films are there."""
         if case.films == 0:
-            self._next.append(_Piece(case, conclude, (case.path, self.seed, dict(case.failed))))
+            self._tasks.append(_Task(case, finish_study, (case.path, self.seed, dict(case.failed))))
 
-    def _count(self, done: Done) -> None:
+    def _count(self, done: StudyOutcome) -> None:
         self.state.done.append(done.study)
         self.state.runs += sum(1 for row in done.rows if row.get("run"))
         self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
 
 
-def _death(future: Future[Any]) -> BaseException | None:
+def _task_error(future: Future[Any]) -> BaseException | None:
     """Why a piece of work has no result; None where it has one."""
     if future.cancelled():
         return FrictrackError(
@@ -142,7 +150,7 @@ def _death(future: Future[Any]) -> BaseException | None:
     return future.exception()
 
 
-def _title(piece: _Piece) -> str:
+def _title(task: _Task) -> str:
     """A piece of work as a person reads it."""
-    name = str(piece.case.path)
-    return f"{name}, {piece.run}" if piece.run else name
+    name = str(task.case.path)
+    return f"{name}, {task.run}" if task.run else name

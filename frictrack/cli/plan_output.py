@@ -7,10 +7,10 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from frictrack.cli.cells import table
+from frictrack.cli.tables import table
 from frictrack.number_format import format_plain
 
-MOST_PAIRS = 2  # of a run, told as examples
+MAX_EXAMPLES = 2  # of a run, told as examples
 
 
 def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
@@ -41,7 +41,7 @@ def plan(out: Console, result: dict[str, Any]) -> None:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
     rows = table("", "film", "parts", "pairs left", "for example")
     for k, run in enumerate(result["runs"], 1):
-        some = run["separates"][:: max(1, len(run["separates"]) // MOST_PAIRS)][:MOST_PAIRS]
+        some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
         example = "\n".join(" from ".join(pair) for pair in some)
         rows.add_row(str(k), escape(run["what"]), str(run["adds"]), str(run["pairs_left"]), example)
     if result["runs"]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from stat import S_ISDIR
 
-from frictrack.flow.stages import run_pipeline
+from frictrack.flow import run_pipeline
 from frictrack.remote import Remote, is_remote
 from frictrack.study import Study
 
-Seen = dict[str, list[int]]  # path -> size, time of change in ns
+FileStates = dict[str, list[int]]  # path -> size, time of change in ns
 
 
-def seen(study: Study) -> Seen:
+def file_states(study: Study) -> FileStates:
     """What a study rests on, and what it has come to, as the files are now."""
     pipelines = [run_pipeline(study, run) for run in study.runs]
     inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
@@ -20,7 +20,7 @@ def seen(study: Study) -> Seen:
     return {str(path): _state(path) for path in (study.path, *inputs, *results)}
 
 
-def unchanged(files: Seen) -> bool:
+def are_unchanged(files: FileStates) -> bool:
     """Whether all is as it was seen."""
     return bool(files) and all(_state(_file(path)) == state for path, state in files.items())
 
@@ -34,9 +34,9 @@ def _state(path: Path | Remote) -> list[int]:
     if isinstance(path, Remote):
         return path.state()
     try:
-        told = path.stat()
-        if not S_ISDIR(told.st_mode):
-            return [told.st_size, told.st_mtime_ns]
+        found = path.stat()
+        if not S_ISDIR(found.st_mode):
+            return [found.st_size, found.st_mtime_ns]
         inside = [one.stat() for one in path.iterdir() if one.is_file()]
     except OSError:
         return []
