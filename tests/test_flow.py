@@ -339,7 +339,7 @@ def test_a_drive_on_its_own_clock_reaches_the_run(study_file: Path) -> None:
     np.savetxt(folder / "drive.csv", [[0, 0], [1, 10]], delimiter=",", header="t_s,drive_N", comments="")
     edit(study_file, 'table = "slow.csv"', 'table = "slow.csv"\ndrive = "drive.csv"')
     work = session(study_file).runs[0]
-    np.testing.assert_allclose(work.record().drive, 10 * np.arange(500) / 4000)
+    np.testing.assert_allclose(work.to_run().drive, 10 * np.arange(500) / 4000)
 
 
 def test_a_table_without_sigma_gets_its_white_noise(study_file: Path) -> None:

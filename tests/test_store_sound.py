@@ -245,14 +245,14 @@ def test_h5dump_and_h5ls_read_it(sound: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("sha256sum") is None, reason="no sha256sum here")
 def test_the_seal_is_what_the_page_says(sound: Path) -> None:
-    line = next(line for line in written.page().splitlines() if "sha256sum" in line)
+    line = next(line for line in written.schema_page().splitlines() if "sha256sum" in line)
     command = line.split("`")[1].replace("v3.h5", str(sound))
     told = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True).stdout.split()[0]
     assert sound.read_bytes()[: store.HEADER_BYTES].decode().split("\n")[1].endswith(told)
 
 
 def test_the_page_is_that_of_the_code() -> None:
-    assert written.PAGE.read_text(encoding="utf-8") == written.page(), "python -m frictrack.flow.schema"
+    assert written.PAGE.read_text(encoding="utf-8") == written.schema_page(), "python -m frictrack.flow.schema"
 
 
 def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,7 +261,7 @@ def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pyte
     session.compare()
     for stage in session.runs[0].stages:
         session.runs[0].get(stage)
-    page, own = written.page(), {*vars(Provenance()), "sha256"}
+    page, own = written.schema_page(), {*vars(Provenance()), "sha256"}
     results = study_file.parent / "study_results"
     with h5py.File(results / "slow.h5") as file:
         for stage, group in file.items():

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frictrack.batch.trends import find_trends
 from frictrack.batch.journal import Journal
 from frictrack.batch.run_table import write_table
 from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
+from frictrack.batch.trends import find_trends
 from frictrack.report import campaign as page
 from frictrack.results import plain
 from frictrack.workers import cluster_workers, local_workers
