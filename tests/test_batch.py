@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from campaigns import campaign, results, slide
-from frictrack.batch.find_trends import drift, find_trends
 from rich.console import Console
 from scipy import stats
 
@@ -25,6 +24,7 @@ from frictrack.batch import batch, find_studies
 from frictrack.batch.journal import Journal
 from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.tasks import StudyOutcome
+from frictrack.batch.trends import find_trends, fit_slope
 from frictrack.cli.batch_progress import progress_table
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session
@@ -232,14 +232,14 @@ def test_a_trend_is_told_from_scatter() -> None:
     rng = np.random.default_rng(0)
     at, s = np.arange(1.0, 13.0), rng.uniform(0.5, 2.0, 12)
     y = 3.0 + 0.4 * at + 0.2 * s * rng.standard_normal(12)  # less than its bars: no scatter beside
-    slope, std, scatter, _ = drift(at, y, s)
+    slope, std, scatter, _ = fit_slope(at, y, s)
     w = 1.0 / s**2
     middle = np.average(at, weights=w)
     assert scatter == 0.0
     assert slope == pytest.approx(np.sum(w * (at - middle) * y) / np.sum(w * (at - middle) ** 2))
     assert std == pytest.approx(np.sum(w * (at - middle) ** 2) ** -0.5)
     y = rng.standard_normal(12)
-    slope, std, scatter, p = drift(at, y, np.zeros(12))
+    slope, std, scatter, p = fit_slope(at, y, np.zeros(12))
     plain = stats.linregress(at, y)
     assert (slope, std, p) == pytest.approx((plain.slope, plain.stderr, plain.pvalue), rel=1e-6)
 
@@ -249,7 +249,7 @@ def test_p_of_no_trend_is_uniform() -> None:
     at, found = np.arange(1.0, 11.0), []
     for _ in range(600):
         s = rng.uniform(0.5, 1.5, 10)
-        found.append(drift(at, rng.standard_normal(10) + s * rng.standard_normal(10), s)[3])
+        found.append(fit_slope(at, rng.standard_normal(10) + s * rng.standard_normal(10), s)[3])
     assert stats.kstest(found, "uniform").pvalue > 0.001
 
 
