@@ -15,7 +15,7 @@ from frictrack.friction import free_section
 from frictrack.motion import differentiate, low_pass, noise_level
 from frictrack.records import Displacement, Run
 from frictrack.samples import copies, outliers, quantum, rounding_noise, screened
-from frictrack.samples.unevenness import common_unevenness, unevenness
+from frictrack.samples.uneven_samples import common_unevenness, unevenness
 from frictrack.study import RunTable, TableData
 from frictrack.tracking.checks.timing import correct_ticks, slips
 from tests.test_timing import a_track

@@ -6,8 +6,20 @@ sends the track through it.
 
 from frictrack.calibration.displacement import calibrate
 from frictrack.calibration.plane import PlaneMap
+from frictrack.calibration.rotating_target import MIN_ROTATION
 from frictrack.calibration.scale import Scale, parse_scale
 from frictrack.calibration.scale_to_map import plane_map
-from frictrack.calibration.shake import Shake, estimate_shake, subtract_shake
+from frictrack.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake
 
-__all__ = ["PlaneMap", "Scale", "Shake", "calibrate", "estimate_shake", "parse_scale", "plane_map", "subtract_shake"]
+__all__ = [
+    "MIN_ROTATION",
+    "PlaneMap",
+    "Scale",
+    "Shake",
+    "calibrate",
+    "estimate_shake",
+    "parse_scale",
+    "plane_map",
+    "significant_motion",
+    "subtract_shake",
+]

@@ -97,8 +97,8 @@ class Board:
         """What to write instead, where the inner corners were counted for squares; "" where that is not it."""
         if self.dictionary or self._checker(grey, self.squares) is None:
             return ""
-        along, across = (n + 1 for n in self.squares)
-        return f"; it has {self.squares[0]} x {self.squares[1]} inner corners: write squares = [{along}, {across}]"
+        columns, rows = (n + 1 for n in self.squares)
+        return f"; it has {self.squares[0]} x {self.squares[1]} inner corners: write squares = [{columns}, {rows}]"
 
 
 def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
@@ -110,7 +110,7 @@ def _refined(grey: Grey, at: NDArray[np.float32]) -> Array:
     return np.asarray(fine, dtype=np.float64).reshape(-1, 2)
 
 
-def board_of(scale: Mapping[str, Any]) -> Board:
+def parse_board(scale: Mapping[str, Any]) -> Board:
     """The board as a scale describes it."""
     check_board(scale)
     square, std = parse_length(scale["square"], "the side of a square")
@@ -124,10 +124,10 @@ def board_of(scale: Mapping[str, Any]) -> Board:
         )
     board = Board(board_squares(scale), square, std / square, name, parse_length(scale["marker"], "the marker")[0])
     markers = board.squares[0] * board.squares[1] // 2
-    held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
-    if held < markers:
+    n_markers = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
+    if n_markers < markers:
         raise FrictrackError(
-            f"expected a dictionary of at least {markers} markers for this board but {name} has {held}"
+            f"expected a dictionary of at least {markers} markers for this board but {name} has {n_markers}"
         )
     return board
 
@@ -175,9 +175,9 @@ def _cached_views(
         if corners is None:
             missed.append(name)
             continue
-        seen = BoardView(name, number, *corners, (grey.shape[1], grey.shape[0]))
-        if number == plane or all(_differs(seen, other) for other in found):
-            found.append(seen)
+        view = BoardView(name, number, *corners, (grey.shape[1], grey.shape[0]))
+        if number == plane or all(_differs(view, other) for other in found):
+            found.append(view)
     if not found:
         raise FrictrackError(_not_found(board, paths[0].name, grey))
     return _select_views(found, plane), [] if film else missed
@@ -208,20 +208,20 @@ def _check_size(name: str, sizes: set[tuple[int, int]], shape: tuple[int, int] |
 
 
 def _not_found(board: Board, name: str, grey: Grey) -> str:
-    along, across = board.squares
+    columns, rows = board.squares
     check = "all of it must be in the picture, sharp, flat and evenly lit, with a white rim"
     if board.dictionary:
         check = f"check squares (along, then across) and dictionary ({board.dictionary}), focus and light"
     hint = board.squares_hint(grey)
-    return f"expected a {board.kind} of {along} x {across} squares in {name} but found none; {check}{hint}"
+    return f"expected a {board.kind} of {columns} x {rows} squares in {name} but found none; {check}{hint}"
 
 
-def _differs(seen: BoardView, other: BoardView) -> bool:
+def _differs(view: BoardView, other: BoardView) -> bool:
     """Whether the board was moved between two pictures; parts of it that only one shows do not count."""
-    if len(seen.points) != len(other.points):
+    if len(view.points) != len(other.points):
         return True
-    moved = float(np.max(np.linalg.norm(seen.points - other.points, axis=1)))
-    return moved > MIN_BOARD_MOTION * seen.size[0]
+    moved = float(np.max(np.linalg.norm(view.points - other.points, axis=1)))
+    return moved > MIN_BOARD_MOTION * view.size[0]
 
 
 def _is_film(paths: tuple[Path, ...]) -> bool:

@@ -40,38 +40,42 @@ class _Camera:
     rms: float  # px, of the distance
 
 
-def plane_from_views(seen: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
+def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
     """The map to the plane of the first view, m; `lens` is one that was calibrated before."""
-    made = _from_known_lens(seen[0], lens, board) if lens else _from_all_views(seen, board)
-    if made is None:
-        made = _from_one_view(seen[0], board)
-        made = replace(made, notes=(*made.notes, TOO_FEW_VIEWS)) if len(seen) > 1 else made
-    points = seen[0].points
+    plane = _from_known_lens(views[0], lens, board) if lens else _from_all_views(views, board)
+    if plane is None:
+        plane = _from_one_view(views[0], board)
+        plane = replace(plane, notes=(*plane.notes, TOO_FEW_VIEWS)) if len(views) > 1 else plane
+    points = views[0].points
     middle, reach = points.mean(axis=0), float(np.hypot(*np.ptp(points, axis=0)))
-    made = replace(made, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
-    return made.scaled(1.0, board.relative)
+    plane = replace(plane, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
+    return plane.scaled(1.0, board.relative)
 
 
 def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
     """One view: homography, and the radial coefficient where the view tells it well."""
-    one = np.ones(len(first.points))
+    unit_sigma = np.ones(len(first.points))
     width, height = first.size
     frame = Normalisation(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
-    flat = fit_view(first.points, first.places, one)
-    bowed = fit_view(first.points, first.places, one, lens=frame)
-    k, std = float(bowed.map.values[-1]), float(np.sqrt(bowed.map.covariance[-1, -1] * _variance(bowed)))
+    without_radial = fit_view(first.points, first.places, unit_sigma)
+    with_radial = fit_view(first.points, first.places, unit_sigma, lens=frame)
+    k, std = (
+        float(with_radial.map.values[-1]),
+        float(np.sqrt(with_radial.map.covariance[-1, -1] * _variance(with_radial))),
+    )
     determined = std < MAX_DISTORTION_SIGMA and abs(k) < MAX_RADIAL_COEFFICIENT
-    kept = bowed if determined else flat
+    chosen = with_radial if determined else without_radial
     distortion = (
         f"radial distortion {1e2 * k:+.2f} ± {1e2 * std:.2g} % in the corners, from this one picture"
         if determined
         else "without lens distortion, which this one picture does not tell; several, tilted, would"
     )
     used = (
-        f"scale by a {board.kind}, {len(one)} corners in {first.name}, {kept.rms:.2g} px from the plane; {distortion}"
+        f"scale by a {board.kind}, {len(unit_sigma)} corners in {first.name}, {chosen.rms:.2g} px from the plane; "
+        f"{distortion}"
     )
-    covariance = kept.map.covariance * _variance(kept)
-    return replace(kept.map, covariance=covariance, used=used, notes=_reprojection_note(kept.rms))
+    covariance = chosen.map.covariance * _variance(chosen)
+    return replace(chosen.map, covariance=covariance, used=used, notes=_reprojection_note(chosen.rms))
 
 
 def _variance(fitted: Homography) -> float:
@@ -81,40 +85,40 @@ def _variance(fitted: Homography) -> float:
     return max(fitted.chi2 / fitted.degrees, MIN_CORNER_SIGMA_PX**2)
 
 
-def _from_all_views(seen: list[BoardView], board: Board) -> PlaneMap | None:
+def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
     """Camera, lens and pose from several views; None where the views do not tell the camera."""
-    best = _calibrated(seen) if len(seen) >= MIN_VIEWS else None
+    best = _calibrated(views) if len(views) >= MIN_VIEWS else None
     if best is None:
         return None
-    covariance = _covariance(seen, best)
+    covariance = _covariance(views, best)
     values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
     if covariance is None or np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
         return None
     depth = float(best.poses[0, 5])
     used = (
-        f"scale by a {board.kind} in {len(seen)} pictures, {sum(len(v.points) for v in seen)} corners, reprojected "
-        f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({seen[0].name}) fitted together; it is "
+        f"scale by a {board.kind} in {len(views)} pictures, {sum(len(v.points) for v in views)} corners, reprojected "
+        f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
         f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target's is {0.1 / depth:.2g} % of every length"
     )
     return PlaneMap(values, covariance, _points_on_plane, used=used, notes=_reprojection_note(best.rms))
 
 
-def _calibrated(seen: list[BoardView]) -> _Camera | None:
+def _calibrated(views: list[BoardView]) -> _Camera | None:
     """Camera, lens and poses; None where OpenCV finds none in front of which all boards lie."""
-    solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in seen]
-    flat = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in seen]
-    start = cv2.initCameraMatrix2D(solid, flat, seen[0].size)
+    solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in views]
+    without_radial = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    start = cv2.initCameraMatrix2D(solid, without_radial, views[0].size)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     try:
-        rms, matrix, bend, turns, shifts = cv2.calibrateCamera(
-            solid, flat, seen[0].size, start, np.zeros(5), criteria=criteria
+        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+            solid, without_radial, views[0].size, start, np.zeros(5), criteria=criteria
         )
     except cv2.error:
         return None
-    poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(turns, shifts, strict=True)])
+    poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(rotations, translations, strict=True)])
     if not (np.isfinite(rms) and np.all(np.isfinite(matrix)) and np.all(poses[:, 5] > 0)):
         return None
-    return _Camera(Lens(_floats(matrix), _floats(bend).ravel()[:5]), poses, float(rms))
+    return _Camera(Lens(_floats(matrix), _floats(distortion).ravel()[:5]), poses, float(rms))
 
 
 def _intrinsics(lens: Lens) -> Array:
@@ -122,12 +126,12 @@ def _intrinsics(lens: Lens) -> Array:
     return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion])
 
 
-def _covariance(seen: list[BoardView], camera: _Camera) -> Array | None:
+def _covariance(views: list[BoardView], camera: _Camera) -> Array | None:
     """Covariance (15, 15) of camera, lens and first pose, with all other poses free (their part eliminated)."""
     normal = np.zeros((N_INTRINSICS, N_INTRINSICS))
     square, count = 0.0, -N_INTRINSICS
     own = cross = None
-    for k, v in enumerate(seen):
+    for k, v in enumerate(views):
         pose, lens, misfit = _corner_jacobians(v, camera, k)
         square, count = square + float(misfit @ misfit), count + len(misfit) - 6
         normal += lens.T @ lens
@@ -167,8 +171,8 @@ def _points_on_plane(values: Array, points: Array) -> Array:
 def on_plane(rays: Array, pose: Array) -> Array:
     """Where normalised directions (n, 2) meet the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
     turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
-    seen = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
-    inverse = np.linalg.inv(seen)
+    views = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
+    inverse = np.linalg.inv(views)
     return project(inverse * np.sign(inverse[2] @ (pose[3:] / pose[5])), rays)
 
 

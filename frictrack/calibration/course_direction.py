@@ -47,15 +47,15 @@ def directions(axis: Axis) -> tuple[Array, Array]:
     return direction, -across if across[1] > 0 else across
 
 
-def in_plane(plane: PlaneMap, direction: Array, across: Array) -> tuple[Array, Array]:
+def axes_in_plane(plane: PlaneMap, direction: Array, across: Array) -> tuple[Array, Array]:
     """The same in the plane of the course: `direction` as the map turns it, the other at a right angle to it."""
-    turn = plane.jacobian(np.array([plane.centre]))[0]
-    if not np.all(np.isfinite(turn)):
+    jacobian = plane.jacobian(np.array([plane.centre]))[0]
+    if not np.all(np.isfinite(jacobian)):
         raise FrictrackError("the calibration gives no direction at its own middle; check its points")
-    x = turn @ direction
+    x = jacobian @ direction
     x = x / np.hypot(*x)
     y = np.array([-x[1], x[0]])
-    return x, y if y @ turn @ across >= 0 else -y
+    return x, y if y @ jacobian @ across >= 0 else -y
 
 
 def fit_path(at: Array, sigma: Array) -> PathLine | None:
@@ -63,50 +63,52 @@ def fit_path(at: Array, sigma: Array) -> PathLine | None:
     if len(at) < MIN_FRAMES:
         return None
     middle = np.median(at, axis=0)
-    away = at - middle
-    direction = np.linalg.svd(away, full_matrices=False)[2][0]
+    offsets = at - middle
+    direction = np.linalg.svd(offsets, full_matrices=False)[2][0]
     weight = np.ones(len(at))
     for _ in range(MAX_ROUNDS):
         middle = np.average(at, axis=0, weights=weight)
-        away = at - middle
-        direction = np.linalg.svd(away * np.sqrt(weight)[:, None], full_matrices=False)[2][0]
-        off = away @ [-direction[1], direction[0]]
-        scale = max(1.4826 * float(np.median(np.abs(off))), float(np.median(sigma)))
-        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(off), 1e-30))
-    s = away @ direction
+        offsets = at - middle
+        direction = np.linalg.svd(offsets * np.sqrt(weight)[:, None], full_matrices=False)[2][0]
+        deviation = offsets @ [-direction[1], direction[0]]
+        scale = max(1.4826 * float(np.median(np.abs(deviation))), float(np.median(sigma)))
+        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(deviation), 1e-30))
+    s = offsets @ direction
     if np.ptp(s) < MIN_TRAVEL_SIGMAS * float(np.median(sigma)):
         return None
     noise = float(np.median(sigma))
-    return _fit_bend(direction, np.stack([s, away @ [-direction[1], direction[0]]]), weight, noise)
+    return _fit_bend(direction, np.stack([s, offsets @ [-direction[1], direction[0]]]), weight, noise)
 
 
 def _fit_bend(direction: Array, place: Array, weight: Array, noise: float) -> PathLine:
     """Angle and bend from a parabola across the path; neighbours that are wrong together count as fewer."""
-    s, off = place
+    s, deviation = place
     half = float(np.ptp(s)) / 2
     u = (s - (s.min() + s.max()) / 2) / half
     root = np.sqrt(weight)
     design = np.stack([np.ones_like(u), u, u**2], axis=1) * root[:, None]
-    shape = np.linalg.lstsq(design, off * root, rcond=None)[0]
-    left = off - np.stack([np.ones_like(u), u, u**2], axis=1) @ shape
-    spread = 1.4826 * float(np.median(np.abs(left)))
+    shape = np.linalg.lstsq(design, deviation * root, rcond=None)[0]
+    residual = deviation - np.stack([np.ones_like(u), u, u**2], axis=1) @ shape
+    spread = 1.4826 * float(np.median(np.abs(residual)))
     std = (
-        max(spread, noise) * np.sqrt(frames_per_independent(left)) * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+        max(spread, noise)
+        * np.sqrt(frames_per_independent(residual))
+        * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     )
     return PathLine(direction, float(std[1] / half), float(4 * shape[2] / half), float(4 * std[2] / half))
 
 
-def frames_per_independent(left: Array) -> float:
+def frames_per_independent(residual: Array) -> float:
     """How many residuals (n,) count as one, by the correlation of neighbours; 1 at the least."""
-    correlation = float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
+    correlation = float(np.sum(residual[1:] * residual[:-1]) / max(float(np.sum(residual**2)), 1e-300))
     return max((1 + correlation) / max(1 - correlation, 1e-3), 1.0)
 
 
-def orient_forward(direction: Array, turn: Array) -> Array:
-    """The direction with the sign that all runs of a camera share; `turn` (2, 2) m/px leads from the picture."""
-    seen = np.linalg.solve(turn, direction)
-    steep = abs(seen[1]) > np.tan(STEEP_ANGLE) * abs(seen[0])
-    return direction if (seen[1] if steep else seen[0]) > 0 else -direction
+def orient_forward(direction: Array, jacobian: Array) -> Array:
+    """The direction with the sign that all runs of a camera share; `jacobian` (2, 2) m/px leads from the picture."""
+    in_picture = np.linalg.solve(jacobian, direction)
+    steep = abs(in_picture[1]) > np.tan(STEEP_ANGLE) * abs(in_picture[0])
+    return direction if (in_picture[1] if steep else in_picture[0]) > 0 else -direction
 
 
 def direction_notes(line: PathLine | None, x: Array, axis: Axis) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ import numpy as np
 from frictrack.calibration.course_direction import (
     Axis,
     PathLine,
+    axes_in_plane,
     direction_notes,
     directions,
     fit_path,
-    in_plane,
     orient_forward,
 )
 from frictrack.calibration.plane import PlaneMap
@@ -60,8 +60,8 @@ def calibrate(
     place = np.full(at.shape, np.nan)
     place[valid] = plane(at[valid])
     _check_placed(place, valid)
-    along, across = directions(axis)
-    x, y = in_plane(plane, along, across)
+    direction, across = directions(axis)
+    x, y = axes_in_plane(plane, direction, across)
     jacobian = np.full((len(at), 2, 2), np.nan)
     jacobian[valid] = plane.jacobian(at[valid])
     line = fit_path(place[valid], _sigma(variance, jacobian, y)[valid])
@@ -143,8 +143,8 @@ def _scale_notes(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
     first, last, middle = (_pitch(plane, p, x) for p in (*ends, ends.mean(axis=0)))
     path_px = float(np.hypot(*(ends[1] - ends[0])))
     share = 100 * plane.length(ends)[1]
-    sure = f"its length known to {share:.2g} %" if share else "its uncertainty not given"
-    notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {sure}"]
+    accuracy = f"its length known to {share:.2g} %" if share else "its uncertainty not given"
+    notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {accuracy}"]
     change = max(first, middle, last) / min(first, middle, last) - 1
     if change > MIN_PITCH_CHANGE:
         notes.append(

@@ -36,7 +36,7 @@ class Normalisation:
         """To order one."""
         return np.asarray((points - self.middle) / self.size, dtype=np.float64)
 
-    def back(self, points: Array) -> Array:
+    def restore(self, points: Array) -> Array:
         """To what they were."""
         return np.asarray(points * self.size + self.middle, dtype=np.float64)
 
@@ -61,43 +61,47 @@ def fit_view(
     """
     _check_spread(points, "points")
     _check_spread(places, "places on the plane")
-    there = _norm(places)
-    seen = straight(points)
-    if not np.all(np.isfinite(seen)):
+    plane_norm = _norm(places)
+    straightened = straight(points)
+    if not np.all(np.isfinite(straightened)):
         raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
-    picture = _norm(seen)
-    start = _linear(there(places), picture(seen))
-    bend = None if lens is None else partial(distort, lens=lens)
-    values, covariance, misfit = _fit(start, (there, picture, bend), (points if bend else seen, places), sigma)
-    unbend: Callable[[float, Array], Array] = (lambda k, p: p) if lens is None else partial(undistort, lens=lens)
+    picture = _norm(straightened)
+    start = _linear(plane_norm(places), picture(straightened))
+    distortion = None if lens is None else partial(distort, lens=lens)
+    values, covariance, misfit = _fit(
+        start, (plane_norm, picture, distortion), (points if distortion else straightened, places), sigma
+    )
+    undo_distortion: Callable[[float, Array], Array] = (
+        (lambda k, p: p) if lens is None else partial(undistort, lens=lens)
+    )
 
     def place(given: Array, at: Array) -> Array:
-        flat = straight(at) if lens is None else unbend(float(given[N_PARAMETERS]), at)
-        return there.back(project(_inverse(given), picture(flat)))
+        flat = straight(at) if lens is None else undo_distortion(float(given[N_PARAMETERS]), at)
+        return plane_norm.restore(project(_inverse(given), picture(flat)))
 
     middle = points.mean(axis=0)
     centre, reach = (float(middle[0]), float(middle[1])), float(np.hypot(*np.ptp(points, axis=0)))
-    made = PlaneMap(values, covariance, place, centre=centre, zero=(0.0, 0.0), reach=reach)
+    plane = PlaneMap(values, covariance, place, centre=centre, zero=(0.0, 0.0), reach=reach)
     rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
-    return Homography(made, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
+    return Homography(plane, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
 
 
 def _fit(
     start: Array,
-    how: tuple[Normalisation, Normalisation, Callable[..., Array] | None],
+    transforms: tuple[Normalisation, Normalisation, Callable[..., Array] | None],
     data: tuple[Array, Array],
     sigma: Array,
 ) -> tuple[Array, Array, Array]:
     """Values, covariance, and the residuals (2, n) in standard deviations."""
-    (there, picture, bend), (points, places) = how, data
-    flat = there(places)
+    (plane_norm, picture, distortion), (points, places) = transforms, data
+    flat = plane_norm(places)
 
     def residual(values: Array) -> Array:
-        at = picture.back(project(_matrix(values), flat))
-        at = at if bend is None else bend(float(values[N_PARAMETERS]), at)
+        at = picture.restore(project(_matrix(values), flat))
+        at = at if distortion is None else distortion(float(values[N_PARAMETERS]), at)
         return np.nan_to_num(((at - points) / sigma[:, None]).T.ravel(), nan=1e6)
 
-    free = np.concatenate([start, [0.0] * (bend is not None)])
+    free = np.concatenate([start, [0.0] * (distortion is not None)])
     found = least_squares(residual, free, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
     slopes = np.asarray(found.jac, dtype=np.float64)
     normal = slopes.T @ slopes
@@ -111,17 +115,17 @@ def _fit(
 def distort(k: float, points: Array, lens: Normalisation) -> Array:
     """Where a lens of radial coefficient k shows straight points (n, 2) px."""
     q = lens(points)
-    return lens.back(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
+    return lens.restore(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
 
 
 def undistort(k: float, points: Array, lens: Normalisation) -> Array:
     """The straight points of those seen (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
-    seen = lens(points)
-    radius = np.linalg.norm(seen, axis=1)
+    straightened = lens(points)
+    radius = np.linalg.norm(straightened, axis=1)
     r = radius.copy()
     for _ in range(NEWTON_STEPS):
         r -= (r * (1 + k * r**2) - radius) / np.maximum(1 + 3 * k * r**2, 0.1)
-    return lens.back(seen / (1 + k * r**2)[:, None])
+    return lens.restore(straightened / (1 + k * r**2)[:, None])
 
 
 def _matrix(values: Array) -> Array:
@@ -139,8 +143,8 @@ def _linear(places: Array, points: Array) -> Array:
     one = np.ones(len(places))
     x, y = points.T
     at = np.column_stack([places, one])
-    none = np.zeros_like(at)
-    rows = np.vstack([np.hstack([at, none, -x[:, None] * at]), np.hstack([none, at, -y[:, None] * at])])
+    zeros = np.zeros_like(at)
+    rows = np.vstack([np.hstack([at, zeros, -x[:, None] * at]), np.hstack([zeros, at, -y[:, None] * at])])
     _, strength, right = svd(rows, full_matrices=True)
     if strength[N_PARAMETERS - 1] < 1e-6 * strength[0]:
         raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")

@@ -38,9 +38,9 @@ def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
     used += f"; they fit to {fitted.rms:.2g} px"
     if chi2.sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
         return replace(fitted.map, used=used)
-    spread = fitted.chi2 / degrees
+    variance_ratio = fitted.chi2 / degrees
     note = (
-        f"the points of the scale lie {np.sqrt(spread):.1f} times as far off as clicks of {click:g} px would: check "
-        "places, order and lens; the uncertainty of the scale is enlarged by that"
+        f"the points of the scale lie {np.sqrt(variance_ratio):.1f} times as far off as clicks of {click:g} px would: "
+        "check places, order and lens; the uncertainty of the scale is enlarged by that"
     )
-    return replace(fitted.map, used=used, covariance=fitted.map.covariance * spread, notes=(note,))
+    return replace(fitted.map, used=used, covariance=fitted.map.covariance * variance_ratio, notes=(note,))

@@ -51,8 +51,8 @@ class PlaneMap:
 
     def pitch(self, at: Array, direction: Array) -> float:
         """Metres per pixel at a picture point (2,), along a direction (2,) in the picture."""
-        along = np.asarray(direction, dtype=np.float64)
-        return float(np.linalg.norm(self.jacobian(np.reshape(at, (1, 2)))[0] @ along) / np.linalg.norm(along))
+        step_px = np.asarray(direction, dtype=np.float64)
+        return float(np.linalg.norm(self.jacobian(np.reshape(at, (1, 2)))[0] @ step_px) / np.linalg.norm(step_px))
 
     def length(self, ends: Array) -> tuple[float, float]:
         """Distance in m between two picture points (2, 2) px, and its relative standard deviation."""

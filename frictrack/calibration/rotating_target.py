@@ -54,19 +54,19 @@ def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
     length = float(np.hypot(*arm.at))
     if length < MIN_ARM_SIGMAS * arm.std or arm.std > MAX_ARM_ERROR * length:
         return track, ()
-    moved = _turned(arm.at, angle)
-    lever = _turned(np.array([-arm.at[1], arm.at[0]]), angle)  # px per rad
-    doubt = np.zeros(len(angle)) if track.sigma_angle is None else track.sigma_angle
+    offset = _turned(arm.at, angle)
+    motion_per_rad = _turned(np.array([-arm.at[1], arm.at[0]]), angle)  # px per rad
+    sigma_angle = np.zeros(len(angle)) if track.sigma_angle is None else track.sigma_angle
     note = (
         "the point of the turning target is followed that moves along a straight course, "
         f"{length:.3g} ± {arm.std:.1g} px off the middle of what was cut out"
     )
     return replace(
         track,
-        x_px=track.x_px + moved[:, 0],
-        y_px=track.y_px + moved[:, 1],
-        sigma_px=np.hypot(track.sigma_px, lever[:, 0] * doubt),
-        sigma_y_px=np.hypot(track.sigma_y_px, lever[:, 1] * doubt),
+        x_px=track.x_px + offset[:, 0],
+        y_px=track.y_px + offset[:, 1],
+        sigma_px=np.hypot(track.sigma_px, motion_per_rad[:, 0] * sigma_angle),
+        sigma_y_px=np.hypot(track.sigma_y_px, motion_per_rad[:, 1] * sigma_angle),
         systematic=float(np.hypot(track.systematic, arm.std)),
     ), (note,)
 
@@ -82,19 +82,19 @@ def _arm(place: Array, angle: Array) -> _Arm:
     at = np.zeros(2)
     for _ in range(N_ROUNDS):
         path = place + _turned(at, angle)
-        along = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
-        across = np.array([-along[1], along[0]])
-        s = (path - path.mean(axis=0)) @ along
+        direction = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
+        across = np.array([-direction[1], direction[0]])
+        s = (path - path.mean(axis=0)) @ direction
         s = s / max(float(np.max(np.abs(s))), 1e-12)
-        copies = [_turned(unit, angle) @ across for unit in np.eye(2)]
-        design = np.column_stack([*copies, np.ones_like(s), s, s**2])
-        shape, *_ = np.linalg.lstsq(design, -(place @ across), rcond=None)
-        at = shape[:2]
-    left = -(place @ across) - design @ shape
+        angle_columns = [_turned(unit, angle) @ across for unit in np.eye(2)]
+        design = np.column_stack([*angle_columns, np.ones_like(s), s, s**2])
+        coefficients, *_ = np.linalg.lstsq(design, -(place @ across), rcond=None)
+        at = coefficients[:2]
+    residual = -(place @ across) - design @ coefficients
     variance = (
-        frames_per_independent(left)
+        frames_per_independent(residual)
         * np.linalg.pinv(design.T @ design)[:2, :2]
-        * np.sum(left**2)
-        / max(len(left) - 5, 1)
+        * np.sum(residual**2)
+        / max(len(residual) - 5, 1)
     )
     return _Arm(at, float(np.sqrt(max(np.trace(variance), 0.0))))

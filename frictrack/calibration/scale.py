@@ -37,7 +37,7 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
     What needs a picture or a place (target, board, points with plane) is checked as it is written and gives NaN.
     Raises `FrictrackError` in one sentence.
     """
-    kind, written = kind_of(scale), cast(Any, scale)
+    kind, written = scale_kind(scale), cast(Any, scale)
     if kind == "number":
         value, std = parse_number(scale)
         return value, std / value
@@ -45,12 +45,12 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
         made = map_from_ruler(written)
         return made.pitch(np.zeros(2), np.array([1.0, 0.0])), made.length(np.array([[0.0, 0.0], [1.0, 0.0]]))[1]
     if kind == "several":
-        return [parse_scale(one) for one in written][0]  # noqa: RUF015 - all are checked
+        return [parse_scale(part) for part in written][0]  # noqa: RUF015 - all are checked
     CHECKS[kind](written)
     return float("nan"), float("nan")
 
 
-def kind_of(scale: Any) -> str:
+def scale_kind(scale: Any) -> str:
     """Which way of giving the scale this is: number, ruler, points, target, board, or several of them."""
     if scale is None:
         raise FrictrackError(
@@ -61,26 +61,26 @@ def kind_of(scale: Any) -> str:
         return "several"
     if not isinstance(scale, Mapping):
         return "number"
-    map_from_number = frozenset(scale)
+    keys = frozenset(scale)
     for kind, (needed, allowed) in KINDS.items():
-        if needed <= map_from_number <= needed | allowed:
+        if needed <= keys <= needed | allowed:
             return kind
-    raise FrictrackError(_describe_wrong_keys(map_from_number))
+    raise FrictrackError(_describe_wrong_keys(keys))
 
 
-def _describe_wrong_keys(map_from_number: frozenset[str]) -> str:
+def _describe_wrong_keys(keys: frozenset[str]) -> str:
     """What is wrong with the keys of a scale: the kind that comes nearest, and what it lacks or has too much."""
     words = {"board": {"board", "squares", "square"}, "target": {"target"}, "points": {"plane"}}
-    likely = next((kind for kind, marks in words.items() if map_from_number & marks), "ruler")
-    needed, allowed = KINDS[likely]
-    lacking, foreign = sorted(needed - map_from_number), sorted(map_from_number - needed - allowed)
-    if not map_from_number & (needed | allowed):
-        return f"expected a scale as {EXAMPLES} but got the keys {', '.join(sorted(map_from_number)) or 'none'}"
+    nearest_kind = next((kind for kind, marks in words.items() if keys & marks), "ruler")
+    needed, allowed = KINDS[nearest_kind]
+    lacking, foreign = sorted(needed - keys), sorted(keys - needed - allowed)
+    if not keys & (needed | allowed):
+        return f"expected a scale as {EXAMPLES} but got the keys {', '.join(sorted(keys)) or 'none'}"
     if foreign:
         known = ", ".join(sorted(needed | allowed))
-        return f"expected a scale by {likely} with the keys {known} but got {', '.join(foreign)} too"
+        return f"expected a scale by {nearest_kind} with the keys {known} but got {', '.join(foreign)} too"
     missing = " and ".join(map(repr, lacking))
-    return f"expected a scale by {likely} with {' and '.join(sorted(needed))} but {missing} is missing"
+    return f"expected a scale by {nearest_kind} with {' and '.join(sorted(needed))} but {missing} is missing"
 
 
 def parse_number(scale: Any) -> tuple[float, float]:
@@ -116,16 +116,16 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
     return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
 
 
-def picture_points(raw: Any, least: int) -> Array:
-    """Points (n, 2) px of the picture; exactly two of them, or at least `least`."""
-    wanted = "two points [[x, y], [x, y]]" if least == 2 else f"at least {least} points [[x, y], ...]"
+def picture_points(raw: Any, min_count: int) -> Array:
+    """Points (n, 2) px of the picture; exactly two of them, or at least `min_count`."""
+    wanted = "two points [[x, y], [x, y]]" if min_count == 2 else f"at least {min_count} points [[x, y], ...]"
     try:
         points = np.asarray(raw, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}") from error
     if points.ndim != 2 or points.shape[1] != 2 or not np.all(np.isfinite(points)):
         raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}")
-    if len(points) < least or (least == 2 and len(points) > 2):
+    if len(points) < min_count or (min_count == 2 and len(points) > 2):
         raise FrictrackError(f"expected {wanted} but got {len(points)}")
     return points
 
@@ -175,10 +175,11 @@ def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
     """Number of squares along and across the board."""
     raw = scale["squares"]
     whole = isinstance(raw, list | tuple) and len(raw) == 2 and all(type(n) is int for n in raw)
-    least = 3 if "dictionary" in scale else 4
-    if not whole or min(raw) < least or max(raw) > 100:
+    min_count = 3 if "dictionary" in scale else 4
+    if not whole or min(raw) < min_count or max(raw) > 100:
         raise FrictrackError(
-            f"expected squares as their number along and across, {least} to 100 each, such as [9, 6], but got {raw!r}"
+            f"expected squares as their number along and across, {min_count} to 100 each, such as [9, 6], "
+            f"but got {raw!r}"
         )
     return raw[0], raw[1]
 
@@ -199,10 +200,10 @@ def check_board(scale: Mapping[str, Any]) -> None:
 def board_files(scale: Mapping[str, Any]) -> list[Path]:
     """The files that a board's pictures lie in."""
     raw = scale["board"]
-    map_from_number = list(raw) if isinstance(raw, list | tuple) else [raw]
-    if not map_from_number or not all(isinstance(one, str | Path) and str(one) for one in map_from_number):
+    files = list(raw) if isinstance(raw, list | tuple) else [raw]
+    if not files or not all(isinstance(part, str | Path) and str(part) for part in files):
         raise FrictrackError(f"expected board as a picture, several, a folder or a recording but got {raw!r}")
-    return [Path(one) for one in map_from_number]
+    return [Path(part) for part in files]
 
 
 CHECKS: Mapping[str, Callable[[Any], Any]] = {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from frictrack.calibration import scale as written
+from frictrack.calibration import scale as scale_input
 from frictrack.calibration.course_direction import Axis, directions, fit_path
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
 from frictrack.calibration.scale import Scale
@@ -45,38 +45,38 @@ def plane_map(
     Raises `FrictrackError` in one sentence for what is no scale, files that cannot be read, boards that are not found,
     points that determine no plane.
     """
-    kind = written.kind_of(scale)
+    kind = scale_input.scale_kind(scale)
     if kind == "several":
         return _compare_maps(
             [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track
         )
     shape = film.shape if film is not None else None
-    known = _lens(lens, shape)
-    straight = known.undistorted if known else as_seen
+    known_lens = _lens(lens, shape)
+    straight = known_lens.undistorted if known_lens else as_seen
     makers = {
-        "number": lambda: written.map_from_number(scale, straight),
-        "ruler": lambda: written.map_from_ruler(_table(scale), straight),
+        "number": lambda: scale_input.map_from_number(scale, straight),
+        "ruler": lambda: scale_input.map_from_ruler(_table(scale), straight),
         "points": lambda: _map_by_points(_table(scale), straight),
         "target": lambda: _map_by_target(_table(scale), (track, film), _direction(track, axis), straight),
-        "board": lambda: _map_by_board(_table(scale), known, shape),
+        "board": lambda: _map_by_board(_table(scale), known_lens, shape),
     }
-    made = makers[kind]()
+    plane = makers[kind]()
     if lens is None:
-        return made
-    used = made.used or "scale as given"
-    return replace(made, used=f"{used}, seen through the lens of {Path(lens).name}")
+        return plane
+    used = plane.used or "scale as given"
+    return replace(plane, used=f"{used}, seen through the lens of {Path(lens).name}")
 
 
 def _table(scale: Any) -> dict[str, Any]:
     return dict(scale)
 
 
-def _lens(fit_path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
-    if fit_path is None:
+def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
+    if path is None:
         return None
     from frictrack.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    return read_lens(Path(fit_path), shape)
+    return read_lens(Path(path), shape)
 
 
 def _map_by_points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
@@ -86,16 +86,16 @@ def _map_by_points(scale: dict[str, Any], straight: Straight) -> PlaneMap:
 
 
 def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
-    from frictrack.calibration.board import board_of, find_views  # noqa: PLC0415
+    from frictrack.calibration.board import find_views, parse_board  # noqa: PLC0415
     from frictrack.calibration.camera import plane_from_views  # noqa: PLC0415
 
-    board = board_of(scale)
-    seen, missed = find_views(scale, board, shape)
-    made = plane_from_views(seen, board, lens)
+    board = parse_board(scale)
+    track_and_film, missed = find_views(scale, board, shape)
+    plane = plane_from_views(track_and_film, board, lens)
     if not missed:
-        return made
+        return plane
     names = f"{missed[0]} and {len(missed) - 1} more" if len(missed) > 1 else missed[0]
-    return replace(made, notes=(*made.notes, f"the board was not found in {names}, which the scale goes without"))
+    return replace(plane, notes=(*plane.notes, f"the board was not found in {names}, which the scale goes without"))
 
 
 def _direction(track: Track | None, axis: Axis) -> Array:
@@ -109,13 +109,13 @@ def _direction(track: Track | None, axis: Axis) -> Array:
 
 
 def _map_by_target(
-    scale: dict[str, Any], seen: tuple[Track | None, Recording | None], direction: Array, straight: Straight
+    scale: dict[str, Any], track_and_film: tuple[Track | None, Recording | None], direction: Array, straight: Straight
 ) -> PlaneMap:
     """The map whose numbers are the target's size in m and the two ends of its outline along the course."""
     from frictrack.calibration.target_size import target_width  # noqa: PLC0415
 
-    track, film = seen
-    size, std = written.parse_length(scale["target"], "the target's size along the course")
+    track, film = track_and_film
+    size, std = scale_input.parse_length(scale["target"], "the target's size along the course")
     if track is None:
         raise FrictrackError("expected a track for a scale by the target's size but got none")
     width = target_width(track, direction, film)
@@ -126,8 +126,8 @@ def _map_by_target(
         ends = straight(np.stack([middle - reach, middle + reach]))
         return float(values[0] / np.hypot(*(ends[1] - ends[0])))
 
-    made = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
-    return replace(made, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
+    plane = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
+    return replace(plane, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
 
 
 def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:

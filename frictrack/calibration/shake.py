@@ -46,25 +46,25 @@ class Shake:
         return self.frequency is not None
 
 
-def estimate_shake(reference: Track, least: float = 0.0) -> Shake:
+def estimate_shake(reference: Track, min_rms: float = 0.0) -> Shake:
     """Shake told by the track of something fixed; none where it moves hardly more than its own noise.
 
     For each axis the noise is white at the level of the upper half of the spectrum. Tones count where noise alone
     would not make such a one in a thousand films; so do, in what they leave, the cosines (reflecting ends: a drift
     leaks little) whose mean power over five neighbours is above what noise alone reaches. Lost frames are bridged.
-    Shake smaller than `least` px (rms) is none, and its size is told by `left_in`.
+    Shake smaller than `min_rms` px (rms) is none, and its size is told by `left_in`.
     Raises `FrictrackError` for a reference that is found in no frame.
     """
     if not np.any(reference.found):
         raise FrictrackError(f'the reference "{reference.name}" was found in no frame; choose another one')
     at = _interpolate_lost(np.stack([reference.x_px, reference.y_px], axis=1), reference.found)
     at = at - at.mean(axis=0)
-    stated = [float(np.nanmedian(s)) for s in (reference.sigma_px, reference.sigma_y_px)]
+    stated_sigma = [float(np.nanmedian(s)) for s in (reference.sigma_px, reference.sigma_y_px)]
     movement, variance, left_in = np.zeros(at.shape), np.zeros(2), 0.0
     if np.count_nonzero(reference.found) >= MIN_FRAMES:
         for axis in range(2):
-            motion, error = significant_motion(at[:, axis], reference.t, stated[axis])
-            if np.std(motion) >= least:
+            motion, error = significant_motion(at[:, axis], reference.t, stated_sigma[axis])
+            if np.std(motion) >= min_rms:
                 movement[:, axis], variance[axis] = motion, error
             else:
                 left_in = max(left_in, float(np.std(motion)))
@@ -78,10 +78,10 @@ def estimate_shake(reference: Track, least: float = 0.0) -> Shake:
     )
 
 
-def subtract_shake(track: Track, reference: Track | None, least: float = 0.0) -> tuple[Track, tuple[str, ...]]:
+def subtract_shake(track: Track, reference: Track | None, min_rms: float = 0.0) -> tuple[Track, tuple[str, ...]]:
     """The track without the camera's shake, and in words what was done; as it is without a reference.
 
-    Shake smaller than `least` px (rms) is left in. The uncertainty that the reference adds goes into sigma. Where
+    Shake smaller than `min_rms` px (rms) is left in. The uncertainty that the reference adds goes into sigma. Where
     shake is subtracted and the reference was lost, the track is unknown. Raises `FrictrackError` where the two are
     not of one film.
     """
@@ -89,21 +89,21 @@ def subtract_shake(track: Track, reference: Track | None, least: float = 0.0) ->
         return track, ()
     if len(reference) != len(track):
         raise FrictrackError(f"expected a reference track of {len(track)} frames but got {len(reference)}")
-    found = estimate_shake(reference, least)
+    found = estimate_shake(reference, min_rms)
     if not found.detected:
         return track, (*reference.notes, _nothing_subtracted(reference, found))
-    gone = np.where(reference.found, 0.0, np.nan)
-    steady = replace(
+    nan_where_lost = np.where(reference.found, 0.0, np.nan)
+    corrected = replace(
         track,
-        x_px=track.x_px - found.movement[:, 0] + gone,
-        y_px=track.y_px - found.movement[:, 1] + gone,
-        angle=track.angle + gone,
-        sigma_angle=None if track.sigma_angle is None else track.sigma_angle + gone,
-        sigma_px=np.hypot(track.sigma_px, found.sigma[0]) + gone,
-        sigma_y_px=np.hypot(track.sigma_y_px, found.sigma[1]) + gone,
+        x_px=track.x_px - found.movement[:, 0] + nan_where_lost,
+        y_px=track.y_px - found.movement[:, 1] + nan_where_lost,
+        angle=track.angle + nan_where_lost,
+        sigma_angle=None if track.sigma_angle is None else track.sigma_angle + nan_where_lost,
+        sigma_px=np.hypot(track.sigma_px, found.sigma[0]) + nan_where_lost,
+        sigma_y_px=np.hypot(track.sigma_y_px, found.sigma[1]) + nan_where_lost,
         reason=np.where(track.found & ~reference.found, "the reference is lost", track.reason),
     )
-    return steady, (*reference.notes, _subtracted(reference, found))
+    return corrected, (*reference.notes, _subtracted(reference, found))
 
 
 def _interpolate_lost(at: Array, found: Mask) -> Array:
@@ -112,22 +112,24 @@ def _interpolate_lost(at: Array, found: Mask) -> Array:
     return np.stack([np.interp(n, n[found], column[found]) for column in at.T], axis=1)
 
 
-def significant_motion(x: Array, t: Array, stated: float = 0.0) -> tuple[Array, float]:
+def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[Array, float]:
     """What of a series x (n,) about zero is more than its white noise, and the variance of what is told.
 
-    The noise is at least a quarter of the `stated` variance, or a film without noise would shake.
+    The noise is at least a quarter of the `stated_sigma` variance, or a film without noise would shake.
     """
     window = np.hanning(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2
-    noise = max(float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated**2, 1e-20)
+    noise = max(
+        float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated_sigma**2, 1e-20
+    )
     tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
     spectrum = dct(x - tones, norm="ortho")
     gain = _wiener_gain(spectrum**2, noise)
     movement = tones + idct(gain * spectrum, norm="ortho")
     variance = noise * (float(gain.mean()) + 3 * count / len(x))
     # Shake that is half known, half subtracted, is neither a tone any more nor gone.
-    known = float(np.std(movement)) > MIN_SHAKE_SIGMAS * np.sqrt(variance)
-    return (movement, variance) if known else (np.zeros(len(x)), 0.0)
+    is_known = float(np.std(movement)) > MIN_SHAKE_SIGMAS * np.sqrt(variance)
+    return (movement, variance) if is_known else (np.zeros(len(x)), 0.0)
 
 
 def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
@@ -136,17 +138,17 @@ def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
     `time` (n,) is in frames; where frames are missing, it has gaps.
     """
     n, model = len(x), np.zeros(len(x))
-    least = (
+    min_rms = (
         2 * np.log(n / ALPHA_SHAKE) + 10
     )  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
     found: list[float] = []
     while len(found) < MAX_TONES:
         power = np.abs(np.fft.rfft((x - model) * np.hanning(n), 4 * n))
         power[:6] = 0.0  # less than one and a half periods in the film is no tone but a drift
-        fitted, tried = _fit_tones(x, time, np.array([*found, float(np.argmax(power)) / (4 * n)]))
-        if float(np.sum((x - model) ** 2) - np.sum((x - fitted) ** 2)) < least * noise:
+        fitted, frequencies = _fit_tones(x, time, np.array([*found, float(np.argmax(power)) / (4 * n)]))
+        if float(np.sum((x - model) ** 2) - np.sum((x - fitted) ** 2)) < min_rms * noise:
             break
-        model, found = fitted, tried.tolist()
+        model, found = fitted, frequencies.tolist()
     return model - model.mean(), len(found)
 
 
@@ -171,8 +173,8 @@ def _wiener_gain(power: Array, noise: float) -> Array:
     """Share of each cosine that is kept."""
     smooth = uniform_filter1d(power, N_SMOOTHED, mode="nearest")
     stands_out = smooth > noise * float(chi2.isf(ALPHA_SHAKE / len(power), N_SMOOTHED)) / N_SMOOTHED
-    near = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
-    return np.where(near, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
+    kept_band = uniform_filter1d(stands_out.astype(np.float64), N_SMOOTHED, mode="nearest") > 0
+    return np.where(kept_band, np.maximum(smooth - noise, 0.0) / np.maximum(smooth, 1e-300), 0.0)
 
 
 def _strongest(movement: Array, t: Array) -> float:

@@ -13,15 +13,29 @@ from frictrack.calibration import parse_scale
 from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask
 from frictrack.remote import local
-from frictrack.samples import quantum, rounding_noise, screened
-from frictrack.samples.even_clock import EvenClock, is_even, jittered_clock, rounded_clock, speed
-from frictrack.samples.screen import describe_frames, describe_length, frame_numbers
-from frictrack.samples.slips import SampledPath, Slip, correct_ticks, find_slips
-from frictrack.samples.unevenness import common_unevenness, unevenness
+from frictrack.samples import (
+    EvenClock,
+    SampledPath,
+    Slip,
+    common_unevenness,
+    correct_ticks,
+    describe_frames,
+    describe_length,
+    find_slips,
+    frame_numbers,
+    is_even,
+    jittered_clock,
+    quantum,
+    robust_speed,
+    rounded_clock,
+    rounding_noise,
+    screened,
+    unevenness,
+)
 from frictrack.study import RunTable, TableData, read_table
 
 if TYPE_CHECKING:
-    from frictrack.recording.timebase import Stamps
+    from frictrack.recording import Stamps
 
 Rows = NDArray[np.int64]
 MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is worth a word
@@ -85,7 +99,7 @@ def _with_jitter_noise(seen: Displacement) -> Displacement:
         return seen
     stated = np.isfinite(seen.sigma_x)
     at_rest = np.where(stated, seen.sigma_x, max(still, rounding_noise(seen.resolution)))
-    moved = late * np.abs(speed(seen.t, seen.x))
+    moved = late * np.abs(robust_speed(seen.t, seen.x))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return seen
     note = (
@@ -146,7 +160,7 @@ def _can_find_slips(data: TableData) -> bool:
 
 def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
     """A table of uneven stamps on an even clock, the numbers of its rows, and what was done."""
-    from frictrack.recording.timebase import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
+    from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
     rows = np.arange(len(data.t))
     rounded = rounded_clock(data.t)
@@ -200,7 +214,7 @@ def _fill_corrupt_ticks(ticks: Rows) -> Rows:
 def _at_clock(data: TableData, clock: EvenClock) -> TableData:
     """The table at the times of a clock, positions moved by how late they were sampled."""
     moved = {
-        name: column - speed(data.t, column) * clock.late if np.any(clock.late) else column
+        name: column - robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
         for name, column in (("x", data.x), ("y", data.y))
         if column is not None
     }

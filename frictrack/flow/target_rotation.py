@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frictrack.calibration.rotating_target import MIN_ROTATION
+from frictrack.calibration import MIN_ROTATION
 from frictrack.records import Array, Mask, Track
 
 WINDOW_FRAMES = 9  # frames over which an angle is averaged

@@ -11,9 +11,10 @@ from frictrack.recording.phantom import Phantom
 from frictrack.recording.photron import Photron
 from frictrack.recording.spool import random_access
 from frictrack.recording.tiff import Tiff
+from frictrack.recording.timebase import Stamps, read_stamps
 from frictrack.recording.video import Video
 
-__all__ = ["FORMATS", "Frame", "Header", "Recording", "open_recording", "random_access"]
+__all__ = ["FORMATS", "Frame", "Header", "Recording", "Stamps", "open_recording", "random_access", "read_stamps"]
 
 FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 

@@ -59,9 +59,11 @@ class Photron(DirectRecording):
         high = bits == 16 and facts.get("side", "").lower() == "higher"
         layout = PixelLayout(self._data, range(0, count * frame, frame), bits, shift=bits - depth if high else 0)
         self._layout = layout if high else _in_order(layout, shape, depth)
-        fps, said = _rate(facts)
+        fps, rate_notes = _rate(facts)
         exposure, trigger = _exposure(facts), self._trigger(facts)
-        return Header(count, shape, depth, fps, notes=notes + said, exposure=exposure, trigger=trigger, camera=True)
+        return Header(
+            count, shape, depth, fps, notes=notes + rate_notes, exposure=exposure, trigger=trigger, camera=True
+        )
 
     def _pixels(self, facts: Facts) -> tuple[tuple[int, int], int]:
         """Shape (h, w) and bits of a pixel, both possible."""
@@ -106,17 +108,17 @@ class Photron(DirectRecording):
 
 def _header_and_data(path: Path) -> tuple[Path, Path]:
     """The header and the pixels of a recording that is named by either."""
-    beside = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
-    beside[path.suffix.lower()] = path
-    heads = [beside[s] for s in _HEADERS if s in beside]
+    files_by_suffix = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
+    files_by_suffix[path.suffix.lower()] = path
+    heads = [files_by_suffix[s] for s in _HEADERS if s in files_by_suffix]
     head = path if path.suffix.lower() in _HEADERS else heads[0] if heads else None
     if head is None:
         raise FrictrackError(
             f"{path.name}: expected its header {path.stem}.cihx or {path.stem}.cih beside it; copy both files"
         )
-    if ".mraw" not in beside:
+    if ".mraw" not in files_by_suffix:
         raise FrictrackError(f"{path.name}: expected its film {path.stem}.mraw beside it; copy both files")
-    return head, beside[".mraw"]
+    return head, files_by_suffix[".mraw"]
 
 
 def _read_header(head: Path) -> Facts:

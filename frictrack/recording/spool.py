@@ -60,7 +60,7 @@ class Spool(Recording):
         self._ready, self._done, self._stop = 0, False, False
         self._wanted = source.n_frames  # the first frame that a reader waits for
         self._fault: BaseException | None = None
-        self._news = Condition()
+        self._condition = Condition()
         self._decoder = Thread(target=self._decode, name="frictrack decoder", daemon=True)
         atexit.register(self.close)  # a thread that still decodes when Python ends would abort the process
         self._decoder.start()
@@ -82,9 +82,9 @@ class Spool(Recording):
         atexit.unregister(self.close)
         if self._stop:
             return
-        with self._news:
+        with self._condition:
             self._stop = True
-            self._news.notify_all()
+            self._condition.notify_all()
         self._decoder.join()
         self._store.close()
 
@@ -104,18 +104,18 @@ class Spool(Recording):
         if self._store.kept is not None:
             if first < self._ready - self._store.kept:
                 raise ValueError(f"frame {first} was given up after frame {self._ready}")
-            with self._news:
+            with self._condition:
                 self._passed = max(self._passed, first - LOOK_BACK_FRAMES)
-                self._news.notify_all()
+                self._condition.notify_all()
         if index < self._ready:
             return True
 
-        def there() -> bool:
+        def is_ready() -> bool:
             self._wanted = min(self._wanted, index)
             return index < self._ready or self._done
 
-        with self._news:
-            self._news.wait_for(there)
+        with self._condition:
+            self._condition.wait_for(is_ready)
         if index >= self._ready and self._fault is not None:
             raise self._fault
         return index < self._ready
@@ -123,31 +123,31 @@ class Spool(Recording):
     def _decode(self) -> None:
         try:
             for i, frame in enumerate(self._source.frames()):
-                if not self._room(i):
+                if not self._wait_for_room(i):
                     break
                 self._store.write(i, frame)
-                self._tell(i + 1)
+                self._announce(i + 1)
         except BaseException as fault:  # noqa: BLE001 - it is raised again where the frame is asked for
             self._fault = fault
         finally:
-            with self._news:
+            with self._condition:
                 self._done = True
-                self._news.notify_all()
+                self._condition.notify_all()
 
-    def _room(self, i: int) -> bool:
+    def _wait_for_room(self, i: int) -> bool:
         """Wait until frame `i` may take the place of an older one; False where nobody wants it any more."""
         if self._store.kept is not None:
             kept = self._store.kept
-            with self._news:
-                self._news.wait_for(lambda: self._stop or i - kept < self._passed)
+            with self._condition:
+                self._condition.wait_for(lambda: self._stop or i - kept < self._passed)
         return not self._stop
 
-    def _tell(self, ready: int) -> None:
-        with self._news:
+    def _announce(self, ready: int) -> None:
+        with self._condition:
             self._ready = ready
             if ready > self._wanted:  # a reader that is woken for every frame takes time from the decoder
                 self._wanted = self._source.n_frames
-                self._news.notify_all()
+                self._condition.notify_all()
 
 
 class _MemoryStore:

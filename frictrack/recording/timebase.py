@@ -71,16 +71,20 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
     fps. Raises `FrictrackError` where no rate can be believed.
     """
     stamps, n = header.stamps, header.n_frames
-    read = read_stamps(stamps) if stamps is not None and header.ticks is None else None
-    stamped = 1 / read.step if read is not None else None
+    parsed = read_stamps(stamps) if stamps is not None and header.ticks is None else None
+    stamped = 1 / parsed.step if parsed is not None else None
     fps = _true_rate(name, given, header, stamped)
-    found = _rates(fps, given, header, stamped), _stamp_findings(read, stamps), _exposure_findings(header.exposure, fps)
+    found = (
+        _rates(fps, given, header, stamped),
+        _stamp_findings(parsed, stamps),
+        _exposure_findings(header.exposure, fps),
+    )
     rows = tuple(row for rows, _ in found for row in rows)
     notes = tuple(note for _, notes in found for note in notes)
-    if read is None:
+    if parsed is None:
         return Timebase(fps, (np.arange(n) if header.ticks is None else header.ticks) / fps, rows, notes)
-    kept = np.setdiff1d(np.arange(n), read.doubled)
-    t = _times(read, stamps, fps)[kept]
+    kept = np.setdiff1d(np.arange(n), parsed.doubled)
+    t = _times(parsed, stamps, fps)[kept]
     return Timebase(fps, t - t[0], rows, notes, kept if len(kept) < n else None)
 
 
@@ -102,8 +106,8 @@ def read_stamps(stamps: Array) -> Stamps | None:
     known = np.flatnonzero(ticks >= 0)
     if len(known) < max(3, len(stamps) // 2):
         return None
-    sure = np.setdiff1d(known, written_twice)
-    step = _fit_interval(ticks[sure], stamps[sure], step)
+    reliable = np.setdiff1d(known, written_twice)
+    step = _fit_interval(ticks[reliable], stamps[reliable], step)
     jumps = np.diff(ticks[known])
     return Stamps(
         ticks,
@@ -111,7 +115,7 @@ def read_stamps(stamps: Array) -> Stamps | None:
         corrupt=np.union1d(np.flatnonzero(ticks < 0), written_twice),
         doubled=known[1:][jumps == 0],
         gaps=known[1:][jumps > np.diff(known)],
-        uneven=_uneven(ticks[sure], stamps[sure], step),
+        uneven=_uneven(ticks[reliable], stamps[reliable], step),
     )
 
 
@@ -155,18 +159,18 @@ def _count_ticks(stamps: Array, step: float) -> Ticks:
     ticks = np.full(len(stamps), -1, np.int64)
     last = _first_confirmed(stamps, step)
     ticks[last] = last
-    strangers: list[int] = []
+    disagreeing: list[int] = []
     for i in range(last + 1, len(stamps)):
         passed = (stamps[i] - stamps[last]) / step
         if _is_credible(passed, i, last, stamps, step):
             ticks[i] = ticks[last] + max(round(passed), 0)
-            last, strangers = i, []
+            last, disagreeing = i, []
             continue
-        strangers = [*strangers, i] if _continues(stamps, strangers, i, step) else [i]
-        if len(strangers) == _MIN_AGREEING_STAMPS:
-            for place in strangers:
+        disagreeing = [*disagreeing, i] if _continues(stamps, disagreeing, i, step) else [i]
+        if len(disagreeing) == _MIN_AGREEING_STAMPS:
+            for place in disagreeing:
                 ticks[place] = ticks[last] + place - last
-            last, strangers = i, []
+            last, disagreeing = i, []
     return ticks - ticks[ticks >= 0].min(initial=0) * (ticks >= 0)
 
 
@@ -177,8 +181,8 @@ def _first_confirmed(stamps: Array, step: float) -> int:
     return int(near[0]) if len(near) else 0
 
 
-def _continues(stamps: Array, strangers: Sequence[int], i: int, step: float) -> bool:
-    return bool(strangers) and 0.5 < (stamps[i] - stamps[strangers[-1]]) / step < 1.5
+def _continues(stamps: Array, disagreeing: Sequence[int], i: int, step: float) -> bool:
+    return bool(disagreeing) and 0.5 < (stamps[i] - stamps[disagreeing[-1]]) / step < 1.5
 
 
 def _is_credible(passed: float, i: int, last: int, stamps: Array, step: float) -> bool:
@@ -202,17 +206,17 @@ def _fit_interval(ticks: Ticks, stamps: Array, step: float) -> float:
     return float(slope) if 0.5 * step < slope < 2 * step else step
 
 
-def _times(read: Stamps, stamps: Array | None, fps: float) -> Array:
+def _times(parsed: Stamps, stamps: Array | None, fps: float) -> Array:
     """Times (n,) s: whole intervals, or the stamps themselves where these are uneven; corrupt ones interpolated."""
-    n = np.arange(len(read.ticks))
-    known = read.ticks >= 0
-    ticks = np.interp(n, n[known], read.ticks[known])
+    n = np.arange(len(parsed.ticks))
+    known = parsed.ticks >= 0
+    ticks = np.interp(n, n[known], parsed.ticks[known])
     ends = np.flatnonzero(known)[[0, -1]]
     ticks[: ends[0]] -= (ends[0] - n)[: ends[0]]  # before the first and after the last: one interval each
     ticks[ends[1] + 1 :] += (n - ends[1])[ends[1] + 1 :]
-    if not read.uneven or stamps is None or len(read.corrupt):
+    if not parsed.uneven or stamps is None or len(parsed.corrupt):
         return ticks / fps
-    return (stamps - stamps[0]) / read.step / fps
+    return (stamps - stamps[0]) / parsed.step / fps
 
 
 def _true_rate(name: str, given: float | None, header: Header, stamped: float | None) -> float:
@@ -221,14 +225,16 @@ def _true_rate(name: str, given: float | None, header: Header, stamped: float | 
         if not (np.isfinite(given) and given > 0):
             raise FrictrackError(f"{name}: expected a frame rate above 0 fps but got {given:g} fps")
         return float(given)
-    least = 0.0 if header.camera else PLAYBACK_FPS
+    min_rate = 0.0 if header.camera else PLAYBACK_FPS
     agree = header.fps and stamped and abs(header.fps / stamped - 1) <= MAX_RATE_DIFFERENCE
     for rate in (header.fps, stamped) if agree else (stamped, header.fps):
-        if rate is not None and np.isfinite(rate) and rate > least:
+        if rate is not None and np.isfinite(rate) and rate > min_rate:
             return float(rate)
-    says = f"says {header.fps:.4g} fps, which is the speed of showing it" if header.fps else "names no frame rate"
+    description = (
+        f"says {header.fps:.4g} fps, which is the speed of showing it" if header.fps else "names no frame rate"
+    )
     raise FrictrackError(
-        f"{name}: expected the camera's frame rate but the file {says}; give the true rate as fps "
+        f"{name}: expected the camera's frame rate but the file {description}; give the true rate as fps "
         "(friction goes with its square)"
     )
 
@@ -239,9 +245,9 @@ def _rates(fps: float, given: float | None, header: Header, stamped: float | Non
     for source, rate in (("given", given), ("header", header.fps), ("stamps", stamped)):
         if rate is None or not np.isfinite(rate):
             continue
-        apart = abs(rate / fps - 1) > MAX_RATE_DIFFERENCE
-        shown = not header.camera and apart and rate <= PLAYBACK_FPS
-        verdict = "used" if source == used else "speed of showing" if shown else "disagrees" if apart else "agrees"
+        differs = abs(rate / fps - 1) > MAX_RATE_DIFFERENCE
+        shown = not header.camera and differs and rate <= PLAYBACK_FPS
+        verdict = "used" if source == used else "speed of showing" if shown else "disagrees" if differs else "agrees"
         rows.append(AuditRow(f"frame rate, {source}", f"{rate:.6g} fps", verdict))
         if verdict == "disagrees":
             notes.append(
@@ -255,34 +261,40 @@ _SOURCE_NAMES = {"header": "file's header", "stamps": "time stamps", "given": "u
 _SOURCE_PHRASES = {"header": "of the file's header", "stamps": "of the time stamps", "given": "given by the user"}
 
 
-def _stamp_findings(read: Stamps | None, stamps: Array | None) -> tuple[list[AuditRow], list[str]]:
+def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[AuditRow], list[str]]:
     if stamps is None:
         return [], []
-    if read is None:
+    if parsed is None:
         return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], []
-    missing = int(read.ticks.max()) + 1 - len(stamps) + len(read.doubled)
+    missing = int(parsed.ticks.max()) + 1 - len(stamps) + len(parsed.doubled)
     found = [
-        (len(read.gaps) and max(missing, 1), "missing", "left as gaps in time", read.gaps, "frames are missing before"),
-        (len(read.doubled), "doubled", "left out", read.doubled, "frames have the time of the one before:"),
-        (len(read.corrupt), "corrupt", "passed over", read.corrupt, "time stamps are corrupt:"),
+        (
+            len(parsed.gaps) and max(missing, 1),
+            "missing",
+            "left as gaps in time",
+            parsed.gaps,
+            "frames are missing before",
+        ),
+        (len(parsed.doubled), "doubled", "left out", parsed.doubled, "frames have the time of the one before:"),
+        (len(parsed.corrupt), "corrupt", "passed over", parsed.corrupt, "time stamps are corrupt:"),
     ]
     rows, notes = [], []
-    for count, what, handled, frames, words in found:
+    for count, what, handled, frames, phrase in found:
         verdict = handled if count else "none"
         rows.append(AuditRow(f"time stamps, {what}", str(int(count)), verdict))
         if count:
-            notes.append(f"{_count_words(int(count), words)} {_list_frames(frames)}; {handled}")
-    if read.uneven:
+            notes.append(f"{_count_words(int(count), phrase)} {_list_frames(frames)}; {handled}")
+    if parsed.uneven:
         rows.append(AuditRow("time stamps, spacing", "uneven", "each frame has its own time"))
         notes.append("the time stamps are not evenly spaced; each frame has the time of its own stamp")
     return rows, notes
 
 
-def _count_words(count: int, words: str) -> str:
+def _count_words(count: int, phrase: str) -> str:
     if count == 1:
         for many, one in (("frames are", "frame is"), ("frames have", "frame has"), ("stamps are", "stamp is")):
-            words = words.replace(many, one)
-    return f"{count} {words}"
+            phrase = phrase.replace(many, one)
+    return f"{count} {phrase}"
 
 
 def _list_frames(frames: Ticks) -> str:

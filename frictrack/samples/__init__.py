@@ -1,21 +1,32 @@
 """Check the samples of a displacement: outliers, rounding, repeated and missing frames, clock, copies of a record."""
 
-from frictrack.samples.copies import copies
-from frictrack.samples.outliers import Outliers, outliers
+from frictrack.samples.duplicate_records import copies
+from frictrack.samples.even_clock import EvenClock, is_even, jittered_clock, robust_speed, rounded_clock
+from frictrack.samples.outlier_search import Outliers, outliers
 from frictrack.samples.quantisation import quantum, rounding_noise
-from frictrack.samples.screen import describe_frames, screened
+from frictrack.samples.screen import describe_frames, describe_length, frame_numbers, screened
 from frictrack.samples.slips import SampledPath, Slip, correct_ticks, find_slips
+from frictrack.samples.uneven_samples import common_unevenness, unevenness
 
 __all__ = [
+    "EvenClock",
     "Outliers",
     "SampledPath",
     "Slip",
+    "common_unevenness",
     "copies",
     "correct_ticks",
     "describe_frames",
+    "describe_length",
     "find_slips",
+    "frame_numbers",
+    "is_even",
+    "jittered_clock",
     "outliers",
     "quantum",
+    "robust_speed",
+    "rounded_clock",
     "rounding_noise",
     "screened",
+    "unevenness",
 ]

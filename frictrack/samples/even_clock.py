@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.01  # steps of rounded stamps by which a row may be off the even clock
@@ -80,7 +80,7 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
         return None
     share = 100 * float(np.std(late)) / interval
     as_even = _noise_level(x, ticks)
-    as_stamped = _noise_level(x - speed(t, x) * late, ticks)
+    as_stamped = _noise_level(x - robust_speed(t, x) * late, ticks)
     jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
     if len(t) >= MIN_ROWS and as_even < as_stamped:
         return EvenClock(
@@ -90,7 +90,7 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array) -> EvenClock | None:
     return EvenClock(even, late, (note,))
 
 
-def speed(t: Array, x: Array) -> Array:
+def robust_speed(t: Array, x: Array) -> Array:
     """Speed (n,) of positions x at times t: the median over several spans, which outliers leave alone."""
     rows = np.arange(len(t))
     quotients = []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Displacement
-from frictrack.samples.outliers import MEDIAN_TO_SIGMA, Outliers, outliers
+from frictrack.samples.outlier_search import MEDIAN_TO_SIGMA, Outliers, outliers
 from frictrack.samples.quantisation import MIN_NOISE_SHARE, quantum, rounding_noise
 
 MAX_LISTED_FRAMES = 8  # frames that a finding names

@@ -72,14 +72,14 @@ def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
     Frames that repeat the one before are found first, so that the others stand on an undisturbed course. `held`: see
     `repeats`.
     """
-    follows = np.concatenate(([True], np.diff(path.ticks) == 1))
-    again = [
+    consecutive = np.concatenate(([True], np.diff(path.ticks) == 1))
+    repeated = [
         slip
-        for one in repeats(path.p, path.good & follows, path.sigma, held=held, exact=path.exact)
+        for one in repeats(path.p, path.good & consecutive, path.sigma, held=held, exact=path.exact)
         for slip in _slips_of(one)
     ]
-    ticks, keep = correct_ticks(path.ticks, again)
-    stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in again if s.frames < 0])
+    ticks, keep = correct_ticks(path.ticks, repeated)
+    stay = np.setdiff1d(np.arange(len(path.p)), [s.frame for s in repeated if s.frames < 0])
     rest = SampledPath(path.p[stay], path.sigma[stay], ticks[stay], (path.good & keep)[stay], path.smallest, path.exact)
     lost = [
         Slip(one.at, one.missing, one.significance)
@@ -87,7 +87,7 @@ def find_slips(path: SampledPath, *, held: bool = False) -> tuple[Slip, ...]:
     ]
     rest = replace(rest, ticks=correct_ticks(rest.ticks, lost)[0])
     others = [replace(s, frame=int(stay[s.frame])) for s in (*lost, *scattered_slips(rest))]
-    return tuple(sorted([*again, *others], key=lambda s: s.frame))
+    return tuple(sorted([*repeated, *others], key=lambda s: s.frame))
 
 
 def _slips_of(repeat: RepeatedFrames) -> Iterator[Slip]:
@@ -166,11 +166,11 @@ def _scan_jumps(path: SampledPath) -> tuple[Array, Array, Array]:
     inverse = np.linalg.inv(normal)
     best = np.einsum("njk,nik,ni->nj", inverse, design, value)
     speed, spread = best[:, 1] / half, np.sqrt(inverse[:, -1, -1])
-    sure = enough & (np.abs(speed) > 1e-6)
+    usable = enough & (np.abs(speed) > 1e-6)
     jump, error, z = np.zeros(n + 1), np.full(n + 1, np.inf), np.zeros(n + 1)
-    jump[at[sure]] = best[sure, -1] / speed[sure]
-    error[at[sure]] = spread[sure] / np.abs(speed[sure])
-    z[at[sure]] = np.abs(best[sure, -1]) / spread[sure]
+    jump[at[usable]] = best[usable, -1] / speed[usable]
+    error[at[usable]] = spread[usable] / np.abs(speed[usable])
+    z[at[usable]] = np.abs(best[usable, -1]) / spread[usable]
     return jump, error, z
 
 
@@ -212,15 +212,15 @@ def _tested_slip(path: SampledPath, i: int, frames: int, noise: float) -> Slip |
     moves = abs((frames or -1) * speed) > path.smallest and error * np.sqrt(noise) < MAX_JUMP_ERROR * abs(speed)
     if not (fits and moves):
         return None
-    plain = _fit_curve(path, part, path.ticks, i)[0]
+    smooth = _fit_curve(path, part, path.ticks, i)[0]
     kink = min(_fit_curve(path, part, path.ticks, i, (at,))[0] for at in (-1.0, -0.5, 0.0, 0.5))
     free = _fit_curve(path, left, shifted, i, (0.0,), jump=True)[0]
-    stands = (
-        plain - chi2 > MIN_GAIN * noise
+    is_better = (
+        smooth - chi2 > MIN_GAIN * noise
         and kink - chi2 > MIN_GAIN_OVER_KINK * noise
         and chi2 - free < MAX_LOSS_TO_FREE_JUMP * noise
     )
-    return Slip(i, frames, float(np.sqrt((plain - chi2) / noise))) if stands else None
+    return Slip(i, frames, float(np.sqrt((smooth - chi2) / noise))) if is_better else None
 
 
 def _repeats_previous(path: SampledPath, i: int, noise: float) -> bool:
@@ -249,6 +249,6 @@ def _fit_curve(
     value = (path.p[part] - path.p[part[0]]) / path.sigma[part]
     best, *_ = np.linalg.lstsq(design, value, rcond=None)
     scaled = step / path.sigma[part]
-    alone = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
-    error = 1 / np.sqrt(max(float(alone @ alone), 1e-12))
+    perpendicular = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+    error = 1 / np.sqrt(max(float(perpendicular @ perpendicular), 1e-12))
     return float(np.sum((value - design @ best) ** 2)), float(best[1] / path.window), error

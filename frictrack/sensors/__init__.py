@@ -1,6 +1,6 @@
 """Sensors beside the camera: their clocks aligned with the camera's, what they say compared, and fused."""
 
-from frictrack.sensors.align import Alignment, AlignmentProblem, align
+from frictrack.sensors.alignment import Alignment, AlignmentProblem, align
 from frictrack.sensors.camera_comparison import SensorComparison, compare_with_camera, known_acceleration
 from frictrack.sensors.drive import align_drive
 from frictrack.sensors.energy import ReleaseEnergy, release_energy

@@ -8,7 +8,7 @@ import numpy as np
 
 from frictrack.motion.known_acceleration import KnownAcceleration
 from frictrack.records import GRAVITY, Array
-from frictrack.sensors.align import (
+from frictrack.sensors.alignment import (
     ALPHA_WHITENESS,
     LOWEST_BAND_SIZE,
     Alignment,
@@ -59,17 +59,17 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
     if alignment.gain is None or alignment.sigma_gain is None:
         return SensorComparison("not compared", (f"not compared with the camera: {alignment.reason}",))
     free = alignment.sigma_offset is not None
-    kept = problem.select(problem.rows(alignment))
-    fitted = fit_alignment(kept, alignment, free, alignment.sigma_rate is not None)
+    overlapping = problem.select(problem.rows(alignment))
+    fitted = fit_alignment(overlapping, alignment, free, alignment.sigma_rate is not None)
     p, excess = whiteness_test(fitted.regressors, fitted.residual)
     faults = [
         "" if free else _offset_fault(problem, alignment),
-        _describe_misfit(kept, fitted, excess) if p < ALPHA_WHITENESS else "",
+        _describe_misfit(overlapping, fitted, excess) if p < ALPHA_WHITENESS else "",
         _gain_fault(alignment, scale_error),
         _bias_fault(alignment),
     ]
     faults = [fault for fault in faults if fault]
-    difference, expected, window = _rms_difference(kept, alignment)
+    difference, expected, window = _rms_difference(overlapping, alignment)
     return SensorComparison(
         verdict="disagrees" if faults else "consistent",
         says=(*faults, *_findings(problem.series, alignment, scale_error)),
@@ -101,16 +101,16 @@ def _gain_fault(alignment: Alignment, scale_error: float) -> str:
     assert sigma is not None
     if abs(gain - 1.0) <= GAIN_TOLERANCE + REPORT_SIGMAS * np.hypot(sigma, scale_error):
         return ""
-    said = f"its gain is {gain:.4g} +/- {sigma:.2g} instead of 1"
+    finding = f"its gain is {gain:.4g} +/- {sigma:.2g} instead of 1"
     if abs(gain) < REPORT_SIGMAS * sigma:
-        return f"{said}: it does not follow what the camera sees; check that it belongs to this run"
+        return f"{finding}: it does not follow what the camera sees; check that it belongs to this run"
     for unit, why in GAIN_EXPLANATIONS.items():
         if abs(gain / unit - 1.0) < GAIN_TOLERANCE + REPORT_SIGMAS * sigma / abs(unit):
-            return f"{said}: {why}"
+            return f"{finding}: {why}"
     frames = f", or the frame rate by {np.sqrt(gain):.4g}" if gain > 0 else ""
     return (
-        f"{said}: the scale is too large by this factor{frames}, or the sensor's sensitivity is off; check the scale "
-        "and the frame rate first, forces go with both"
+        f"{finding}: the scale is too large by this factor{frames}, or the sensor's sensitivity is off; "
+        "check the scale and the frame rate first, forces go with both"
     )
 
 
@@ -128,8 +128,8 @@ def _bias_fault(alignment: Alignment) -> str:
 
 def _offset_fault(problem: AlignmentProblem, alignment: Alignment) -> str:
     """Whether a given offset is refuted by the data."""
-    kept = problem.select(problem.rows(alignment))
-    fitted = fit_alignment(kept, alignment)
+    overlapping = problem.select(problem.rows(alignment))
+    fitted = fit_alignment(overlapping, alignment)
     if fitted.theta[1] ** 2 < MAX_OFFSET_SIGMAS**2 * fitted.covariance[1, 1]:
         return ""
     better = align(problem)
@@ -148,16 +148,16 @@ def _describe_misfit(problem: AlignmentProblem, fitted: AlignmentFit, excess: Ar
     total = float(np.sum(excess))
     line = int(np.argmax(excess))
     frequency = line / (2.0 * n * frames.interval)
-    near = float(np.sum(excess[max(line - 2, 0) : line + 3]))
-    if near > MIN_CAUSE_SHARE * total > 0.0 and line >= LOWEST_BAND_SIZE:
+    line_power = float(np.sum(excess[max(line - 2, 0) : line + 3]))
+    if line_power > MIN_CAUSE_SHARE * total > 0.0 and line >= LOWEST_BAND_SIZE:
         return (
             f"they differ by a line at {frequency:.3g} Hz: most likely its mounting (or its own resonance), "
             "or the tracked target shakes; fix both to the slider"
         )
     moments = np.array([np.sum(part**2 - 1.0) for part in np.array_split(fitted.residual, N_MOMENTS)])
-    loud = int(np.argmax(moments))
-    if moments[loud] > MIN_CAUSE_SHARE * float(np.sum(moments)) > 0.0:
-        at = np.array_split(frames.t[frames.centre], N_MOMENTS)[loud]
+    loudest = int(np.argmax(moments))
+    if moments[loudest] > MIN_CAUSE_SHARE * float(np.sum(moments)) > 0.0:
+        at = np.array_split(frames.t[frames.centre], N_MOMENTS)[loudest]
         return (
             f"they differ from {at[0]:.4g} s to {at[-1]:.4g} s: a blow beyond the sensor's range or bandwidth, "
             "a mounting that gives, or a target lost; look at these frames"
@@ -187,8 +187,8 @@ def _findings(series: SensorRecord, alignment: Alignment, scale_error: float) ->
         tilt = np.degrees(np.arcsin(abs(bias) / GRAVITY))
         found.append(f"its zero is off by {bias:.3g} m/s^2 (as a tilt of {tilt:.2g} deg would do); taken out")
     if alignment.sigma_rate is not None:
-        ppm, spread = 1e6 * alignment.rate, 1e6 * alignment.sigma_rate
-        found.append(f"its clock runs {ppm:.3g} +/- {spread:.2g} ppm fast against the camera's; taken out")
+        ppm, sigma_ppm = 1e6 * alignment.rate, 1e6 * alignment.sigma_rate
+        found.append(f"its clock runs {ppm:.3g} +/- {sigma_ppm:.2g} ppm fast against the camera's; taken out")
     if count := int(np.sum(series.clipped)):
         top = float(np.max(np.abs(series.values[series.clipped])))
         found.append(f"{count} of its samples are clipped at {top:.4g}: they are left out; take a wider range")
@@ -199,16 +199,16 @@ def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[fl
     """Rms of the difference's means as both noises let them be told, what these explain of it, and a mean's time."""
     frames, series = problem.frames, problem.series
     gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
-    rest = (
+    residual = (
         frames.z
         - gain * frames.sensor_differences(series, alignment.lag(frames.t)[:, None])[:, 0] / (1.0 + alignment.rate) ** 2
         - bias
     )
     white = Whitener(frames.camera + (gain * series.sigma) ** 2 * frames.noise(series, alignment.offset))
-    count = min(N_WINDOWS, len(rest) // 2)
-    means = (np.arange(len(rest)) * count // len(rest))[:, None] == np.arange(count)
+    count = min(N_WINDOWS, len(residual) // 2)
+    means = (np.arange(len(residual)) * count // len(residual))[:, None] == np.arange(count)
     columns = white(means.astype(float))
     covariance = np.linalg.inv(columns.T @ columns)
-    difference = covariance @ (columns.T @ white(rest))
-    window = len(rest) / count * frames.interval
+    difference = covariance @ (columns.T @ white(residual))
+    window = len(residual) / count * frames.interval
     return float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.mean(np.diag(covariance)))), window

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.records import Array, Displacement, Mask, Motion
-from frictrack.sensors.align import Alignment, AlignmentProblem, align
+from frictrack.sensors.alignment import Alignment, AlignmentProblem, align
 from frictrack.sensors.frame_differences import FrameDifferences, second_differences
 from frictrack.sensors.sensor_record import SensorRecord
 

@@ -65,21 +65,23 @@ class FrameDifferences:
         d, centre = series.interval, self.t[self.centre]
         first, last = self.ends()
         reach = int(np.ceil(float(np.max(last - first)) / 2.0 / d)) + SPLINE_TAIL_SAMPLES
-        near = np.rint((centre - offset - series.t[0]) / d)
-        column = near[:, None] + np.arange(-reach, reach + 1)
-        away = (centre - offset - series.t[0])[:, None] - column * d
+        nearest = np.rint((centre - offset - series.t[0]) / d)
+        column = nearest[:, None] + np.arange(-reach, reach + 1)
+        distance = (centre - offset - series.t[0])[:, None] - column * d
         gaps = np.rint(np.stack([centre - first, last - centre], axis=1) / self.interval / GAP_RESOLUTION).astype(
             np.int64
         )
-        effect = np.empty_like(away)
-        kinds, kind = np.unique(gaps, axis=0, return_inverse=True)
-        for k in range(len(kinds)):
-            rows = kind.ravel() == k
-            effect[rows] = np.interp(away[rows], *_sample_effect(d, reach, kinds[k] * GAP_RESOLUTION * self.interval))
+        effect = np.empty_like(distance)
+        gap_kinds, gap_kind = np.unique(gaps, axis=0, return_inverse=True)
+        for k in range(len(gap_kinds)):
+            rows = gap_kind.ravel() == k
+            effect[rows] = np.interp(
+                distance[rows], *_sample_effect(d, reach, gap_kinds[k] * GAP_RESOLUTION * self.interval)
+            )
         column = (column - np.min(column)).astype(np.int64)
         row = np.broadcast_to(np.arange(len(self.z))[:, None], column.shape)
-        spread = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
-        return csr_array(spread @ spread.T)
+        effects = csr_array((effect.ravel(), (row.ravel(), column.ravel())))
+        return csr_array(effects @ effects.T)
 
 
 def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
@@ -88,11 +90,11 @@ def _sample_effect(d: float, reach: int, gaps: Array) -> tuple[Array, Array]:
     `gaps` (2,) are the times between the difference's three frames.
     """
     samples = np.arange(-SPLINE_REACH_SAMPLES, SPLINE_REACH_SAMPLES + 1.0)
-    alone = SensorRecord(d * samples, np.where(samples == 0.0, 1.0, 0.0))
+    unit_sample = SensorRecord(d * samples, np.where(samples == 0.0, 1.0, 0.0))
     width = (reach + 1) * d
     u = np.linspace(-width, width, int(2.0 * width * POINTS_PER_SAMPLE / min(d, *gaps)) + 1)
-    before, here, after = (alone.integral(u + at, 2) for at in (-gaps[0], 0.0, gaps[1]))
-    return u, ((after - here) / gaps[1] - (here - before) / gaps[0]) / np.mean(gaps)
+    before, at_frame, after = (unit_sample.integral(u + at, 2) for at in (-gaps[0], 0.0, gaps[1]))
+    return u, ((after - at_frame) / gaps[1] - (at_frame - before) / gaps[0]) / np.mean(gaps)
 
 
 def second_differences(displacement: Displacement) -> FrameDifferences:
@@ -124,10 +126,10 @@ def _noise_covariance(mapping: csr_array, sigma: Array) -> csr_array:
 def _frame_noise(displacement: Displacement, known: Mask) -> Array:
     """White noise of every frame (n,), m."""
     stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
-    usual = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
+    typical = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
     level = float(noise_level(np.where(known, displacement.x, 0.0), known)[0])
-    relative = np.where(stated, displacement.sigma_x, usual) / usual
-    return np.asarray(relative * (level if level > 0 and np.isfinite(level) else usual))
+    relative = np.where(stated, displacement.sigma_x, typical) / typical
+    return np.asarray(relative * (level if level > 0 and np.isfinite(level) else typical))
 
 
 class Whitener:

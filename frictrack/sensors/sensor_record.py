@@ -93,9 +93,9 @@ class SensorRecord:
         end = float(self.t[-1] - self.t[0])
         u = at - self.t[0]
         inside = np.clip(u, 0.0, end)
-        beyond = u - inside
-        held = [curve(inside) for curve in self.curves[: order + 1]]
-        return np.asarray(sum(held[order - k] * beyond**k / max(k, 1) for k in range(order + 1)))
+        outside = u - inside
+        curves_inside = [curve(inside) for curve in self.curves[: order + 1]]
+        return np.asarray(sum(curves_inside[order - k] * outside**k / max(k, 1) for k in range(order + 1)))
 
     def average(self, at: Array, width: float) -> Array:
         """Mean over `width` (s) round every time; the curve itself where the samples are further apart.
@@ -103,14 +103,14 @@ class SensorRecord:
         What is faster than the frames is averaged away instead of being folded down. NaN where the sensor was not
         running, had a gap or was clipped over any part of the width; half of it (or half a sample) may lack.
         """
-        whole = self.covers(at - width / 2.0, at + width / 2.0)
+        covered = self.covers(at - width / 2.0, at + width / 2.0)
         if self.interval >= width:
-            return np.where(whole, self.integral(at, 0), np.nan)
+            return np.where(covered, self.integral(at, 0), np.nan)
         last = np.clip(at + width / 2.0, self.t[0], self.t[-1])
         first = np.clip(at - width / 2.0, self.t[0], self.t[-1])
         span = np.where(last > first, last - first, 1.0)
         mean = (self.integral(last, 1) - self.integral(first, 1)) / span
-        return np.where(whole & (last > first), mean, np.nan)
+        return np.where(covered & (last > first), mean, np.nan)
 
     def covers(self, start: Array, end: Array) -> Mask:
         """Whether the sensor was running all the time from `start` (k,) to `end` (k,), on its own clock."""
@@ -124,18 +124,18 @@ class SensorRecord:
         last = np.clip(np.searchsorted(self.t, end - tiny, side="left"), 0, len(count) - 1)
         return np.asarray(inside & (count[np.maximum(last, first)] == count[first]))
 
-    def changed(self, law: Callable[[Array], Array]) -> SensorRecord:
+    def converted(self, conversion: Callable[[Array], Array]) -> SensorRecord:
         """The same samples in another unit or sign."""
-        return SensorRecord(self.t, law(self.values), self.name)
+        return SensorRecord(self.t, conversion(self.values), self.name)
 
 
 def _record_fault(t: Array, values: Array) -> str:
     """What is wrong with a record, in words; nothing when it is sound."""
     if np.shape(t) != np.shape(values) or np.ndim(t) != 1:
         return f"expected one value per time but got {np.shape(values)} values at {np.shape(t)} times"
-    back = np.flatnonzero(~(np.diff(t) > 0))
-    if len(back):
-        i = int(back[0])
+    not_rising = np.flatnonzero(~(np.diff(t) > 0))
+    if len(not_rising):
+        i = int(not_rising[0])
         return f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}; mend its clock"
     if len(t) < MIN_SAMPLES:
         return f"expected at least {MIN_SAMPLES} samples but got {len(t)}"

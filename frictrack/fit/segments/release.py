@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.calibration.shake import significant_motion
+from frictrack.calibration import significant_motion
 from frictrack.friction import CERTAIN, MOVING, is_moving, release_time
 from frictrack.records import GRAVITY, Array, Run
 

@@ -124,10 +124,12 @@ def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
     found = _refine(problem, initial, free=not given)
     if given:
         return found
-    sure = _accepted(problem, initial, found)
-    if sure.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
-        sure = _accepted(problem, initial, _refine(replace(problem, other_regressors=_with_drift(problem)), initial))
-    return sure
+    accepted = _accepted(problem, initial, found)
+    if accepted.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
+        accepted = _accepted(
+            problem, initial, _refine(replace(problem, other_regressors=_with_drift(problem)), initial)
+        )
+    return accepted
 
 
 def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
@@ -168,15 +170,15 @@ def _search_offset(problem: AlignmentProblem) -> Alignment:
 
 
 def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
-    frames, tried = problem.frames, _candidate_offsets(problem)
+    frames, offsets = problem.frames, _candidate_offsets(problem)
     initial = replace(_unaligned(frames), gain=gain)
-    level = _unmodelled_variance(problem, initial, seen=False)
-    misfit, none, gains = _scan(problem, tried, initial, level)
+    level = _unmodelled_variance(problem, initial, sensor_included=False)
+    misfit, none, gains = _scan(problem, offsets, initial, level)
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
-        level = _unmodelled_variance(problem, replace(initial, offset=float(tried[np.argmin(misfit)])))
-        misfit, none, gains = _scan(problem, tried, initial, level)
+        level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[np.argmin(misfit)])))
+        misfit, none, gains = _scan(problem, offsets, initial, level)
     lowest = float(np.min(misfit))
-    span = f"{1e3 * tried[0]:.4g} to {1e3 * tried[-1]:.4g} ms"
+    span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if none - lowest < MIN_EXPLAINED_CHI2:
         unseen = f"at no offset from {span} does it explain what the camera saw"
         return replace(_unaligned(frames), reason=f"{unseen}; 0 is kept")
@@ -184,41 +186,41 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
         misfit, MAX_RIVAL_CHI2 + 4.0 * np.sqrt(4.0 * _sensor_dominated(problem, initial, level))
     )  # each offset has its own noise
     rivals = rivals if len(rivals) else np.array([np.argmin(misfit)])
-    rivals = rivals[np.argsort(np.abs(tried[rivals]))]
-    said = f"best of {span}"
+    rivals = rivals[np.argsort(np.abs(offsets[rivals]))]
+    reason = f"best of {span}"
     if len(rivals) > 1:
-        said = f"nearest to 0 of those that explain the same ({1e3 * tried[rivals[1]]:.4g} ms would do, too)"
+        reason = f"nearest to 0 of those that explain the same ({1e3 * offsets[rivals[1]]:.4g} ms would do, too)"
     chosen = rivals[0]
-    return replace(initial, offset=float(tried[chosen]), gain=float(gains[chosen]), level=level, reason=said)
+    return replace(initial, offset=float(offsets[chosen]), gain=float(gains[chosen]), level=level, reason=reason)
 
 
-def _scan(problem: AlignmentProblem, tried: Array, initial: Alignment, level: float) -> tuple[Array, float, Array]:
+def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: float) -> tuple[Array, float, Array]:
     """chi2 (k,) and gain (k,) at every offset, and chi2 without the sensor."""
     frames = problem.frames
-    white = Whitener(_covariance(problem, float(np.median(tried)), initial.gain or 1.0, level))
+    white = Whitener(_covariance(problem, float(np.median(offsets)), initial.gain or 1.0, level))
     basis = np.linalg.qr(white(_with_drift(problem)))[0]
-    rest = white(frames.z)
-    rest = rest - basis @ (basis.T @ rest)
-    misfit, gains = np.empty(len(tried)), np.empty(len(tried))
-    at, table = frames.t[frames.centre], _table(problem, tried)
-    for part in np.array_split(np.arange(len(tried)), max(len(tried) * len(frames.t) // 2_000_000, 1)):
-        felt = white(np.interp(at[:, None] - tried[part], *table))
-        size = np.sum(felt**2, axis=0)
-        felt -= basis @ (basis.T @ felt)
-        power = np.sum(felt**2, axis=0)
-        gain = np.where(power > 1e-9 * size, rest @ felt / np.maximum(power, 1e-300), 0.0)
-        misfit[part], gains[part] = float(rest @ rest) - gain**2 * power, gain
-    return misfit, float(rest @ rest), gains
+    residual = white(frames.z)
+    residual = residual - basis @ (basis.T @ residual)
+    misfit, gains = np.empty(len(offsets)), np.empty(len(offsets))
+    at, table = frames.t[frames.centre], _table(problem, offsets)
+    for part in np.array_split(np.arange(len(offsets)), max(len(offsets) * len(frames.t) // 2_000_000, 1)):
+        sensed = white(np.interp(at[:, None] - offsets[part], *table))
+        size = np.sum(sensed**2, axis=0)
+        sensed -= basis @ (basis.T @ sensed)
+        power = np.sum(sensed**2, axis=0)
+        gain = np.where(power > 1e-9 * size, residual @ sensed / np.maximum(power, 1e-300), 0.0)
+        misfit[part], gains[part] = float(residual @ residual) - gain**2 * power, gain
+    return misfit, float(residual @ residual), gains
 
 
-def _table(problem: AlignmentProblem, tried: Array) -> tuple[Array, Array]:
+def _table(problem: AlignmentProblem, offsets: Array) -> tuple[Array, Array]:
     """The sensor's differences over three frames on a fine grid of its own clock: times and values."""
     frames, h = problem.frames, problem.frames.interval
-    ends = frames.t[frames.centre[[0, -1]]] - tried[[-1, 0]]
+    ends = frames.t[frames.centre[[0, -1]]] - offsets[[-1, 0]]
     count = int((ends[1] - ends[0]) / (TABLE_STEP * max(h, problem.series.interval))) + 2
     u = np.linspace(ends[0], ends[1], count)
-    before, here, after = (problem.series.integral(u + k * h, 2) for k in (-1.0, 0.0, 1.0))
-    return u, (before - 2.0 * here + after) / h**2
+    before, middle_value, after = (problem.series.integral(u + k * h, 2) for k in (-1.0, 0.0, 1.0))
+    return u, (before - 2.0 * middle_value + after) / h**2
 
 
 def _with_drift(problem: AlignmentProblem) -> Array:
@@ -236,10 +238,10 @@ def _sensor_dominated(problem: AlignmentProblem, initial: Alignment, level: floa
 
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
     """Places of the local minima whose lowest point, by a parabola through three values, is near the lowest of all."""
-    left, here, right = values[:-2], values[1:-1], values[2:]
-    bend = left - 2.0 * here + right
-    lowest = here - (right - left) ** 2 / (8.0 * np.where(bend > 0.0, bend, np.inf))
-    lowest = np.where((here <= left) & (here < right), lowest, np.inf)
+    left, middle_value, right = values[:-2], values[1:-1], values[2:]
+    curvature = left - 2.0 * middle_value + right
+    lowest = middle_value - (right - left) ** 2 / (8.0 * np.where(curvature > 0.0, curvature, np.inf))
+    lowest = np.where((middle_value <= left) & (middle_value < right), lowest, np.inf)
     return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
 
 
@@ -248,27 +250,29 @@ def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: fl
     return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
 
 
-def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, seen: bool = True) -> float:
+def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sensor_included: bool = True) -> float:
     """Variance of the white forces that are in nobody's account, by restricted maximum likelihood; 1 where known."""
     if problem.sigma is not None:
         return 1.0
     frames = problem.frames
     shape = frames.noise(problem.series, alignment.offset)
     columns = [problem.other_regressors]
-    if seen:
+    if sensor_included:
         columns.insert(0, frames.sensor_differences(problem.series, alignment.lag(frames.t)[:, None]))
     regressors = np.concatenate(columns, axis=1)
-    usual = float(np.mean(frames.camera.diagonal()) / np.mean(shape.diagonal()))
+    typical = float(np.mean(frames.camera.diagonal()) / np.mean(shape.diagonal()))
 
     def loss(log_level: float) -> float:
         white = Whitener(frames.camera + float(np.exp(log_level)) * shape)
         q, r = np.linalg.qr(white(regressors))
         z = white(frames.z)
-        rest = z - q @ (q.T @ z)
+        residual = z - q @ (q.T @ z)
         size = np.abs(np.diag(r))
-        return white.logdet + float(rest @ rest) + 2.0 * float(np.sum(np.log(size[size > 1e-12 * np.max(size)])))
+        return (
+            white.logdet + float(residual @ residual) + 2.0 * float(np.sum(np.log(size[size > 1e-12 * np.max(size)])))
+        )
 
-    bounds = np.log(usual) + np.array([-25.0, 10.0])
+    bounds = np.log(typical) + np.array([-25.0, 10.0])
     return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.02}).x))
 
 
@@ -283,35 +287,35 @@ def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True)
 
 
 def _iterate(problem: AlignmentProblem, found: Alignment, free: bool, drift: bool) -> Alignment:
-    widest = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
+    max_step = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
     for _ in range(MAX_ITERATIONS):
         rows = problem.rows(found)
         if np.sum(rows) < MIN_DIFFERENCES or abs(found.rate) > MAX_RATE:
             return _unaligned(problem.frames)
         fitted = fit_alignment(problem.select(rows), found, free, drift)
-        found = _updated(found, fitted, free, drift, widest)
+        found = _updated(found, fitted, free, drift, max_step)
         if not free or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
             break
     kept = problem.select(rows)
     if problem.sigma is None:
         found = replace(found, level=_unmodelled_variance(kept, found))
-    return _updated(found, fit_alignment(kept, found, free, drift), free, drift, widest)
+    return _updated(found, fit_alignment(kept, found, free, drift), free, drift, max_step)
 
 
-def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, widest: float) -> Alignment:
-    spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, max_step: float) -> Alignment:
+    score_spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     theta, k = fitted.theta, 1 + free + (free and drift)
-    step = float(np.clip(theta[1], -widest, widest)) if free else 0.0
+    step = float(np.clip(theta[1], -max_step, max_step)) if free else 0.0
     return replace(
         found,
         offset=found.offset + step,
-        sigma_offset=float(spread[1]) if free else None,
+        sigma_offset=float(score_spread[1]) if free else None,
         rate=found.rate + (float(theta[2]) if k == 3 else 0.0),
-        sigma_rate=float(spread[2]) if k == 3 else None,
+        sigma_rate=float(score_spread[2]) if k == 3 else None,
         gain=float(theta[0]),
-        sigma_gain=float(spread[0]),
+        sigma_gain=float(score_spread[0]),
         bias=float(theta[-1]),
-        sigma_bias=float(spread[-1]),
+        sigma_bias=float(score_spread[-1]),
     )
 
 
@@ -340,8 +344,8 @@ def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, d
     theta = inverse @ ((regressors / size).T @ z) / size
     residual = z - regressors @ theta
     modelled = whiteness_test(regressors, residual)[0] > ALPHA_WHITENESS
-    spread = normal if modelled else _score_covariance(regressors / size, residual)
-    return AlignmentFit(theta, inverse @ spread @ inverse / np.outer(size, size), residual, regressors)
+    score_spread = normal if modelled else _score_covariance(regressors / size, residual)
+    return AlignmentFit(theta, inverse @ score_spread @ inverse / np.outer(size, size), residual, regressors)
 
 
 def whiteness_test(regressors: Array, residual: Array) -> tuple[float, Array]:

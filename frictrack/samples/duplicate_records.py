@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import correlate
 
 from frictrack.records import Array, Displacement
-from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
 MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
 MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold

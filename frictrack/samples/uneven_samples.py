@@ -12,15 +12,15 @@ import numpy as np
 from scipy.stats import t as student
 
 from frictrack.records import Array
-from frictrack.samples.even_clock import speed
-from frictrack.samples.outliers import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
+from frictrack.samples.even_clock import robust_speed
+from frictrack.samples.outlier_search import FOURTH_DIFFERENCE, MEDIAN_TO_SIGMA
 
 ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
 MIN_BINS = 4  # bins of speed that can show a trend
 MIN_SLOPE_SIGMAS = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
 MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
 MIN_SPEED_SPREAD = 1e-6  # relative difference of squared speeds; a smaller one is none
-TINY = np.finfo(float).tiny  # a smaller variance has lost its digits
+SMALLEST_VARIANCE = np.finfo(float).tiny  # a smaller variance has lost its digits
 MIN_REST_SHARE = 0.01  # of the smallest variance of a bin, that a sample at rest has: weights stay finite
 CLIP_SIGMAS, CLIPPED_MEAN_SQUARE = (
     3.0,
@@ -53,12 +53,14 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
 
     """
     squares, size = _bin_by_speed(t, x, slowest)
-    if len(squares) < MIN_BINS or not (np.min(size) > TINY and np.min(squares) > TINY and np.all(np.isfinite(size))):
+    if len(squares) < MIN_BINS or not (
+        np.min(size) > SMALLEST_VARIANCE and np.min(squares) > SMALLEST_VARIANCE and np.all(np.isfinite(size))
+    ):
         return 0.0, 0.0
-    (still, slope), sigma, _ = _fit_line(squares, size)
+    (at_rest, slope), sigma, _ = _fit_line(squares, size)
     if slope <= MIN_SLOPE_SIGMAS * sigma:
         return 0.0, 0.0
-    return float(np.sqrt(slope)), float(np.sqrt(max(still, MIN_REST_SHARE * np.min(size[:, 0]))))
+    return float(np.sqrt(slope)), float(np.sqrt(max(at_rest, MIN_REST_SHARE * np.min(size[:, 0]))))
 
 
 def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
@@ -87,17 +89,17 @@ def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
 
     """
     found = [_bin_by_speed(*record) for record in records]
-    seen = [(squares, size) for squares, size in found if len(squares) and np.min(size) > TINY]
-    if len(seen) < MIN_RECORDS:
+    usable = [(squares, size) for squares, size in found if len(squares) and np.min(size) > SMALLEST_VARIANCE]
+    if len(usable) < MIN_RECORDS:
         return 0.0
-    squares = np.array([np.mean(one) for one, _ in seen])
-    size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in seen])
+    squares = np.array([np.mean(one) for one, _ in usable])
+    size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in usable])
     if np.ptp(squares) <= MIN_SPEED_SPREAD * np.max(squares):
         return 0.0
     (_, slope), sigma, chi2 = _fit_line(squares, size)
-    freedom = len(seen) - 2  # records differ in their noise, too: their scatter counts
-    away = slope / (sigma * max(1.0, np.sqrt(chi2 / freedom)))
-    return float(np.sqrt(slope)) if slope > 0 and student.sf(away, freedom) < ALPHA else 0.0
+    dof = len(usable) - 2  # records differ in their noise, too: their scatter counts
+    t_statistic = slope / (sigma * max(1.0, np.sqrt(chi2 / dof)))
+    return float(np.sqrt(slope)) if slope > 0 and student.sf(t_statistic, dof) < ALPHA else 0.0
 
 
 def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
@@ -105,7 +107,7 @@ def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:
     if len(x) < 5:
         return np.zeros(0), np.zeros((0, 2))
     difference = np.convolve(x, FOURTH_DIFFERENCE, mode="valid") / np.sqrt(70.0)
-    fast = np.abs(speed(t, x))[2:-2]
+    fast = np.abs(robust_speed(t, x))[2:-2]
     whole = np.rint((t[4:] - t[:-4]) / np.median(np.diff(t))) == 4
     rows = np.flatnonzero(whole & (fast > slowest))
     rows = rows[np.argsort(fast[rows])]
