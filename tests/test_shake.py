@@ -93,7 +93,7 @@ def test_small_shake_may_be_left_in():
     reference = a_track(tone(0.02), name="reference", target=(8.0, 9.0, 32.0, 24.0))
     track = a_track(np.arange(N) * 0.3, sigma=0.001)
     assert estimate_shake(reference).detected
-    steady, notes = subtract_shake(track, reference, least=0.02)
+    steady, notes = subtract_shake(track, reference, min_rms=0.02)
     assert steady is track
     assert notes[0].startswith("camera shake of 0.01")  # 0.014 and its error
     assert "is told by the fixed reference [8, 9, 32, 24] and left in" in notes[0]
