@@ -138,8 +138,8 @@ def test_gravity_counts_for_the_mass_but_not_for_scale_and_clock():
 @pytest.mark.parametrize(
     ("rates", "size", "told"),
     [
-        ((("header", 4000, "used"),), None, "not known: that of the header is taken"),
-        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "without time stamps of the camera"),
+        ((("header", 4000, "used"),), None, "not known: that of the header is used"),
+        ((("given", 4000, "used"), ("header", 4000, "agrees")), None, "there are no camera time stamps"),
         ((("given", 4000, "used"), ("header", 30, "speed of showing")), None, "not known: the rate given"),
         ((("header", 4000, "used"), ("stamps", 4000, "agrees")), 5e-5, "header and stamps"),
         ((("given", 4000, "used"), ("header", 3990, "disagrees")), 0.25, "given and header"),
@@ -149,7 +149,7 @@ def test_the_time_base_is_known_as_well_as_independent_rates_agree(rates, size, 
     run, filtered = smoothed(seen())
     row = budget(run, filtered, film=film(*rates)).row("time base")
     assert row.size == pytest.approx(size) if size else (row.size is None and row.mean_N is None)
-    assert told in row.told
+    assert told in row.known_from
 
 
 def test_the_stamps_of_a_container_check_nothing():
@@ -163,8 +163,8 @@ def test_what_is_not_known_stands_without_a_number():
     found = budget(run, filtered)
     for source in ("scale", "mass", "time base"):
         assert found.row(source).frame_N is None
-        assert "every 0.1 % would be" in found.row(source).told
-    assert found.summary()["says"][-1].endswith("nothing is known of them: scale, mass, time base")
+        assert "each 0.1 % would add" in found.row(source).known_from
+    assert found.summary()["says"][-1].endswith("because unknown: scale, mass, time base")
 
 
 # -- faults of the picture ----------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def test_peak_locking_within_its_error_counts_nothing_but_says_how_much_it_may_b
     run, filtered = creeping(40.0 * PITCH)
     row = budget(run, filtered, {"peak_locking_px": 0.004, "peak_locking_std_px": 0.003}).row("peak locking")
     assert (row.size, row.frame_N, row.mean_N) == (0.0, 0.0, 0.0)
-    assert row.told.startswith("none seen; at most 0.01 px, which would be ")
+    assert row.known_from.startswith("none found; at most 0.01 px, which would add ")
 
 
 def test_what_is_left_of_camera_shake_counts():
@@ -257,7 +257,7 @@ def test_finer_pixels_help_as_much_as_is_said():
     coarse, fine = (
         [budget(*smoothed(seen(x, noise=noise, seed=seed))) for seed in range(5)] for noise in (NOISE, NOISE / 2)
     )
-    factor = coarse[0].finer[2.0][0]
+    factor = coarse[0].noise_reduction[2.0][0]
     assert 0.5 < factor < 0.95
     gained = np.linalg.norm([b.frame_N for b in fine]) / np.linalg.norm([b.frame_N for b in coarse])
     assert gained == pytest.approx(factor, rel=0.15)
@@ -396,7 +396,7 @@ def test_friction_tells_the_budget_in_json_and_in_words(study, capsys):
     assert total["mean_N"] == pytest.approx(np.sqrt(sum((p["mean_N"] or 0.0) ** 2 for p in found.values())))
     out = ran(capsys, "friction", str(study))
     assert "v4: error from" in out
-    assert "the mean friction force of" in out
+    assert "mean friction force: " in out
 
 
 def test_the_figure_and_the_table_tell_the_same(study):

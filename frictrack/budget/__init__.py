@@ -1,9 +1,11 @@
-"""Where the error of a run's friction force comes from, in newtons: frame by frame, and of its mean.
+"""Compute the error budget of a run's friction force: of each frame, and of its mean.
 
-Noise averages out in the mean, as its full covariance has it; scale, mass and time base do not. What is not known
-stands in the table without a number: a budget that leaves it out would be no budget.
+Noise averages out in the mean according to its covariance; errors of scale, mass and time base do not. A source whose
+size is not known stays in the table without a number.
 """
 
-from frictrack.budget.error_budget import Budget, Contribution, budget
+from frictrack.budget.budget_summary import Budget
+from frictrack.budget.contributions import Contribution
+from frictrack.budget.error_budget import budget
 
 __all__ = ["Budget", "Contribution", "budget"]

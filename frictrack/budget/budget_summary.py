@@ -1,143 +1,215 @@
-"""The budget in words: what counts most, and what would halve it."""
+"""The error budget of one run, with its summary in sentences: the largest sources, and what would halve the error."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from frictrack.budget.error_budget import Budget, Contribution
+from frictrack.budget.contributions import (
+    DRIVE,
+    DRIVE_CLOCK,
+    FILTER,
+    LOCKING,
+    MASS,
+    NOISE,
+    SCALE,
+    SHAKE,
+    TIME,
+    Contribution,
+)
+from frictrack.number_format import format_number, format_plus_minus
 
-MOSTLY = 0.5  # share of a variance
-HARDLY = 0.95  # of the total is left: not worth doing
-RATE = 2.0**0.5  # noise less by this is as good as twice the frames
-SMOOTHED = ("pixel noise", "filter")
-PICTURED = ("peak locking", "camera shake")  # known in pixels: they go with the size of one
+MIN_REMAINING_SHARE = 0.95  # of an error: a step that leaves more is not worth taking
+NOISE_FACTOR_TWICE_FRAMES = 2.0**0.5  # twice the frames average the noise as much as noise lower by this factor
+FILTERED_SOURCES = (NOISE, FILTER)  # what the smoother trades against each other
+PIXEL_SOURCES = (LOCKING, SHAKE)  # known in pixels, so they scale with the pixel pitch
 
 
-def sentences(found: Budget) -> Iterator[str]:
-    """What the mean and a frame are worth, mostly because of what, what would halve it, and what is not known."""
-    if not found.mean_N or not found.frame_N:
-        yield "nothing is known of the errors of this run"
+@dataclass(frozen=True)
+class Budget:
+    """Error budget of the friction force of one run.
+
+    Parameters
+    ----------
+    run
+        Name of the run.
+    force_N
+        Mean of the resisting force over the free section, N.
+    rows
+        All sources of error.
+    noise_reduction
+        By factor of noise reduction: the factors on the frame and the mean error from noise and filter.
+
+    """
+
+    run: str
+    force_N: float
+    rows: tuple[Contribution, ...]
+    noise_reduction: dict[float, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def frame_N(self) -> float:
+        """Standard deviation of the friction force of one frame, rms over the free section, N."""
+        return _root_sum_square(row.frame_N for row in self.rows)
+
+    @property
+    def mean_N(self) -> float:
+        """Standard deviation of the mean friction force, N."""
+        return _root_sum_square(row.mean_N for row in self.rows)
+
+    def row(self, source: str) -> Contribution | None:
+        """Find the row of a source.
+
+        Parameters
+        ----------
+        source
+            Name of the source, such as "scale".
+
+        Returns
+        -------
+        Contribution or None
+            None if the budget has no such source.
+
+        """
+        return next((row for row in self.rows if row.source == source), None)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON: rows with their shares of both variances, the total last, and sentences."""
+        total = Contribution("total", None, "", "", self.frame_N, self.mean_N, "")
+        return {
+            "force_N": self.force_N,
+            "rows": [row.summary() | self._shares(row) for row in (*self.rows, total)],
+            "says": list(_sentences(self)),
+        }
+
+    def _shares(self, row: Contribution) -> dict[str, float | None]:
+        parts = (("frame", row.frame_N, self.frame_N), ("mean", row.mean_N, self.mean_N))
+        return {f"share_{k}": None if part is None or not total else (part / total) ** 2 for k, part, total in parts}
+
+
+def _root_sum_square(parts: Iterable[float | None]) -> float:
+    """Root of the sum of squares of the parts that are known."""
+    return float(np.sqrt(sum(p**2 for p in parts if p is not None)))
+
+
+def _sentences(budget: Budget) -> Iterator[str]:
+    """Errors of mean and frame with their largest source, what would halve them, and what is not known."""
+    if not budget.mean_N or not budget.frame_N:
+        yield "no error of this run is known"
         return
-    share = f", {100 * found.mean_N / abs(found.force_N):.2g} %," if found.force_N else ""
-    mean = _newtons(found.force_N, found.mean_N)
+    share = f" ({100 * budget.mean_N / abs(budget.force_N):.2g} %)" if budget.force_N else ""
     yield (
-        f"the mean friction force of {mean} N is known to {_few(found.mean_N)} N{share} "
-        f"{_mostly(found, 'mean_N')}; a single frame to {_few(found.frame_N)} N, {_mostly(found, 'frame_N')}"
+        f"mean friction force: {format_plus_minus(budget.force_N, budget.mean_N)} N{share}, "
+        f"{_largest_source(budget, 'mean_N')}; standard deviation of a single frame: "
+        f"{format_number(budget.frame_N, 2)} N, {_largest_source(budget, 'frame_N')}"
     )
-    if found.finer:
-        yield _halved(found)
-        yield _faster(found)
-    unknown = [row.source for row in found.rows if row.frame_N is None]
+    if budget.noise_reduction:
+        yield _how_to_halve(budget)
+        yield _effect_of_better_camera(budget)
+    unknown = [row.source for row in budget.rows if row.frame_N is None]
     if unknown:
-        yield f"not counted, because nothing is known of {'it' if len(unknown) == 1 else 'them'}: {', '.join(unknown)}"
+        yield f"not counted because unknown: {', '.join(unknown)}"
 
 
-def _newtons(force: float, sigma: float) -> str:
-    """A force to the second digit of its deviation."""
-    return f"{force:.{max(0, 1 - int(np.floor(np.log10(sigma))))}f}"
+def _largest_source(budget: Budget, key: str) -> str:
+    """Name the largest contribution to the mean or to a frame, with its share of the variance."""
+    row = max(budget.rows, key=lambda r: getattr(r, key) or 0.0)
+    share = (getattr(row, key) / getattr(budget, key)) ** 2
+    return f"largest source {_source_text(row.source)} ({100 * share:.0f} %)"
 
 
-def _few(value: float) -> str:
-    """Two digits, without an exponent where that reads."""
-    return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
-
-
-def _mostly(found: Budget, key: str) -> str:
-    """The largest contribution to the mean or to a frame."""
-    row = max(found.rows, key=lambda r: getattr(r, key) or 0.0)
-    share = (getattr(row, key) / getattr(found, key)) ** 2
-    return f"{'mostly' if share > MOSTLY else 'first of all'} because of {_the(row.source)} ({100 * share:.0f} %)"
-
-
-def _the(source: str) -> str:
+def _source_text(source: str) -> str:
     """A source as part of a sentence."""
-    plain = {"filter": "signal lost in the filter", "pixel noise": "pixel noise", "peak locking": "peak locking"}
-    return plain.get(source, f"the {source}")
+    without_article = {FILTER: "signal lost in the filter", NOISE: NOISE, LOCKING: LOCKING}
+    return without_article.get(source, f"the {source}")
 
 
-def _halved(found: Budget) -> str:
-    """What would halve the error of the mean."""
-    ways = list(_ways(found))
-    if ways:
-        return f"half the error of the mean would take {' or '.join(ways)}"
-    first, second, *_ = sorted(found.rows, key=lambda row: -(row.mean_N or 0.0))
+def _how_to_halve(budget: Budget) -> str:
+    """Say which single step would halve the error of the mean."""
+    steps = list(_halving_steps(budget))
+    if steps:
+        return f"to halve the error of the mean: {' or '.join(steps)}"
+    first, second, *_ = sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0))
     if not second.mean_N:
-        return f"even {max(found.finer):.0f} times the pixels per mm would not halve the error of the mean"
+        return f"even {max(budget.noise_reduction):.0f} times the pixels per mm would not halve the error of the mean"
     return (
-        f"no single step would halve the error of the mean: {_the(first.source)} and {_the(second.source)} both count"
+        "no single step would halve the error of the mean: "
+        f"{_source_text(first.source)} and {_source_text(second.source)} both count"
     )
 
 
-def _ways(found: Budget) -> Iterator[str]:
-    """Single steps that would do."""
-    half = found.mean_N / 2.0
-    for row in sorted(found.rows, key=lambda row: -(row.mean_N or 0.0)):
-        rest = _rest(found, "mean_N", row.source)
-        if row.mean_N and row.source in HOW and rest < half:
-            yield HOW[row.source](row, row.mean_N / float(np.sqrt(half**2 - rest**2)))
-    enough = [times for times in sorted(found.finer) if times > RATE and _with(found, times)[1] <= half]
-    if enough:
-        yield f"{enough[0]:.0f} times the pixels per mm"
+def _halving_steps(budget: Budget) -> Iterator[str]:
+    """Single steps that would halve the error of the mean, largest source first."""
+    half = budget.mean_N / 2.0
+    for row in sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0)):
+        others = _error_without(budget, "mean_N", row.source)
+        if row.mean_N and row.source in IMPROVEMENTS and others < half:
+            yield IMPROVEMENTS[row.source](row, row.mean_N / float(np.sqrt(half**2 - others**2)))
+    for times in sorted(budget.noise_reduction):
+        if times > NOISE_FACTOR_TWICE_FRAMES and _errors_after(budget, times)[1] <= half:
+            yield f"{times:.0f} times the pixels per mm"
+            return
 
 
-def _faster(found: Budget) -> str:
-    """What twice the frame rate would do, and twice the pixels."""
-    steps = (("twice the frame rate (at the same noise of a frame)", RATE), ("twice the pixels per mm", 2.0))
-    after = {what: _with(found, times) for what, times in steps}
-    if all(_hardly(found, left) for left in after.values()):
+def _effect_of_better_camera(budget: Budget) -> str:
+    """Say what twice the frame rate, and twice the pixels per mm, would do."""
+    steps = (
+        ("twice the frame rate (at the same noise per frame)", NOISE_FACTOR_TWICE_FRAMES),
+        ("twice the pixels per mm", 2.0),
+    )
+    after = {what: _errors_after(budget, times) for what, times in steps}
+    if all(_is_no_help(budget, errors) for errors in after.values()):
         return "neither a higher frame rate nor more pixels per mm would help"
     return "; ".join(
         f"{what} would not help"
-        if _hardly(found, (frame, mean))
-        else f"{what} would leave {_few(mean)} N in the mean and {_few(frame)} N in a frame"
+        if _is_no_help(budget, (frame, mean))
+        else f"{what} would leave {format_number(mean, 2)} N in the mean and {format_number(frame, 2)} N in a frame"
         for what, (frame, mean) in after.items()
     )
 
 
-def _hardly(found: Budget, left: tuple[float, float]) -> bool:
-    return left[0] > HARDLY * found.frame_N and left[1] > HARDLY * found.mean_N
+def _is_no_help(budget: Budget, errors: tuple[float, float]) -> bool:
+    return errors[0] > MIN_REMAINING_SHARE * budget.frame_N and errors[1] > MIN_REMAINING_SHARE * budget.mean_N
 
 
-def _with(found: Budget, times: float) -> tuple[float, float]:
-    """Errors of a frame and of the mean, N, with so many times the pixels per mm; `RATE`: twice the frames."""
-    frame, mean = found.finer[times]
-    factors = {"frame_N": frame, "mean_N": mean}
-    fewer = 1.0 if times == RATE else 1.0 / times
-    left = [
+def _errors_after(budget: Budget, times: float) -> tuple[float, float]:
+    """Errors of a frame and of the mean, N, with `times` the pixels per mm, or with twice the frame rate."""
+    frame, mean = budget.noise_reduction[times]
+    pixel_factor = 1.0 if times == NOISE_FACTOR_TWICE_FRAMES else 1.0 / times
+    errors = [
         np.sqrt(
-            (factor * _part(found, key, SMOOTHED)) ** 2
-            + (fewer * _part(found, key, PICTURED)) ** 2
-            + _rest(found, key, *SMOOTHED, *PICTURED) ** 2
+            (factor * _error_from(budget, key, FILTERED_SOURCES)) ** 2
+            + (pixel_factor * _error_from(budget, key, PIXEL_SOURCES)) ** 2
+            + _error_without(budget, key, *FILTERED_SOURCES, *PIXEL_SOURCES) ** 2
         )
-        for key, factor in factors.items()
+        for key, factor in (("frame_N", frame), ("mean_N", mean))
     ]
-    return float(left[0]), float(left[1])
+    return float(errors[0]), float(errors[1])
 
 
-def _part(found: Budget, key: str, sources: tuple[str, ...]) -> float:
-    """Some sources together."""
-    return _rest(found, key, *(row.source for row in found.rows if row.source not in sources))
+def _error_from(budget: Budget, key: str, sources: tuple[str, ...]) -> float:
+    """Error from some sources together."""
+    return _error_without(budget, key, *(row.source for row in budget.rows if row.source not in sources))
 
 
-def _rest(found: Budget, key: str, *without: str) -> float:
-    """All but some sources together."""
-    return float(np.sqrt(sum((getattr(r, key) or 0.0) ** 2 for r in found.rows if r.source not in without)))
+def _error_without(budget: Budget, key: str, *sources: str) -> float:
+    """Error from all sources but some."""
+    return float(np.sqrt(sum((getattr(r, key) or 0.0) ** 2 for r in budget.rows if r.source not in sources)))
 
 
 def _times(factor: float) -> str:
     return f"{factor:.2g} times"
 
 
-HOW: dict[str, Callable[[Contribution, float], str]] = {
-    "scale": lambda row, f: f"a ruler {_times(f)} as long (the scale known to {(row.size or 0.0) / f:.2g} %)",
-    "mass": lambda row, f: f"weighing to {(row.size or 0.0) / f:.2g} g",
-    "time base": lambda row, f: f"a frame rate known to {(row.size or 0.0) / f:.2g} %",
-    "drive sensor": lambda row, f: f"a drive sensor {_times(f)} quieter",
-    "drive clock": lambda row, f: f"the drive's clock known to {(row.size or 0.0) / f:.2g} ms",
-    "camera shake": lambda row, f: f"a steadier camera, or a fixed reference that is seen {_times(f)} better",
-    "peak locking": lambda row, f: f"peak locking {_times(f)} smaller (a coarser pattern on the target)",
-}
+IMPROVEMENTS: dict[str, Callable[[Contribution, float], str]] = {
+    SCALE: lambda row, f: f"a ruler {_times(f)} as long (the scale known to {(row.size or 0.0) / f:.2g} %)",
+    MASS: lambda row, f: f"weighing to {(row.size or 0.0) / f:.2g} g",
+    TIME: lambda row, f: f"a frame rate known to {(row.size or 0.0) / f:.2g} %",
+    DRIVE: lambda row, f: f"a drive sensor {_times(f)} quieter",
+    DRIVE_CLOCK: lambda row, f: f"the drive's clock known to {(row.size or 0.0) / f:.2g} ms",
+    SHAKE: lambda row, f: f"a steadier camera, or a fixed reference that is seen {_times(f)} better",
+    LOCKING: lambda row, f: f"peak locking {_times(f)} smaller (a coarser pattern on the target)",
+}  # by source: the improvement by a factor f

@@ -1,16 +1,30 @@
-"""The rows of the budget, their sum, and how it would shrink."""
+"""Compute the contribution of every source of error to the friction force of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.budget.budget_summary import RATE, sentences
-from frictrack.budget.filter_response import Response
-from frictrack.budget.frame_rate import rate_error
+from frictrack.budget.budget_summary import NOISE_FACTOR_TWICE_FRAMES, Budget
+from frictrack.budget.contributions import (
+    ALL_FRAMES,
+    ALL_RUNS,
+    DRIVE,
+    DRIVE_CLOCK,
+    FILTER,
+    LOCKING,
+    MASS,
+    NOISE,
+    SCALE,
+    SENSOR,
+    SHAKE,
+    TIME,
+    Contribution,
+)
+from frictrack.budget.filter_response import FilterResponse
+from frictrack.budget.frame_rate import frame_rate_error
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
 from frictrack.motion import noise_level
@@ -19,70 +33,8 @@ from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 if TYPE_CHECKING:
     from frictrack.results import Film
 
-SURE = 3.0  # standard deviations from which on peak locking is taken to be there
-NOISE, FILTER, SCALE, MASS, TIME = "pixel noise", "filter", "scale", "mass", "time base"
-LOCKING, SHAKE, DRIVE, DRIVE_CLOCK, SENSOR = "peak locking", "camera shake", "drive sensor", "drive clock", "load cell"
-EACH, RUN, ALL = "each frame", "all frames", "all runs"  # what an error is common to
-FINER = (RATE, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # times less noise that are tried
-
-
-@dataclass(frozen=True)
-class Contribution:
-    """One source of error: its size and where that is known from, its effect on the friction force in N.
-
-    `frame_N` is the rms over the free section, `mean_N` the effect on the mean force over it; None where the size is
-    not known. `common` tells what shares one and the same error: a frame, all frames of the run, or all runs.
-    """
-
-    source: str
-    size: float | None
-    unit: str
-    told: str
-    frame_N: float | None
-    mean_N: float | None
-    common: str = EACH
-
-
-@dataclass(frozen=True)
-class Budget:
-    """All sources of one run, the mean friction force they act on, and what is to be said of them."""
-
-    run: str
-    force_N: float  # mean of the resisting force over the free section
-    rows: tuple[Contribution, ...]
-    finer: dict[float, tuple[float, float]] = field(default_factory=dict)  # times less noise -> factors on both effects
-
-    @property
-    def frame_N(self) -> float:
-        """Standard deviation of the friction force of one frame, rms over the free section."""
-        return root(row.frame_N for row in self.rows)
-
-    @property
-    def mean_N(self) -> float:
-        """Standard deviation of the mean friction force."""
-        return root(row.mean_N for row in self.rows)
-
-    def row(self, source: str) -> Contribution | None:
-        """The row of a source."""
-        return next((row for row in self.rows if row.source == source), None)
-
-    def summary(self) -> dict[str, Any]:
-        """As JSON: rows with their shares of both variances, the total last; `says` in words."""
-        total = Contribution("total", None, "", "", self.frame_N, self.mean_N, "")
-        return {
-            "force_N": self.force_N,
-            "rows": [asdict(row) | self._shares(row) for row in (*self.rows, total)],
-            "says": list(sentences(self)),
-        }
-
-    def _shares(self, row: Contribution) -> dict[str, float | None]:
-        both = (("frame", row.frame_N, self.frame_N), ("mean", row.mean_N, self.mean_N))
-        return {f"share_{k}": None if part is None or not all_ else (part / all_) ** 2 for k, part, all_ in both}
-
-
-def root(parts: Any) -> float:
-    """Root of the sum of squares of those that are known."""
-    return float(np.sqrt(sum(p**2 for p in parts if p is not None)))
+MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
+NOISE_FACTORS = (NOISE_FACTOR_TWICE_FRAMES, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # noise reductions that are tried
 
 
 def budget(
@@ -92,12 +44,35 @@ def budget(
     film: Film | None = None,
     clocks: Mapping[str, Any] | None = None,
 ) -> Budget:
-    """Every known error of the friction force of a run, in newtons.
+    """Compute the error budget of a run's friction force.
 
-    `filtered` is what the run's motion was derived from; `quality` is what a film says of its own measurement (peak
-    locking, camera shake) and `film` its time base; `clocks` how sensors were aligned. Without them those sources
-    stand as not known, or are left out where there is no camera.
-    Raises FrictrackError for a run without a mass and without measured friction, and where nothing is free.
+    Parameters
+    ----------
+    run
+        The run, with a mass or with measured friction.
+    filtered
+        The low-passed displacement from which its motion was derived.
+    quality
+        Self-checks of the film: peak locking and camera shake. Without them these sources are left out.
+    film
+        The film, for its time base; None for a table.
+    clocks
+        Alignment of the sensors' clocks.
+
+    Returns
+    -------
+    Budget
+        Every source with its effect in N; sources of unknown size have no number.
+
+    Raises
+    ------
+    FrictrackError
+        If the run has neither a mass nor measured friction, or no free frames.
+
+    Notes
+    -----
+    Sources are independent and add in quadrature (JCGM 100:2008, GUM, section 5.1).
+
     """
     if run.mass is None and run.friction_N is None:
         raise FrictrackError(f'run "{run.name}": expected a mass for an error budget but got none; weigh the slider')
@@ -109,28 +84,28 @@ def budget(
     mean = float(weights @ result.F)
     if run.friction_N is not None:
         return Budget(run.name, mean, (_cell(result.sigma_F, free),))
-    made = _Sources(run, free, weights)
-    response = Response(filtered, run.motion)
+    errors = _RunErrors(run, free, weights)
+    response = FilterResponse(filtered, run.motion)
     rows = (
-        *made.smoothed(response, film is not None),
-        made.scale(),
-        made.weighed(),
-        made.timed(film),
-        *made.pictured(response, quality),
-        *made.driven((clocks or {}).get("drive", {})),
+        *errors.noise_and_filter(response, film is not None),
+        errors.scale(),
+        errors.mass_error(),
+        errors.time_base(film),
+        *errors.picture_errors(response, quality),
+        *errors.drive_errors((clocks or {}).get("drive", {})),
     )
-    return Budget(run.name, mean, rows, {k: response.finer(weights, k) for k in FINER})
+    return Budget(run.name, mean, rows, {k: response.noise_reduction(weights, k) for k in NOISE_FACTORS})
 
 
 def _cell(sigma: Array, free: Mask) -> Contribution:
-    """A load cell that measured friction itself: nothing else counts."""
+    """Error of a load cell that measured friction itself; nothing else counts."""
     level = float(np.sqrt(np.mean(sigma[free] ** 2)))
-    told = "white noise of the record, from its fifth differences; its zero and sensitivity are not known"
-    return Contribution(SENSOR, level, "N", told, level, level / float(np.sqrt(np.sum(free))))
+    known_from = "white noise of the record, from its fifth differences; zero and sensitivity are not known"
+    return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
 
 
-class _Sources:
-    """The effect of every source on one run."""
+class _RunErrors:
+    """Effect of every source of error on one run."""
 
     def __init__(self, run: Run, free: Mask, weights: Array) -> None:
         assert run.mass is not None
@@ -138,109 +113,117 @@ class _Sources:
         self.inertia = run.mass * run.motion.a
 
     def effect(self, rows: Array) -> tuple[float, float]:
-        """Rms over the free section and mean of forces (n,) that belong to one and the same error."""
+        """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
         return float(np.sqrt(np.mean(rows[self.free] ** 2))), abs(float(self.weights @ rows))
 
-    def smoothed(self, response: Response, filmed: bool) -> list[Contribution]:
-        """Noise that the smoother lets through, and signal that it takes away."""
-        passed = response.passed(self.weights)
-        lost = response.lost(self.weights, passed)
-        told = "by maximum likelihood along with the smoother" + ("; jitter of the clock is in it" if filmed else "")
-        if response.sensed:
-            told += "; that of the accelerometer is in the effect"
-        frame, frame_lost = (self.mass * float(np.sqrt(np.mean(s.rows[self.free] ** 2))) for s in (passed, lost))
-        how = f"taken away by the smoother ({self.run.motion.cutoff:.3g} Hz as a plain low-pass), as the record shows"
+    def noise_and_filter(self, response: FilterResponse, filmed: bool) -> list[Contribution]:
+        """Noise that the smoother transmits, and signal that it removes."""
+        noise = response.transmitted_noise(self.weights)
+        lost = response.lost_signal(self.weights, noise)
+        known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
+        if response.has_accelerometer:
+            known_from += "; the effect includes accelerometer noise"
+        frame, frame_lost = (self.mass * float(np.sqrt(np.mean(s.rows[self.free] ** 2))) for s in (noise, lost))
+        how = (
+            f"removed by the smoother (equivalent low-pass {self.run.motion.cutoff:.3g} Hz), estimated from the record"
+        )
         return [
-            Contribution(NOISE, 1e6 * response.noise, "um", told, frame, self.mass * passed.total),
+            Contribution(NOISE, 1e6 * response.noise, "um", known_from, frame, self.mass * noise.total),
             Contribution(FILTER, _rms(lost.rows[self.free]), "m/s^2", how, frame_lost, self.mass * lost.total),
         ]
 
     def scale(self) -> Contribution:
-        """Common to all frames, and to all runs of one camera."""
+        """Error of the scale, common to all runs of one camera."""
         relative = self.run.displacement.relative_scale_error
         if relative == 0.0:
-            return Contribution(SCALE, None, "%", f"not given; {self._each(self.inertia)}", None, None, ALL)
-        told = "standard deviation of the calibrated length of the path"
-        return Contribution(SCALE, 100 * relative, "%", told, *self.effect(relative * self.inertia), ALL)
+            return Contribution(
+                SCALE, None, "%", f"not given; {self._effect_of_permille(self.inertia)}", None, None, ALL_RUNS
+            )
+        known_from = "standard deviation of the calibrated length of the path"
+        return Contribution(SCALE, 100 * relative, "%", known_from, *self.effect(relative * self.inertia), ALL_RUNS)
 
-    def weighed(self) -> Contribution:
-        """Common to all frames, and to all runs with this slider."""
+    def mass_error(self) -> Contribution:
+        """Error of the mass, common to all runs with this slider."""
         sigma = self.run.sigma_mass
-        pull = self.run.motion.a + GRAVITY * np.sin(self.run.incline)
+        acceleration = self.run.motion.a + GRAVITY * np.sin(self.run.incline)
         if sigma == 0.0:
-            told = f"not given; {self._each(self.mass * pull)}"
-            return Contribution(MASS, None, "g", told, None, None, ALL)
-        return Contribution(MASS, 1e3 * sigma, "g", "as given in the study", *self.effect(sigma * pull), ALL)
+            known_from = f"not given; {self._effect_of_permille(self.mass * acceleration)}"
+            return Contribution(MASS, None, "g", known_from, None, None, ALL_RUNS)
+        return Contribution(
+            MASS, 1e3 * sigma, "g", "as given in the study", *self.effect(sigma * acceleration), ALL_RUNS
+        )
 
-    def timed(self, film: Film | None) -> Contribution:
-        """Acceleration goes with the square of the frame rate."""
-        error, told = rate_error(film)
+    def time_base(self, film: Film | None) -> Contribution:
+        """Error of the frame rate; acceleration goes with its square."""
+        error, known_from = frame_rate_error(film)
         if error is None:
-            return Contribution(TIME, None, "%", f"{told}; {self._each(2 * self.inertia)}", None, None, ALL)
-        return Contribution(TIME, 100 * error, "%", told, *self.effect(2 * error * self.inertia), ALL)
+            return Contribution(
+                TIME, None, "%", f"{known_from}; {self._effect_of_permille(2 * self.inertia)}", None, None, ALL_RUNS
+            )
+        return Contribution(TIME, 100 * error, "%", known_from, *self.effect(2 * error * self.inertia), ALL_RUNS)
 
-    def _each(self, rows: Array) -> str:
-        """What 0.1 % would do to the mean."""
-        return f"every 0.1 % would be {1e-3 * self.effect(rows)[1]:.2g} N"
+    def _effect_of_permille(self, rows: Array) -> str:
+        """Say what an error of 0.1 % would add to the mean."""
+        return f"each 0.1 % would add {1e-3 * self.effect(rows)[1]:.2g} N"
 
-    def pictured(self, response: Response, quality: Mapping[str, Any] | None) -> list[Contribution]:
-        """Peak locking and camera shake: faults of the picture that are no noise."""
+    def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
+        """Peak locking and camera shake: systematic errors of the picture."""
         pitch = self.run.pixel_pitch
         if not quality or pitch is None:
             return []
-        return [self._locking(response, quality, pitch), *self._shake(response, quality, pitch)]
+        return [self._peak_locking(response, quality, pitch), *self._camera_shake(response, quality, pitch)]
 
-    def _locking(self, response: Response, quality: Mapping[str, Any], pitch: float) -> Contribution:
+    def _peak_locking(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> Contribution:
         size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
         if size is None or error is None:
-            return Contribution(LOCKING, None, "px", "could not be told from this track", None, None, RUN)
-        frame, mean = self._wave(response, 2 * np.pi * response.filtered.x / pitch, pitch)  # of one px
-        if size < SURE * error:
-            most = size + 2 * error
-            told = (
-                f"none seen; at most {most:.2g} px, which would be {most * frame:.2g} N in a frame and "
-                f"{most * mean:.2g} N in the mean"
+            return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.filtered.x / pitch, pitch)  # of one px
+        if size < MIN_SIGMAS_LOCKING * error:
+            largest = size + 2 * error
+            known_from = (
+                f"none found; at most {largest:.2g} px, which would add {largest * frame:.2g} N in a frame and "
+                f"{largest * mean:.2g} N in the mean"
             )
-            return Contribution(LOCKING, 0.0, "px", told, 0.0, 0.0, RUN)
+            return Contribution(LOCKING, 0.0, "px", known_from, 0.0, 0.0, ALL_FRAMES)
         true = float(np.sqrt(size**2 - error**2))
         return Contribution(
-            LOCKING, true, "px", f"amplitude, measured to {error:.2g} px", true * frame, true * mean, RUN
+            LOCKING, true, "px", f"amplitude, measured to {error:.2g} px", true * frame, true * mean, ALL_FRAMES
         )
 
-    def _shake(self, response: Response, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
-        """What is left of a shake: the error of what was subtracted, or all of it where it was left in."""
-        left, frequency = quality.get("shake_left_px"), quality.get("shake_Hz")
-        if not left or not frequency:
+    def _camera_shake(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
+        """What is left of a camera shake: the error of what was subtracted, or all of it if nothing was."""
+        remaining, frequency = quality.get("shake_left_px"), quality.get("shake_Hz")
+        if not remaining or not frequency:
             return []
-        frame, mean = self._wave(response, 2 * np.pi * frequency * self.run.motion.t, pitch)
-        rms = float(np.sqrt(2.0)) * left
-        told = f"{quality.get('shake_left_told', 'left in')}, at {frequency:.0f} Hz"
-        return [Contribution(SHAKE, left, "px", told, rms * frame, rms * mean, RUN)]
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * frequency * self.run.motion.t, pitch)
+        rms = float(np.sqrt(2.0)) * remaining
+        known_from = f"{quality.get('shake_left_told', 'not removed')}, at {frequency:.0f} Hz"
+        return [Contribution(SHAKE, remaining, "px", known_from, rms * frame, rms * mean, ALL_FRAMES)]
 
-    def _wave(self, response: Response, angle: Array, size: float) -> tuple[float, float]:
-        """Effects of a displacement of amplitude `size` (m) with the angle (n,), whatever its phase, N."""
-        feigned = response.of(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-        both = [self.effect(self.mass * column) for column in feigned.T]
-        frame, mean = np.sqrt(np.mean(np.square(both), axis=0))
+    def _effect_of_wave(self, response: FilterResponse, angle: Array, size: float) -> tuple[float, float]:
+        """Effects of a displacement of amplitude `size` (m) with phase angle (n,), averaged over the phase, N."""
+        apparent = response.of(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        effects = [self.effect(self.mass * column) for column in apparent.T]
+        frame, mean = np.sqrt(np.mean(np.square(effects), axis=0))
         return float(frame), float(mean)
 
-    def driven(self, clock: Mapping[str, Any]) -> list[Contribution]:
+    def drive_errors(self, clock: Mapping[str, Any]) -> list[Contribution]:
         """White noise of a measured drive, and the uncertainty of its clock."""
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
         level = float(np.nan_to_num(noise_level(drive, np.isfinite(drive))[0]))
         n, t = float(np.sum(self.free)), self.run.motion.t
-        told = "white noise of the record, from its fifth differences"
-        rows = [Contribution(DRIVE, level, "N", told, level, level / float(np.sqrt(n)))]
-        late = clock.get("sigma_offset_s")
-        if late:
+        known_from = "white noise of the record, from its fifth differences"
+        rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
+        offset_std = clock.get("sigma_offset_s")
+        if offset_std:
             slope = np.gradient(drive, t)
-            ragged = level / (float(np.median(np.diff(t))) * np.sqrt(2.0))  # what noise alone makes of a slope
-            frame, mean = self.effect(late * slope)
-            frame = float(np.sqrt(max(frame**2 - (late * ragged) ** 2, 0.0)))
-            told = "of the offset between the drive's clock and the camera's"
-            rows.append(Contribution(DRIVE_CLOCK, 1e3 * late, "ms", told, frame, mean, RUN))
+            noise_slope = level / (float(np.median(np.diff(t))) * np.sqrt(2.0))  # what noise alone makes of a slope
+            frame, mean = self.effect(offset_std * slope)
+            frame = float(np.sqrt(max(frame**2 - (offset_std * noise_slope) ** 2, 0.0)))
+            known_from = "of the offset between the drive's clock and the camera's"
+            rows.append(Contribution(DRIVE_CLOCK, 1e3 * offset_std, "ms", known_from, frame, mean, ALL_FRAMES))
         return rows
 
 

@@ -1,4 +1,4 @@
-"""What a low-pass makes, in the acceleration, of noise and of faults of the displacement: frames and their mean."""
+"""Compute what the low-pass makes of noise and of systematic displacement errors in the acceleration."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from frictrack.motion.structure import Structure
 from frictrack.motion.system import FactoredSmoother
 from frictrack.records import Array, Filtered, Motion
 
-CHUNK = 256  # columns at once
+CHUNK_COLUMNS = 256  # columns at once
 
 
 @dataclass(frozen=True)
-class Spread:
-    """Standard deviations of the acceleration, m/s^2: of every row (n,), and of a weighted sum of the rows."""
+class AccelerationError:
+    """Standard deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum of the frames."""
 
     rows: Array
     total: float
 
 
-class Response:
-    """The low-pass and the differences after it, as one linear map from the displacement to the acceleration."""
+class FilterResponse:
+    """The low-pass and its derivatives as one linear map from displacement to acceleration."""
 
     def __init__(self, filtered: Filtered, motion: Motion) -> None:
         self.filtered, self.motion = filtered, motion
@@ -41,63 +41,112 @@ class Response:
         return self._noise
 
     @property
-    def sensed(self) -> bool:
-        """Whether an accelerometer was taken in."""
+    def has_accelerometer(self) -> bool:
+        """Whether an accelerometer was used in the smoother."""
         return self._derived.worth is not None
 
-    def of(self, ghost: Array) -> Array:
-        """Accelerations (n, k), m/s^2, that displacements (n, k), m, would feign."""
-        return np.asarray(self._derived.feigned(ghost)[2])
+    def of(self, displacement: Array) -> Array:
+        """Acceleration that a displacement error appears to be.
 
-    def passed(self, weights: Array) -> Spread:
-        """Noise of the frames that comes through, and what it does to the sum with some weights (n,)."""
+        Parameters
+        ----------
+        displacement
+            Displacement errors, m, (n, k).
+
+        Returns
+        -------
+        ndarray, shape (n, k)
+            Apparent accelerations, m/s^2.
+
+        """
+        return np.asarray(self._derived.feigned(displacement)[2])
+
+    def transmitted_noise(self, weights: Array) -> AccelerationError:
+        """Frame noise that the low-pass transmits.
+
+        Parameters
+        ----------
+        weights
+            Weights of the frames in the sum, (n,).
+
+        Returns
+        -------
+        AccelerationError
+
+        """
         if self._method is not None:
-            return self._passed_by(self._method, weights)
+            return self._transmitted_by_method(self._method, weights)
         start, table = self._stencils
         rows = np.sqrt(self._derived.factor.passed(start, table)[0])[self._grid.frames]
-        answer = self._derived.factor.posterior_covariance_times(self._combined(weights))
-        heard = float(np.sum(self._derived.factor.data.whitened(answer) * answer))
+        smoothed = self._derived.factor.posterior_covariance_times(self._position_weights(weights))
+        variance = float(np.sum(self._derived.factor.data.whitened(smoothed) * smoothed))
         if self._derived.worth is not None:
-            heard += float(np.sum(self._derived.worth * np.diff(answer, 2) ** 2))
-        return Spread(self._noise * rows, self._noise * float(np.sqrt(heard)))
+            variance += float(np.sum(self._derived.worth * np.diff(smoothed, 2) ** 2))
+        return AccelerationError(self._noise * rows, self._noise * float(np.sqrt(variance)))
 
-    def lost(self, weights: Array, passed: Spread) -> Spread:
-        """Signal that is taken away, and in structural smoothing the error of the frequencies of lines."""
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - passed.rows**2 - self.motion.shake_a**2, 0.0))
+    def lost_signal(self, weights: Array, transmitted_noise: AccelerationError) -> AccelerationError:
+        """Signal that the low-pass removes; with a structural smoother also the error of the line frequencies.
+
+        Parameters
+        ----------
+        weights
+            Weights of the frames in the sum, (n,).
+        transmitted_noise
+            The transmitted frame noise.
+
+        Returns
+        -------
+        AccelerationError
+
+        """
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
         if self._method is None:
-            both = self.both(weights)
-            return Spread(rows, float(np.sqrt(max(both**2 - passed.total**2, 0.0))))
+            total_error = self.total_error(weights)
+            return AccelerationError(rows, float(np.sqrt(max(total_error**2 - transmitted_noise.total**2, 0.0))))
         measured = np.nan_to_num(np.asarray(self.filtered.x_measured))
-        taken = self.of(np.stack([measured, self.filtered.x], axis=1))
-        return Spread(rows, abs(float(weights @ (taken[:, 0] - taken[:, 1]))))
+        accelerations = self.of(np.stack([measured, self.filtered.x], axis=1))
+        return AccelerationError(rows, abs(float(weights @ (accelerations[:, 0] - accelerations[:, 1]))))
 
-    def both(self, weights: Array) -> float:
-        """Noise and lost signal of a structural smoother together, in the sum with some weights (n,)."""
-        return self._noise * float(np.sqrt(self._unit(self._derived.factor, weights * self._scale)))
+    def total_error(self, weights: Array) -> float:
+        """Noise and lost signal of a structural smoother together, in the weighted sum, m/s^2."""
+        return self._noise * float(np.sqrt(self._unit_variance(self._derived.factor, weights * self._scale)))
 
-    def finer(self, weights: Array, times: float) -> tuple[float, float]:
-        """Factors on sigma_a (rms where weights are not zero) and on that of the sum, were the noise `times` less.
+    def noise_reduction(self, weights: Array, times: float) -> tuple[float, float]:
+        """Factors on both errors if the noise were lower by a factor.
 
-        The signal stays what it is, so that the smoother would let more of it pass: errors fall by less than noise.
+        The signal stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
+
+        Parameters
+        ----------
+        weights
+            Weights of the frames in the sum, (n,).
+        times
+            Factor by which the noise is lower.
+
+        Returns
+        -------
+        tuple of float
+            Factor on sigma_a (rms where weights are not zero), and on the error of the sum.
+
         """
         if self._structure is None:
             return 1.0 / times, 1.0 / times
-        softer = self._derived.factor_smoother(_softened(self._structure, 2.0 * np.log(times)))
+        smoother = self._derived.factor_smoother(_with_less_noise(self._structure, 2.0 * np.log(times)))
         inside = weights != 0
-        now, then = (self._variances(f)[inside] for f in (self._derived.factor, softer))
-        use = weights * self._scale
-        sums = self._unit(softer, use) / self._unit(self._derived.factor, use)
+        now, then = (self._variances(f)[inside] for f in (self._derived.factor, smoother))
+        scaled = weights * self._scale
+        sums = self._unit_variance(smoother, scaled) / self._unit_variance(self._derived.factor, scaled)
         return float(np.sqrt(np.mean(then) / np.mean(now))) / times, float(np.sqrt(sums)) / times
 
-    def _unit(self, factor: FactoredSmoother, weights: Array) -> float:
-        """Variance of a sum for unit noise."""
-        combined = self._combined(weights)
+    def _unit_variance(self, factor: FactoredSmoother, weights: Array) -> float:
+        """Variance of a weighted sum for unit noise."""
+        combined = self._position_weights(weights)
         found = float(combined @ factor.posterior_covariance_times(combined))
-        return found + sum(float(weights @ turned) ** 2 for turned in self._turned)
+        return found + sum(float(weights @ change) ** 2 for change in self._line_changes)
 
     @cached_property
-    def _turned(self) -> list[Array]:
-        """Change of a (n,) by one standard deviation of the frequency of each line, for unit noise."""
+    def _line_changes(self) -> list[Array]:
+        """Change of the acceleration (n,) by one standard deviation of each line frequency, for unit noise."""
         x = self._grid.to_frames(self.filtered.x) / self._noise
         return [
             change[2, self._grid.frames]
@@ -106,7 +155,7 @@ class Response:
 
     @cached_property
     def _scale(self) -> Array:
-        """Deviations that are stated over those of the posterior (n,)."""
+        """Stated standard deviations over those of the posterior, (n,)."""
         return np.asarray(
             self._derived.deviations()[2] / (self._noise * np.sqrt(self._variances(self._derived.factor)))
         )
@@ -114,33 +163,33 @@ class Response:
     def _variances(self, factor: FactoredSmoother) -> Array:
         start, table = self._stencils
         found = factor.variances(start, table)[0][self._grid.frames]
-        return np.asarray(found + sum(turned**2 for turned in self._turned))
+        return np.asarray(found + sum(change**2 for change in self._line_changes))
 
     @cached_property
     def _stencils(self) -> tuple[np.ndarray, Array]:
-        """Of the second derivative, on the grid."""
+        """Stencils of the second derivative on the grid."""
         start, table = stencils(self._grid.n, self._grid.interval)
         return start, table[2:]
 
-    def _combined(self, weights: Array) -> Array:
-        """Weights on smoothed positions (N,) that give a sum of accelerations."""
+    def _position_weights(self, weights: Array) -> Array:
+        """Weights (N,) on smoothed positions that give a weighted sum of accelerations."""
         start, table = self._stencils
         out, frames = np.zeros(self._grid.n), self._grid.frames
         np.add.at(out, start[frames][:, None] + np.arange(STENCIL_FRAMES), table[0, frames] * weights[:, None])
         return out
 
-    def _passed_by(self, method: FilterMethod, weights: Array) -> Spread:
-        """The same of another method, frame by frame."""
+    def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:
+        """Transmitted noise of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
         for made, sigma in self._derived.columns(method):
             second = made[2, self._grid.frames] * sigma
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))
-        return Spread(np.sqrt(rows), float(np.sqrt(total)))
+        return AccelerationError(np.sqrt(rows), float(np.sqrt(total)))
 
 
-def _softened(s: Structure, by: float) -> Structure:
-    """The same signal's structure beside less noise."""
+def _with_less_noise(s: Structure, by: float) -> Structure:
+    """The structure of the same signal with the logarithm of the noise variance lower by `by`."""
     return replace(
         s,
         stiffness=tuple(v - by for v in s.stiffness),

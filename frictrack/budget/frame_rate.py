@@ -1,4 +1,4 @@
-"""How well the frame rate is known: as well as the rates that a recording is told by agree."""
+"""Estimate the error of the frame rate from the differences between independent statements of it."""
 
 from __future__ import annotations
 
@@ -7,29 +7,47 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from frictrack.results import Film
 
-RATE = "frame rate, "
-SHOWING = "speed of showing"
+RATE_PREFIX = "frame rate, "
+PLAYBACK = "speed of showing"
 STAMPS = "stamps"
-DIGITS = 5e-7  # to which the audit writes rates
-OF = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
+MIN_RELATIVE_ERROR = 5e-7  # rounding of the rates in the audit
+RATE_TEXTS = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
 
 
-def rate_error(film: Film | None) -> tuple[float | None, str]:
-    """Relative error of the frame rate, None where nothing is known of it, and in words where it is known from.
+def frame_rate_error(film: Film | None) -> tuple[float | None, str]:
+    """Relative error of the frame rate.
 
-    Of a table nothing is known. Of a film the rates given by the user, by the header and by the time stamps are held
-    against the one that is used; the largest difference counts. A header and a user who agree without time stamps of
-    the camera prove nothing: both tell what it was set to, and a container's stamps repeat its header.
+    The rates given by the user, by the header and by the time stamps are compared with the one that is used; the
+    largest difference counts. Agreement of user and header without camera time stamps proves nothing: both state the setting,
+    and a container's stamps repeat its header.
+
+    Parameters
+    ----------
+    film
+        The film; None for a table.
+
+    Returns
+    -------
+    error : float or None
+        Relative error; None if not known.
+    known_from : str
+        How it is known, or why not.
+
+    Examples
+    --------
+    >>> frame_rate_error(None)
+    (None, "not known: the table's times are used as given")
+
     """
     if film is None:
-        return None, "not known: the table's times are taken as they stand"
+        return None, "not known: the table's times are used as given"
     rates = {
-        name.removeprefix(RATE): float(value.split()[0])
+        name.removeprefix(RATE_PREFIX): float(value.split()[0])
         for name, value, verdict in film.audit
-        if name.startswith(RATE) and verdict != SHOWING
+        if name.startswith(RATE_PREFIX) and verdict != PLAYBACK
     }
     error = max((abs(rate / film.fps - 1.0) for rate in rates.values()), default=0.0)
-    if error < DIGITS and not (film.clocked and STAMPS in rates and len(rates) > 1):
-        used = next((OF.get(name, name) for name in rates), "the frame rate")
-        return None, f"not known: {used} is taken as it stands, without time stamps of the camera to check it by"
-    return max(error, DIGITS), f"difference of the frame rates ({' and '.join(rates)})"
+    if error < MIN_RELATIVE_ERROR and not (film.clocked and STAMPS in rates and len(rates) > 1):
+        used = next((RATE_TEXTS.get(name, name) for name in rates), "the frame rate")
+        return None, f"not known: {used} is used as given; there are no camera time stamps to check it"
+    return max(error, MIN_RELATIVE_ERROR), f"difference of the frame rates ({' and '.join(rates)})"
