@@ -20,7 +20,7 @@ from frictrack.models import Model
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import GRAVITY as G
 from frictrack.records import Displacement, Run
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 FPS = 4000.0
 MASS = 0.35

@@ -29,8 +29,8 @@ from frictrack.fit.stepwise import (
     try_effect,
 )
 from frictrack.friction import free_section
-from frictrack.simulate.rows import Rows
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
+from frictrack.simulate.dynamics import EdgeResponse
 
 LAW = ["coulomb", "stribeck", "viscous"]
 SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.06), Spec(-4.0, 1, 0.06))
@@ -56,7 +56,7 @@ class TestRows:
     @pytest.mark.parametrize(("frequency", "accuracy"), [(20.0, 1e-5), (100.0, 1e-4), (400.0, 3e-3)])
     def test_a_force_moves_the_mass_as_the_exact_response_says(self, complete, frequency, accuracy):
         response = complete.responses[1]
-        panels, many = response.linear.panels, Rows(response.linear)
+        panels, many = response.linear.panels, EdgeResponse(response.linear)
         exact = response.linear.respond(np.sin(2 * np.pi * frequency * panels.t + 0.4)[:, None], np.zeros((2, 1)))[1]
         x = many(np.sin(2 * np.pi * frequency * panels.edges + 0.4)[None])[0]
         starts = many.starts.T
@@ -65,7 +65,7 @@ class TestRows:
 
     def test_where_sums_would_lose_digits_the_panels_are_chained(self, complete):
         response = complete.responses[0]
-        many = Rows(response.linear)
+        many = EdgeResponse(response.linear)
         g = np.cos(3e2 * response.linear.panels.edges)[None]
         swift = many(g)
         many.stiff = True

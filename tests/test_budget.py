@@ -23,7 +23,8 @@ from frictrack.motion.filter import Smoother
 from frictrack.records import Displacement, Run
 from frictrack.report import budgets
 from frictrack.results import Film, RunResults
-from frictrack.simulate import scene
+from frictrack.simulate.scene import read_scene
+from frictrack.simulate.scene import study_writer as scene
 from frictrack.tracking import track
 
 FPS, MASS, PITCH, NOISE = 4000.0, 0.35, 5e-4, 10e-6
@@ -330,10 +331,10 @@ def filmed(seed):
     """Mean squares of the z-scores of x, v, a, F (4,) in a slide that was filmed and tracked, z of its mean force."""
     rng = np.random.default_rng([seed, 7])
     v = rng.uniform(3.0, 5.5)
-    made = scene.read_scene(SCENE.format(v=v, n=min(200, int(670 / v))))
+    made = read_scene(SCENE.format(v=v, n=min(200, int(670 / v))))
     camera = scene._camera(made, made.runs[0])
-    true = scene.slide_of(made, made.runs[0], camera, 1.0)
-    pictures = list(scene._frames(made, made.runs[0], camera, true, rng))
+    true = scene.true_trajectory(made, made.runs[0], camera, 1.0)
+    pictures = list(scene._render_frames(made, made.runs[0], camera, true, rng))
     k = int(np.sum(true.x / camera.scale < camera.width - 50))
     corner = np.rint([true.x[0] / camera.scale - 44.5, camera.height / 2 - 4 - 27.5])
     displacement = calibrate(

@@ -297,7 +297,7 @@ def test_the_demo_tells_the_whole_story(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sample study and the diagnosis stand in; adding, history and the words are real."""
-    scene = ModuleType("frictrack.simulate.scene")
+    scene = ModuleType("frictrack.simulate.scene.scene_file")
 
     def sample_study(folder: Path) -> None:
         shutil.copytree(here, folder, ignore=shutil.ignore_patterns("frictrack_demo"))

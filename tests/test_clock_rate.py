@@ -20,7 +20,7 @@ from frictrack.fit.segments.pieces import pieces_of
 from frictrack.flow.contradictions import withhold_verdict
 from frictrack.friction import free_section
 from frictrack.plausibility import Finding
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 CLOCK = LIBRARY["clock_rate"]
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}

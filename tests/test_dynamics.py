@@ -11,14 +11,14 @@ from frictrack.effects import Path
 from frictrack.effects.memory import headings
 from frictrack.effects.presliding import bending
 from frictrack.errors import FrictrackError
-from frictrack.simulate.dynamics import Linear, Panels, solve
+from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 
 NM = 1e-9
 
 
 def solved(law, edges, start):
     panels = Panels(np.asarray(edges))
-    return solve(law, panels, start, np.zeros(len(panels.t)))
+    return solve_motion(law, panels, start, np.zeros(len(panels.t)))
 
 
 def frames(duration=0.1, fps=FPS):
@@ -84,13 +84,13 @@ def test_linear_response_is_the_derivative_of_the_motion():
 
         return acceleration
 
-    motion, linear = solve(law(0.2), panels, (0.1, 3.0), np.zeros(len(nodes)))
+    motion, linear = solve_motion(law(0.2), panels, (0.1, 3.0), np.zeros(len(nodes)))
     g = (np.sin(300 * nodes) * motion.v)[:, None]
     nodes_by_c, by_c = linear.respond(g, np.zeros((2, 1)))
     _, by_start = linear.respond(np.zeros((len(nodes), 2)), np.eye(2))
 
     def difference(step, c=0.0, x=0.0, v=0.0):
-        ends = [solve(law(0.2 + k * c), panels, (0.1 + k * x, 3.0 + k * v), motion.a)[0] for k in (step, -step)]
+        ends = [solve_motion(law(0.2 + k * c), panels, (0.1 + k * x, 3.0 + k * v), motion.a)[0] for k in (step, -step)]
         return [(getattr(ends[0], name) - getattr(ends[1], name)) / (2 * step) for name in ("x_edge", "v_edge", "a")]
 
     for column, truth in (
@@ -107,7 +107,7 @@ def test_linear_response_is_the_derivative_of_the_motion():
 
 def test_linear_response_of_a_free_mass_is_exact():
     panels = Panels(np.array([0.0, 0.1, 0.25, 0.3]))
-    free = Linear(panels, np.zeros(9), np.zeros(9))
+    free = LinearResponse(panels, np.zeros(9), np.zeros(9))
     _, edges = free.respond(np.column_stack([np.ones(9), panels.t]), np.zeros((2, 2)))
     np.testing.assert_allclose(edges[:, 0, 0], panels.edges**2 / 2, atol=1e-15)
     np.testing.assert_allclose(edges[:, 0, 1], panels.edges**3 / 6, atol=1e-15)
@@ -135,7 +135,7 @@ def bristle(x, v, t, length=1e-4):
 def test_a_law_with_memory_is_followed_through_reversals():
     t = frames(0.15)
     panels = Panels(t)
-    motion, _ = solve(bristle, panels, (0.0, 0.0), np.zeros(len(panels.t)), memory=True)
+    motion, _ = solve_motion(bristle, panels, (0.0, 0.0), np.zeros(len(panels.t)), memory=True)
 
     def rate(t, z):
         push = 4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * z[2] - z[1]
@@ -154,13 +154,15 @@ def test_the_response_with_memory_is_the_derivative_of_the_motion():
     def law(c):
         return lambda x, v, t: bristle(x, v, t) + c * np.cos(150 * t)
 
-    motion, response = solve(law(0.0), panels, (1e-4, 0.01), np.zeros(len(panels.t)), memory=True)
+    motion, response = solve_motion(law(0.0), panels, (1e-4, 0.01), np.zeros(len(panels.t)), memory=True)
     g = np.cos(150 * panels.t)[:, None]
     _, by_c = response.respond(g, np.zeros((2, 1)))
     _, by_start = response.respond(np.zeros((len(g), 2)), np.eye(2))
 
     def moved(c, x, v):
-        ends = [solve(law(k * c), panels, (1e-4 + k * x, 0.01 + k * v), motion.a, memory=True)[0] for k in (1, -1)]
+        ends = [
+            solve_motion(law(k * c), panels, (1e-4 + k * x, 0.01 + k * v), motion.a, memory=True)[0] for k in (1, -1)
+        ]
         return (ends[0].x_edge - ends[1].x_edge) / (2 * max(c, x, v))
 
     for made, truth in (
@@ -174,7 +176,7 @@ def test_the_response_with_memory_is_the_derivative_of_the_motion():
 def test_a_stiff_contact_that_sticks_first_is_followed_stretch_after_stretch():
     panels = Panels(frames(0.1))
     far_off = np.full(len(panels.t), 30.0)
-    motion, _ = solve(lambda x, v, t: bristle(x, v, t, 1e-5), panels, (0.0, 0.0), far_off, memory=True)
+    motion, _ = solve_motion(lambda x, v, t: bristle(x, v, t, 1e-5), panels, (0.0, 0.0), far_off, memory=True)
     stuck = panels.edges < 3e-3  # until the drive overcomes friction the contact only bends
     assert np.max(np.abs(motion.x_edge[stuck])) < 2e-5
     assert np.ptp(motion.x_edge) > 5e-4

@@ -44,7 +44,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import GRAVITY
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 from frictrack.store import GroupContent
 
 SPAN = Span(duration=0.15, x_min=-0.02, x_max=0.6, v_min=0.05, v_max=6.0, fps=4000.0)
@@ -301,7 +301,7 @@ def test_columns_agree_with_the_simulator(name, speed):
     """N and m to 1e-9 of the largest: columns at the frames, the simulator's own, and the law written out again."""
     values, known, slide, _ = sliding(name, speed, 240)
     t, x, v, s = slide.t, slide.x, slide.v, np.sign(speed)
-    model, path = models.of(values), Conditions(MASS, pixel_pitch=PITCH, **known).along(x, v, t, s)
+    model, path = models.of(values), Conditions(MASS, pixel_pitch=PITCH, **known).path(x, v, t, s)
     law = force(values, x, v, t, s, Slider(slid=np.abs(x - x[0]), turns=turned(slide, values)))
     close = {"rtol": 0, "atol": 1e-9 * np.max(np.abs(law))}
     np.testing.assert_allclose(slide.F, law, **close)

@@ -16,7 +16,7 @@ from frictrack.fit import fit, restore, state
 from frictrack.fit.least_squares import heldout_rms, refine
 from frictrack.records import Displacement, Motion
 from frictrack.results import plain
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 NEVER_SLOW = (Spec(7.0, 1, 0.05), Spec(8.0, 1, 0.05))
 SLOWS_TO_A_STOP = (Spec(2.2, 1, 0.09),)

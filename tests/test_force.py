@@ -15,7 +15,7 @@ from frictrack.fit.global_search import population_misfit, search_bounds, search
 from frictrack.fit.segments.acceleration_chain import acceleration_chain
 from frictrack.fit.separable import PopulationMisfit, displacement_block
 from frictrack.motion import differentiate, low_pass
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 NOISE = 10e-6
 TRUTH = {"coulomb.F_c": 8.0, "stribeck.F_s": 14.0, "stribeck.v_s": 0.4, "viscous.F_v": 1.2}

@@ -13,7 +13,7 @@ from frictrack import models
 from frictrack.compare import compare
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.simulate.slide import Conditions, Start, followed, is_smooth, simulate
+from frictrack.simulate import Conditions, Start, is_smooth_at_rest, simulate, simulate_displacement
 
 FS = 750.0
 M, C, K, ALPHA, GAMMA, RATIO = 2.0, 10.0, 5e4, 5e4, 800.0, -1.375  # Noel & Schoukens 2016: the published oscillator
@@ -55,11 +55,11 @@ def test_a_free_run_of_hysteresis_is_the_motion_that_scipy_integrates():
     t = np.arange(1500) / FS
     x, v, z = oscillator(t)
     conditions = Conditions(M, drive=push)
-    assert is_smooth(LAW, BOUC_WEN, conditions)
-    made = followed(LAW, BOUC_WEN, conditions, t, Start(0.0, 0.0), 1e-8)
+    assert is_smooth_at_rest(LAW, BOUC_WEN, conditions)
+    made = simulate_displacement(LAW, BOUC_WEN, conditions, t, Start(0.0, 0.0), 1e-8)
     assert np.max(np.abs(made - x)) < 2e-8  # of 1.5 mm
     late = Start(x[500], v[500], {"bouc_wen": np.array([[z[500] / ALPHA]])})
-    made = followed(LAW, BOUC_WEN, conditions, t[500:], late, 1e-8)
+    made = simulate_displacement(LAW, BOUC_WEN, conditions, t[500:], late, 1e-8)
     assert np.max(np.abs(made - x[500:])) < 2e-8
 
 
@@ -74,7 +74,7 @@ def test_a_free_run_of_hysteresis_is_the_motion_that_scipy_integrates():
     ids=["dry", "lag", "presliding", "texture"],
 )
 def test_what_leaps_at_rest_is_told_from_what_does_not(values, smooth):
-    assert is_smooth(models.of(list(values)), values, Conditions(MASS)) is smooth
+    assert is_smooth_at_rest(models.of(list(values)), values, Conditions(MASS)) is smooth
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_a_long_motion_sticks_and_reverses_as_the_exact_one_does(more):
     conditions = Conditions(MASS, drive=lambda t: 22 * np.sin(2 * np.pi * 20 * t))
     exact = simulate(law, values, conditions, t, (0.0, 0.0))
     assert np.sum(np.abs(np.diff(np.sign(exact.v))) > 0) >= 3
-    made = followed(law, values, conditions, t, Start(0.0, 0.0), 1e-8)
+    made = simulate_displacement(law, values, conditions, t, Start(0.0, 0.0), 1e-8)
     assert np.max(np.abs(made - exact.x)) < 1e-8 + 1e-5 * np.max(np.abs(exact.x))
 
 
@@ -130,7 +130,7 @@ def test_without_a_drive_the_free_run_is_the_simulation_from_the_release():
 def test_forty_thousand_frames_are_followed_in_seconds():
     t = np.arange(40_000) / FS
     begin = time.process_time()
-    made = followed(LAW, BOUC_WEN, Conditions(M, drive=push), t, Start(0.0, 0.0), 1e-6)
+    made = simulate_displacement(LAW, BOUC_WEN, Conditions(M, drive=push), t, Start(0.0, 0.0), 1e-6)
     assert time.process_time() - begin < 60  # 10 s on a processor of 2024
     n = 3000
     np.testing.assert_allclose(made[:n], oscillator(t[:n])[0], atol=1e-6)

@@ -196,7 +196,7 @@ def test_a_compressed_film_is_decoded_once(tmp_path, monkeypatch):
     filmed(tmp_path)
     text = (tmp_path / "study.toml").read_text()
     (tmp_path / "study.toml").write_text(text.replace("v3.tif", "v3.avi"))
-    from frictrack.simulate.film import write_film  # noqa: PLC0415
+    from frictrack.simulate.rendering import write_film  # noqa: PLC0415
 
     write_film(tifffile.imread(tmp_path / "v3.tif"), tmp_path / "v3.avi", 4000)
     passes = []

@@ -18,7 +18,7 @@ from frictrack.fit.segments import reference_of
 from frictrack.fit.segments.pieces import pieces_of
 from frictrack.friction import free_section
 from frictrack.records import Displacement, Motion, Run
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 NM = 1e-9
 LENGTH, LAG, RATE = 3e-5, 3e-3, 2 * np.pi * 7

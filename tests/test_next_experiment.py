@@ -38,7 +38,7 @@ from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
 from frictrack.report import next_experiments
 from frictrack.results import plain
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 LAW = ["coulomb", "viscous"]
 SIGMA = 1e-5

@@ -30,7 +30,7 @@ from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default
 from frictrack.plan.experiment_setup import COULOMB_DECELERATION, DEFAULT_NOISE_PX
 from frictrack.plan.traces import simulate_runs
 from frictrack.results import plain
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 BARE = '[study]\nname = "before"\nmass = "0.35 kg"\n[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
 LAW = ["coulomb", "stribeck", "viscous"]

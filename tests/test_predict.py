@@ -9,7 +9,7 @@ import pytest
 from runs import BASE, FPS, MASS, SIX, measured, study, with_hidden
 
 from frictrack.fit import fit
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 SIGMA = 1e-6
 LINE = {"amplitude": 0.8, "frequency": 61.3}

@@ -11,11 +11,18 @@ import pytest
 import tifffile
 
 from frictrack.errors import FrictrackError
-from frictrack.simulate.camera import Camera, Oscillation, speckle_bound
-from frictrack.simulate.film import write_film
-from frictrack.simulate.foreground import Highlight, Rod
-from frictrack.simulate.render import Target, render, render_clean
-from frictrack.simulate.texture import Series, Surface
+from frictrack.simulate.rendering import (
+    Camera,
+    Highlight,
+    Oscillation,
+    Rod,
+    Target,
+    cramer_rao_shift_std,
+    render,
+    render_clean,
+    write_film,
+)
+from frictrack.simulate.rendering.surface import FourierSurface, Surface
 
 SNAP = Camera(width=64, height=48, exposure=0.0)
 SMALL = Target(24, 18, Surface(size=3.0), course=False)
@@ -29,7 +36,7 @@ def still(x: float, y: float, angle: float | None = None, camera: Camera = SNAP,
     return frame
 
 
-def value(series: Series, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def value(series: FourierSurface, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The series term by term, at points of any shape."""
     total = np.zeros(u.shape)
     for j, q_y in enumerate(series.q_y):
@@ -109,7 +116,7 @@ def test_shift_of_periodic_frames_is_exact() -> None:
     rng = np.random.default_rng(3)
 
     def picture(x: float, y: float) -> np.ndarray:
-        return series.cells((np.arange(65) - 0.5 - x)[None], (np.arange(49) - 0.5 - y)[None], np.ones(1))
+        return series.integrate_cells((np.arange(65) - 0.5 - x)[None], (np.arange(49) - 0.5 - y)[None], np.ones(1))
 
     for x, y in rng.uniform(-0.5, 0.5, (20, 2)):
         found = phase_shift(picture(0, 0), picture(x, y))
@@ -306,10 +313,10 @@ def test_bound_is_what_least_squares_reaches() -> None:
     frame = still(30.3, 20.4)[13:28, 20:41]
     step = 1e-3
     slope = (still(30.3 - step, 20.4) - still(30.3 + step, 20.4))[13:28, 20:41] / (2 * step)
-    assert speckle_bound(frame, 0.01) == pytest.approx(0.01 / np.sqrt(np.sum(slope**2)), rel=0.01)
+    assert cramer_rao_shift_std(frame, 0.01) == pytest.approx(0.01 / np.sqrt(np.sum(slope**2)), rel=0.01)
     noise = np.random.default_rng(0).normal(0, 0.01, (4000, *frame.shape))
     shifts = np.sum(noise * slope, axis=(1, 2)) / np.sum(slope**2)
-    assert speckle_bound(frame, 0.01) == pytest.approx(shifts.std(), rel=0.04)
+    assert cramer_rao_shift_std(frame, 0.01) == pytest.approx(shifts.std(), rel=0.04)
 
 
 # ---- films

@@ -23,7 +23,7 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.linearised import candidate_grids, linearise
 from frictrack.fit.measured_friction import keep_compared_frames, weight_by_noise
 from frictrack.fit.stepwise.growth import _trial_min_fall
-from frictrack.simulate.panels import _inverse
+from frictrack.simulate.dynamics.linear_response import _invert_3x3
 
 MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]
 
@@ -97,10 +97,10 @@ def test_few_rows_hold_all_of_a_linear_answer(slide):
 
 def test_matrices_of_panels_are_inverted():
     a = np.eye(3) + 0.3 * np.random.default_rng(2).standard_normal((50, 3, 3))
-    np.testing.assert_allclose(_inverse(a) @ a, np.broadcast_to(np.eye(3), a.shape), atol=1e-10)
+    np.testing.assert_allclose(_invert_3x3(a) @ a, np.broadcast_to(np.eye(3), a.shape), atol=1e-10)
     a[7] = 0.0
     with pytest.raises(FrictrackError, match="the linear system is singular"):
-        _inverse(a)
+        _invert_3x3(a)
 
 
 def test_waves_are_traced_some_at_a_time(slide):

@@ -9,7 +9,7 @@ from runs import BASE, FPS, HIDDEN, MASS, PITCH, SHIFTS, Slider, integrate, pict
 from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.records import GRAVITY
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 NM = 1e-9
 COULOMB = {"coulomb": {"F_c": 2.0}}

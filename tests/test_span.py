@@ -14,7 +14,7 @@ from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.motion import KnownAcceleration, trade
 from frictrack.records import Displacement
-from frictrack.simulate.film import write_film
+from frictrack.simulate.rendering import write_film
 
 N, FPS = 90, 1000.0
 T = np.arange(N) / FPS

@@ -13,7 +13,7 @@ from frictrack import models
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.simulate.slide import Conditions, simulate
+from frictrack.simulate import Conditions, simulate
 
 LAW = {
     "coulomb": {"F_c": 8.0},

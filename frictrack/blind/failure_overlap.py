@@ -10,7 +10,7 @@ import numpy as np
 from frictrack.blind.ideal_detector import MIN_SPEED
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.records import Array, Mask
-from frictrack.simulate.slide import Slide
+from frictrack.simulate import Trajectory
 
 ACTING_SIGMAS = 2.0  # standard deviations on either side over which a patch or a blow acts
 LOCAL_EFFECTS = ("patch", "collision")
@@ -37,7 +37,7 @@ def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapp
     return 2 * n_both / max(n_reported + n_true, 1)
 
 
-def acting(name: str, run: RunTruth, slide: Slide, low_pass_half_width: float) -> Mask:
+def acting(name: str, run: RunTruth, slide: Trajectory, low_pass_half_width: float) -> Mask:
     """Frames in which a patch or a blow acts on a run that moves."""
     own = run.values.get(name)
     if own is None:

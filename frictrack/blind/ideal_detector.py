@@ -23,8 +23,8 @@ from frictrack.blind.truth import EffectValues, RunTruth, Truth
 from frictrack.effects import Effect, Path
 from frictrack.models import Model
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics import Panels, Response, solve
-from frictrack.simulate.slide import Slide
+from frictrack.simulate import Trajectory
+from frictrack.simulate.dynamics import MotionResponse, Panels, solve_motion
 
 ALPHA = 0.005  # of the candidates' half of a diagnosis
 N_CANDIDATES = 25  # effects that are tried, each of which gets the same part of alpha
@@ -73,11 +73,11 @@ class _LinearisedRun:
     """
 
     truth: RunTruth
-    slide: Slide
+    slide: Trajectory
     moving: Mask
     path: Path  # at the nodes
     at_frames: Path
-    linear: Response
+    linear: MotionResponse
     mass: float
     sensitivity: Array
 
@@ -90,7 +90,7 @@ class IdealDetector:
         self._runs = [_linearise_run(base_study, run) for run in base_study.runs]
 
     @property
-    def slides(self) -> list[Slide]:
+    def slides(self) -> list[Trajectory]:
         """The motions without what is hidden."""
         return [linearised.slide for linearised in self._runs]
 
@@ -138,7 +138,7 @@ class IdealDetector:
                 out.append((self.linear_trace(effect, moved) - trace) / step)
         return np.column_stack(out)
 
-    def sensitivities(self, effect: Effect, values: list[EffectValues]) -> list[tuple[Slide, Mask, Array, Array]]:
+    def sensitivities(self, effect: Effect, values: list[EffectValues]) -> list[tuple[Trajectory, Mask, Array, Array]]:
         """Of every run: motion, frames in which it moves (m of them), answers of x to start (2), law and level, effect.
 
         The answers (m, 2 + P + 1) and (m,) are in m per unit.
@@ -228,7 +228,7 @@ def _with_step(own: EffectValues, effect: str, name: str, step: float) -> Effect
     return {effect: own[effect] | {name: own[effect][name] + step}}
 
 
-def _moving_frames(slide: Slide) -> Mask:
+def _moving_frames(slide: Trajectory) -> Mask:
     """Frames of the one stretch in which a run moves."""
     rows = np.flatnonzero(np.abs(slide.v) > MIN_SPEED)
     out: Mask = np.zeros(len(slide.t), dtype=bool)
@@ -246,17 +246,17 @@ def _linearise_run(truth: Truth, run: RunTruth) -> _LinearisedRun:
     push = conditions.drive or np.zeros_like
 
     def law(x: Array, v: Array, t: Array) -> Array:
-        return (push(t) - base.force(conditions.along(x, v, t, s), truth.law)) / conditions.mass
+        return (push(t) - base.force(conditions.path(x, v, t, s), truth.law)) / conditions.mass
 
     panels = Panels(t)
-    motion, linear = solve(law, panels, (float(x[0]), float(v[0])), np.interp(panels.t, slide.t, slide.a))
-    path = conditions.along(motion.x, motion.v, panels.t, s)
+    motion, linear = solve_motion(law, panels, (float(x[0]), float(v[0])), np.interp(panels.t, slide.t, slide.a))
+    path = conditions.path(motion.x, motion.v, panels.t, s)
     inputs = np.column_stack([*_force_sensitivities(base, truth.law, path)]) / -conditions.mass
     start = np.zeros((2, inputs.shape[1] + 2))
     start[0, 0] = start[1, 1] = 1.0
     _, edges = linear.respond(np.column_stack([np.zeros((len(inputs), 2)), inputs]), start)
     return _LinearisedRun(
-        run, slide, moving, path, conditions.along(x, v, t, s), linear, conditions.mass, edges[:, 0, :]
+        run, slide, moving, path, conditions.path(x, v, t, s), linear, conditions.mass, edges[:, 0, :]
     )
 
 

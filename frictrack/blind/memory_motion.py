@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from frictrack.errors import FrictrackError
 from frictrack.models import Model, Values
 from frictrack.records import Array
-from frictrack.simulate.slide import Conditions, Slide, shift
+from frictrack.simulate import Conditions, Trajectory, image_shift
 
 RTOL, ATOL = 1e-10, 1e-12
 Law = Callable[[float, float, float], tuple[float, float]]  # x, v, t -> dry friction (size) and the rest, N
@@ -25,7 +25,7 @@ Law = Callable[[float, float, float], tuple[float, float]]  # x, v, t -> dry fri
 
 def simulate_memory(
     model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]
-) -> Slide:
+) -> Trajectory:
     """The motion from rest (or in motion) at start = (x m, v m/s) through the frame times t (n,), s.
 
     One effect of the model has a memory: friction_lag or presliding. Raises FrictrackError where it does not move.
@@ -59,8 +59,8 @@ def simulate_memory(
         y[:, stopped[0] :] = y[:, stopped[:1]]
         y[1, stopped[0] :] = 0.0
     force = np.array([friction(float(at), state) for at, state in zip(t, y.T, strict=True)])
-    image_shift = shift(model, values, conditions.along(y[0], y[1], t, s))
-    return Slide(t, y[0], y[1], (push(t) - force) / conditions.mass, force, image_shift)
+    shift = image_shift(model, values, conditions.path(y[0], y[1], t, s))
+    return Trajectory(t, y[0], y[1], (push(t) - force) / conditions.mass, force, shift)
 
 
 def _departure_time(t: Array, excess: Callable[[Array], Array]) -> float:
@@ -78,7 +78,7 @@ def _friction_parts(model: Model, values: Values, conditions: Conditions, s: flo
     """Size of the dry friction and all other force, at one moment."""
 
     def at(x: float, v: float, t: float) -> tuple[float, float]:
-        path = conditions.along(np.array([x]), np.array([v]), np.array([t]), s)
+        path = conditions.path(np.array([x]), np.array([v]), np.array([t]), s)
         forces = {
             name: float((block @ model.coefficients(name, values))[0])
             for name, block in model.force_columns(path, values).items()

@@ -9,11 +9,8 @@ from scipy.interpolate import CubicSpline
 
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.records import Array
-from frictrack.simulate.camera import Camera, Oscillation
-from frictrack.simulate.film import write_film
-from frictrack.simulate.render import Target, render
-from frictrack.simulate.slide import Slide
-from frictrack.simulate.texture import Surface
+from frictrack.simulate import Trajectory
+from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film
 
 FILM_WIDTH_PX, FILM_HEIGHT_PX = 480, 72  # px
 BLOCK_SIZE_PX = (76.0, 48.0)  # px
@@ -35,7 +32,7 @@ def render_run(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator
     write_film(render(position, camera, target, rng, n_frames=len(x)), path, camera.fps)
 
 
-def _drawn_shift(truth: Truth, run: RunTruth, slide: Slide) -> Array:
+def _drawn_shift(truth: Truth, run: RunTruth, slide: Trajectory) -> Array:
     """The picture's shift that is drawn into the block's place; a shake moves the whole picture instead."""
     return np.zeros_like(slide.shift) if "camera_shake" in run.values else slide.shift
 

@@ -14,8 +14,8 @@ from frictrack.blind.memory_motion import simulate_memory
 from frictrack.effects import Effect, Span
 from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.simulate.camera import Oscillation
-from frictrack.simulate.slide import Conditions, Slide, simulate
+from frictrack.simulate import Conditions, Trajectory, simulate
+from frictrack.simulate.rendering import Oscillation
 
 START_X_M = 0.05  # m, where a run toward +x begins; one toward -x begins at the other end of the course
 EffectValues = dict[str, dict[str, float]]
@@ -98,7 +98,7 @@ class Truth:
         """Place and speed in the first frame; a pushed run starts at rest."""
         return (START_X_M if run.speed > 0 else self.course + START_X_M), (0.0 if self.push else run.speed)
 
-    def slide(self, run: RunTruth, *, hidden: bool = True) -> Slide:
+    def slide(self, run: RunTruth, *, hidden: bool = True) -> Trajectory:
         """The true motion of one run, with what is hidden or without."""
         model, values = self.base, dict(self.law)
         for name in run.values if hidden else ():
@@ -109,7 +109,7 @@ class Truth:
             return simulate_memory(model, values, self.conditions(run), t, self.start(run))
         return simulate(model, values, self.conditions(run), t, self.start(run))
 
-    def span(self, slides: list[Slide]) -> Span:
+    def span(self, slides: list[Trajectory]) -> Span:
         """How far some of the runs reach."""
         return Span(
             duration=max(float(s.t[-1]) for s in slides),

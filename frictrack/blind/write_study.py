@@ -12,8 +12,8 @@ import pandas as pd
 from frictrack.blind.render_run import render_run
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.records import Array
-from frictrack.simulate.camera import Oscillation
-from frictrack.simulate.slide import Slide
+from frictrack.simulate import Trajectory
+from frictrack.simulate.rendering import Oscillation
 
 
 def write_study(truth: Truth, folder: Path) -> None:
@@ -35,7 +35,7 @@ def run_table(truth: Truth, run: RunTruth, rng: np.random.Generator) -> pd.DataF
     return pd.DataFrame({"t_s": slide.t, "x_m": slide.x + slide.shift + noise} | _other_signals(truth, run, slide, rng))
 
 
-def _other_signals(truth: Truth, run: RunTruth, slide: Slide, rng: np.random.Generator) -> dict[str, Array]:
+def _other_signals(truth: Truth, run: RunTruth, slide: Trajectory, rng: np.random.Generator) -> dict[str, Array]:
     """Stated noise, vertical motion and drive, where the study has them."""
     out = {"sigma_m": np.full(len(slide.t), truth.noise)} if truth.stated else {}
     if truth.lift is not None:

@@ -23,7 +23,7 @@ from frictrack.fit.parameters import without_mass
 from frictrack.fit.segments import Piece, Reference, whole_piece
 from frictrack.models import Model, Values
 from frictrack.records import Array, Run
-from frictrack.simulate.slide import Conditions, Start, followed
+from frictrack.simulate import Conditions, Start, simulate_displacement
 
 FIRST_FRAMES = (20, 200)  # of a driven record that tell its first state, at least and at most
 FIRST_SHARE = 0.025  # of the record, in between
@@ -107,7 +107,7 @@ class _BoundModel:
         """Displacement (n,) at the first frames."""
         within = RELATIVE_TOLERANCE * float(np.std(self.piece.y))
         t = self.piece.t[:frames]
-        return followed(self.model, self.values, self.conditions, t, start, within)
+        return simulate_displacement(self.model, self.values, self.conditions, t, start, within)
 
     def remembered(self, level: float) -> dict[str, Array]:
         """What the law remembers at the first frame, as far as the motion before tells."""

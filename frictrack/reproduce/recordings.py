@@ -18,7 +18,7 @@ from frictrack.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement, Run
 from frictrack.reproduce import laws, printed
 from frictrack.reproduce.printed import Printed
-from frictrack.simulate import Conditions, Slide, simulate
+from frictrack.simulate import Conditions, Trajectory, simulate
 
 FPS = 4000.0
 SIGMA = 1e-5  # m, tracking noise of one frame
@@ -45,7 +45,7 @@ class Recording:
     """A recording of known truth: the measured run, and the true slide at its frames."""
 
     run: Run
-    truth: Slide
+    truth: Trajectory
 
 
 def of(source: Printed, unit: str, bench: Bench, rng: np.random.Generator, speed: float | None = None) -> Recording:
@@ -79,7 +79,7 @@ def record(model: Model, values: Values, bench: Bench, speed: float, rng: np.ran
     return Recording(run, slide)
 
 
-def _filmed(model: Model, values: Values, bench: Bench, speed: float) -> Slide:
+def _filmed(model: Model, values: Values, bench: Bench, speed: float) -> Trajectory:
     """The slide while it is in view, moves and is not too long."""
     frames = int(_ends(model, values, bench, speed) * FPS) + 1
     t = np.arange(frames) / FPS

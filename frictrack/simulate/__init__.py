@@ -1,5 +1,28 @@
-"""Trajectories and rendered film of known truth."""
+"""Simulate runs of known truth: trajectories of the slider here, films and scenes in sub-packages.
 
-from frictrack.simulate.slide import Conditions, Slide, simulate
+- `frictrack.simulate` simulates trajectories under any model;
+- `frictrack.simulate.dynamics` is the integrator, which the fit shares;
+- `frictrack.simulate.rendering` draws films of a trajectory;
+- `frictrack.simulate.scene` reads a scene file and writes a whole study of known truth.
+"""
 
-__all__ = ["Conditions", "Slide", "simulate"]
+from frictrack.simulate.conditions import Conditions, push_force
+from frictrack.simulate.trajectory import (
+    Start,
+    Trajectory,
+    image_shift,
+    is_smooth_at_rest,
+    simulate,
+    simulate_displacement,
+)
+
+__all__ = [
+    "Conditions",
+    "Start",
+    "Trajectory",
+    "image_shift",
+    "is_smooth_at_rest",
+    "push_force",
+    "simulate",
+    "simulate_displacement",
+]

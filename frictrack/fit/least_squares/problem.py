@@ -13,8 +13,7 @@ from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.segments import Piece
 from frictrack.models import Model, Values
 from frictrack.records import Array
-from frictrack.simulate.dynamics import Motion6, solve
-from frictrack.simulate.dynamics import Response as Sensitivity
+from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, solve_motion
 
 SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value per node
 
@@ -27,8 +26,8 @@ class PieceResponse:
     """
 
     piece: Piece
-    motion: Motion6
-    linear: Sensitivity
+    motion: CollocationSolution
+    linear: MotionResponse
     active: list[int]
     model_y: Array
     shift_slope: Array  # d(o)/dx at the frames
@@ -111,7 +110,9 @@ class LeastSquaresProblem:
             return piece
         return piece.timed(self.model.clock(self.layout.values(p, piece.run)[0]))
 
-    def seen(self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], x: Array) -> PieceResponse:
+    def seen(
+        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], x: Array
+    ) -> PieceResponse:
         """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
 
         `about` is the motion at which the law is linearised, and its linear response.
@@ -119,7 +120,7 @@ class LeastSquaresProblem:
         return self._seen(piece, p, about, (x, self.answered(piece, p, *about)[1]))
 
     def _seen(
-        self, piece: Piece, p: Array, about: tuple[Motion6, Sensitivity], shown: tuple[Array, Array]
+        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], shown: tuple[Array, Array]
     ) -> PieceResponse:
         """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
         (motion, linear), (x, moved) = about, shown
@@ -161,7 +162,9 @@ class LeastSquaresProblem:
 
         return law
 
-    def answered(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> tuple[Array, Array]:
+    def answered(
+        self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
+    ) -> tuple[Array, Array]:
         """Change of the acceleration at the nodes (3 p, A + 2), and of position and speed at the frames (n, 2, A + 2).
 
         Each is per unit of every active unknown, and of the start.
@@ -171,20 +174,20 @@ class LeastSquaresProblem:
         pushed, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
         return pushed, edges[piece.at]
 
-    def moved(self, piece: Piece, p: Array, motion: Motion6, linear: Sensitivity) -> Array:
+    def moved(self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse) -> Array:
         """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
         return self.answered(piece, p, motion, linear)[1]
 
-    def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[Motion6, Sensitivity]:
+    def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[CollocationSolution, MotionResponse]:
         where = float(start[0]), float(start[1])
         law, memory, last = self.acceleration(piece, p), self.model.memory, self._last[i]
         foreseen = last.foreseen(p, start)
         if foreseen is not None:
             try:
-                return solve(law, piece.panels, where, foreseen, memory=memory)
+                return solve_motion(law, piece.panels, where, foreseen, memory=memory)
             except FrictrackError:  # too far to be foreseen: from where it was
                 pass
-        return solve(law, piece.panels, where, last.a, memory=memory)
+        return solve_motion(law, piece.panels, where, last.a, memory=memory)
 
     def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
         """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
@@ -200,14 +203,14 @@ class LeastSquaresProblem:
         states = self.model.states(replace(path, **two), values)
         return {e.name: states[e.name] for e in self.model.effects if e.turns}
 
-    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+    def _along(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
         """The path of a solved motion: its nodes, with memory after the start."""
         if not self.model.memory:
             return piece.path_at_nodes(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
         return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
-    def _inputs(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> Array:
+    def _inputs(self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
         path = replace(self._along(piece, motion, level), states=self._entered(piece, values))
@@ -232,7 +235,9 @@ class LeastSquaresProblem:
         of = next(e for e in self.model.effects if e.name == effect)
         return [q.name for q in of.linear].index(parameter)
 
-    def _picture(self, piece: Piece, p: Array, motion: Motion6, active: list[int]) -> tuple[Array, Array, Array]:
+    def _picture(
+        self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
+    ) -> tuple[Array, Array, Array]:
         """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown.
 
         What a clock is off stands in the times of the piece: only its change shifts the picture.

@@ -17,7 +17,7 @@ from frictrack.fit.least_squares.gauss_newton import Solution
 from frictrack.fit.least_squares.problem import PieceResponse
 from frictrack.fit.parameters import penalty_jacobian, penalty_residual
 from frictrack.records import Array
-from frictrack.simulate.dynamics import Linear, Remembering
+from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
 MIN_SINGULAR_VALUE = 1e-9  # of the largest singular value: directions of the law that the runs do not show
 MIN_SCATTER = 1e-3  # of the friction levels
@@ -71,10 +71,10 @@ def displacement_response(response: PieceResponse, force: Array) -> Array:
     A law with memory answers as if it had none: over the reach of a local force that is near enough.
     """
     linear, piece = response.linear, response.piece
-    if isinstance(linear, Remembering):
+    if isinstance(linear, KrylovResponse):
         still = np.zeros(len(piece.panels.t))
-        linear = Linear(piece.panels, still, still)
-    edges = linear.moved(-force / piece.mass)
+        linear = LinearResponse(piece.panels, still, still)
+    edges = linear.edge_states(-force / piece.mass)
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     left: Array = moved - response.q @ (response.q.T @ moved)
     return left

@@ -21,7 +21,7 @@ from scipy.linalg import solveh_banded
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.segments import Piece
 from frictrack.records import Array
-from frictrack.simulate.dynamics import Motion6, slopes
+from frictrack.simulate.dynamics import CollocationSolution, linearise_acceleration
 
 SMOOTHING_STRENGTHS = np.geomspace(
     10.0, 1e9, 17
@@ -51,9 +51,11 @@ def _about_measurement(problem: LeastSquaresProblem, p: Array, response: PieceRe
     bend = CubicSpline(t, away)
     nodes, edges = piece.panels.t, piece.panels.edges
     x, v = motion.x + bend(nodes), motion.v + bend(nodes, 1)
-    own, linear = slopes(problem.acceleration(piece, p), piece.panels, (x, v))
+    own, linear = linearise_acceleration(problem.acceleration(piece, p), piece.panels, (x, v))
     accelerated = motion.a + bend(nodes, 2)
-    about = Motion6(piece.panels, x, v, accelerated, motion.x_edge + bend(edges), motion.v_edge + bend(edges, 1))
+    about = CollocationSolution(
+        piece.panels, x, v, accelerated, motion.x_edge + bend(edges), motion.v_edge + bend(edges, 1)
+    )
     back = np.array([[-float(bend(edges[0]))], [-float(bend(edges[0], 1))]])
     _, moved = linear.respond((own - accelerated)[:, None], back)
     return problem.seen(piece, level, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])

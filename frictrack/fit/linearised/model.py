@@ -24,8 +24,7 @@ from frictrack.fit.parameters import JacobianBasis
 from frictrack.fit.separable import DataBlock, path_at_compared, rows_at_compared
 from frictrack.models import Model, Values
 from frictrack.records import Array
-from frictrack.simulate.dynamics import Linear, slopes
-from frictrack.simulate.rows import Rows
+from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 
 MIN_SINGULAR_VALUE = 1e-9  # singular value, over the largest, of a direction in which a piece answers the law
 
@@ -47,7 +46,7 @@ class LinearisedPiece:
     path: Path
     basis: Array
     starts: int
-    _rows: Rows | None = field(repr=False)
+    _rows: EdgeResponse | None = field(repr=False)
     compared_path: Path | None = None
     _long: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
 
@@ -220,20 +219,20 @@ def _linearised_piece(solution: Solution, response: PieceResponse) -> Linearised
             path_at_compared(piece, motion.x, motion.v, shown),
         )
     else:
-        path, rows, few = _edge_path(response, shown), Rows(_linear(problem, solution.p, response)), None
+        path, rows, few = _edge_path(response, shown), EdgeResponse(_linear(problem, solution.p, response)), None
     return LinearisedPiece(problem, response, values, level, shown, path, basis, response.q.shape[1], rows, few)
 
 
-def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> Linear:
+def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> LinearResponse:
     """The law's own response without memory, one panel per frame."""
-    if isinstance(response.linear, Linear) and response.piece.per_frame == 1:
+    if isinstance(response.linear, LinearResponse) and response.piece.per_frame == 1:
         return response.linear
     motion, piece = response.motion, response.piece.refined(1)
     where = CubicSpline(motion.panels.edges, motion.x_edge)(piece.panels.t)
     speed = CubicSpline(motion.panels.edges, motion.v_edge)(piece.panels.t)
     start = float(motion.x_edge[0]), float(motion.v_edge[0])
     law = problem.acceleration(piece, p)
-    return slopes(law, piece.panels, (where, speed), start, memory=problem.model.memory)[1]
+    return linearise_acceleration(law, piece.panels, (where, speed), start, memory=problem.model.memory)[1]
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:

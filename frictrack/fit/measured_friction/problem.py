@@ -24,7 +24,7 @@ from frictrack.friction import free_section, is_moving
 from frictrack.models import Model
 from frictrack.motion import noise_level
 from frictrack.records import Array, Run, stretches
-from frictrack.simulate.dynamics import Linear, Motion6, Panels
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MIN_NOISE_SHARE = 1e-9  # of the largest friction: less noise than that is none
 PATH_ARRAYS = (
@@ -49,7 +49,7 @@ class FrameNodes(Panels):
         return self.edges
 
 
-class DirectForce(Linear):
+class DirectForce(LinearResponse):
     """The response of a force that is measured as it is: at unit mass, less the acceleration it makes."""
 
     def __init__(self) -> None:  # nothing is integrated
@@ -57,9 +57,9 @@ class DirectForce(Linear):
 
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """The forces (n, k) behind accelerations g (n, k), twice: as nodes, and as edge states (n, 2, k)."""
-        return g, self.moved(g)
+        return g, self.edge_states(g)
 
-    def moved(self, g: Array) -> Array:
+    def edge_states(self, g: Array) -> Array:
         """The edge states alone."""
         return np.stack([-g, np.zeros_like(g)], axis=1)
 
@@ -92,14 +92,14 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         """None has a start that could be unknown."""
         return [np.zeros(0) for _ in self.pieces]
 
-    def _along(self, piece: Piece, motion: Motion6, level: float) -> Path:
+    def _along(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
         """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
         return piece.path_at_nodes(motion.x, motion.v, level)
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
         piece, layout = self.pieces[i], self.layout
         path = piece.path
-        motion = Motion6(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
+        motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
         active = layout.active(piece.run)
         values, level = layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]

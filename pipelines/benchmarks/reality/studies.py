@@ -16,11 +16,8 @@ from frictrack.blind.render_run import FILM_WIDTH_PX as FILM_WIDTH
 from frictrack.blind.truth import RunTruth, Truth
 from frictrack.blind.write_study import run_table, study_lines
 from frictrack.records import GRAVITY
-from frictrack.simulate.camera import Camera
-from frictrack.simulate.film import write_film
-from frictrack.simulate.foreground import Rod
-from frictrack.simulate.render import Target, render
-from frictrack.simulate.slide import Conditions
+from frictrack.simulate import Conditions
+from frictrack.simulate.rendering import Camera, Rod, Target, render, write_film
 from reality.faults import FILMED, KINDS, NONE, Fault, draw_fault
 from reality.spoil import Recorded, copied, lines_spoilt, spoilt
 

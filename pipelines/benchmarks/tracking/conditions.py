@@ -20,11 +20,17 @@ import tifffile
 from numpy.typing import NDArray
 
 import frictrack.simulate
-from frictrack.simulate.camera import Camera, Oscillation
-from frictrack.simulate.film import write_film
-from frictrack.simulate.foreground import Highlight, Rod
-from frictrack.simulate.render import Target, render, render_clean
-from frictrack.simulate.texture import Surface
+from frictrack.simulate.rendering import (
+    Camera,
+    Highlight,
+    Oscillation,
+    Rod,
+    Surface,
+    Target,
+    render,
+    render_clean,
+    write_film,
+)
 
 Array = NDArray[np.float64]
 

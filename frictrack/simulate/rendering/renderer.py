@@ -1,7 +1,7 @@
-"""Film of a textured block that slides over a course: every pixel and every exposure integrated, truth known.
+"""Render a textured block that slides over a course; light is integrated over each pixel and each exposure.
 
 The picture is a static background, uniform within each pixel, and in front of it the block, whose texture is
-integrated exactly over the covered part of each pixel (`texture`). An exposure is cut wherever an edge of the
+integrated exactly over the covered part of each pixel (`surface`). An exposure is cut wherever an edge of the
 block passes a pixel border; between two cuts the light on every pixel is smooth in time and a Gauss-Legendre
 rule integrates it. A rod may stand in front of the block, and a highlight on the window adds its light to all.
 """
@@ -18,27 +18,38 @@ from scipy.interpolate import make_interp_spline
 
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.camera import Camera, Oscillation
-from frictrack.simulate.foreground import Highlight, Rod
-from frictrack.simulate.texture import Surface
-from frictrack.simulate.turned import Pose, turned_block
+from frictrack.simulate.rendering.camera import Camera, Oscillation
+from frictrack.simulate.rendering.foreground import Highlight, Rod
+from frictrack.simulate.rendering.rotated_block import BlockPose, render_rotated_block
+from frictrack.simulate.rendering.surface import Surface
 
-Trajectory = Callable[[Array], tuple[Array, ...]]  # times (n,) in s -> x, y in px and, if it turns, angle in rad
+PositionFunction = Callable[[Array], tuple[Array, ...]]  # times (n,), s -> x, y, px and, if it rotates, angle, rad
 
 Pixels = NDArray[np.int_]
 
 WALL = Surface(size=5.0, level=0.25, contrast=0.05, seed=2)
-COURSE_STEP = 0.22  # how much lighter the course is than the wall behind it
-COURSE_EDGE = 1.2  # softness of the course's upper edge, px
-FEW, MORE = (np.polynomial.legendre.leggauss(n) for n in (3, 5))  # enough for 0.25 and 1 px of travel
+COURSE_STEP = 0.22  # light of the course above that of the wall behind it; 1 = white
+COURSE_EDGE_PX = 1.2  # softness of the upper edge of the course
+GAUSS_3, GAUSS_5 = (np.polynomial.legendre.leggauss(n) for n in (3, 5))  # sufficient for 0.25 and 1 px of travel
 
 
 @dataclass(frozen=True)
 class Target:
-    """A painted block in front of a static background; the course is the light band under its foot.
+    """Painted block in front of a static background; the course is the light band under its lower edge.
 
-    Sizes in px. `rotation` (rad) turns the block about its centre in addition to the path's own angle. `rod` and
-    `highlight` lie in front of all.
+    Attributes
+    ----------
+    width, height
+        Size of the block, px.
+    surface, background
+        Paint of the block and of the wall behind it.
+    course
+        Whether the course is drawn.
+    rotation
+        Rotation of the block about its centre, rad, in addition to the angle of its path.
+    rod, highlight
+        Objects in front of everything.
+
     """
 
     width: float = 90.0
@@ -58,37 +69,60 @@ class Target:
 
 
 def render(
-    position_px: Trajectory | Array,
+    position_px: PositionFunction | Array,
     camera: Camera,
     target: Target,
     rng: np.random.Generator,
     n_frames: int | None = None,
 ) -> Iterator[NDArray[Any]]:
-    """Recorded frames (height, width), uint8 for 8 bit, else uint16.
+    """Render the frames that a camera records.
 
-    `position_px` is the centre of the block without camera shake: a function of times (n,) in s that returns
-    x, y in px (and the angle in rad), or an array (n_frames, 2 or 3) at the frame times i / fps. Pixel centres
-    are integers, y points down. A function needs `n_frames` and is also asked for times half an exposure
-    before the first and after the last frame.
+    Pixel centres are integers and y points down.
+
+    Parameters
+    ----------
+    position_px
+        Centre of the block without camera shake: an array (n_frames, 2 or 3) at the frame times i / fps, or a
+        function of times (n,), s. Both give x, y (px) and, if the block rotates, the angle (rad). A function is also
+        called for times half an exposure before the first and after the last frame.
+    camera, target
+        What records, and what is recorded.
+    rng
+        Source of the noise.
+    n_frames
+        Number of frames; required with a function.
+
+    Yields
+    ------
+    NDArray
+        Frame (height, width): uint8 at 8 bit, else uint16.
+
+    Raises
+    ------
+    FrictrackError
+        For positions that are not finite or of another shape, or a function without `n_frames`.
+
     """
     for clean in render_clean(position_px, camera, target, n_frames):
         yield camera.record(clean, rng)
 
 
 def render_clean(
-    position_px: Trajectory | Array, camera: Camera, target: Target, n_frames: int | None = None
+    position_px: PositionFunction | Array, camera: Camera, target: Target, n_frames: int | None = None
 ) -> Iterator[Array]:
-    """Frames (height, width) of light without noise, 1 = white; see `render` for the arguments."""
+    """Render frames (height, width) of light without noise, 1 = white; see `render` for the arguments."""
     path, n = _path(position_px, camera, n_frames)
-    stage = _Stage(path, camera, target)
-    return (stage.frame(i / camera.fps) for i in range(n))
+    renderer = _Renderer(path, camera, target)
+    return (renderer.frame(i / camera.fps) for i in range(n))
 
 
-def _path(position: Trajectory | Array, camera: Camera, n_frames: int | None) -> tuple[Trajectory, int]:
-    """Positions as a function of time; an array is joined by a cubic spline through the frame times."""
+def _path(position: PositionFunction | Array, camera: Camera, n_frames: int | None) -> tuple[PositionFunction, int]:
+    """Position as a function of time, and the number of frames; an array is interpolated by a cubic spline."""
     if callable(position):
         if n_frames is None:
-            raise FrictrackError("render: expected n_frames with a position function but got none; say how many")
+            raise FrictrackError(
+                "render: expected n_frames with a position function but got none; give the number of frames"
+            )
         return position, n_frames
     table = np.asarray(position, dtype=float)
     if table.ndim != 2 or table.shape[1] not in (2, 3) or len(table) < 4 or not np.all(np.isfinite(table)):
@@ -101,8 +135,8 @@ def _path(position: Trajectory | Array, camera: Camera, n_frames: int | None) ->
 
 
 @dataclass(frozen=True)
-class _Moments:
-    """Instants of one exposure with their weights (which sum to the mean light) and the scene at each."""
+class _ExposureSamples:
+    """Instants of one exposure: weights that sum to the mean light, pose of the block and shake, each (q,)."""
 
     weight: Array  # (q,)
     x: Array
@@ -112,39 +146,39 @@ class _Moments:
     shake_y: Array
 
 
-class _Stage:
-    """What stays the same from frame to frame: Fourier series, path, and the background where it is still."""
+class _Renderer:
+    """Render frame by frame; keep the Fourier series and, where it does not move, the background."""
 
-    def __init__(self, path: Trajectory, camera: Camera, target: Target) -> None:
+    def __init__(self, path: PositionFunction, camera: Camera, target: Target) -> None:
         self.path, self.camera, self.target = path, camera, target
         self.surface = target.surface.series(target.width, target.height)
         self.background = target.background.series(camera.width, camera.height)
         self.course_y = float(path(np.zeros(1))[1][0]) + target.height / 2
-        self.turns = target.rotation is not None or len(path(np.zeros(1))) == 3
+        self.rotates = target.rotation is not None or len(path(np.zeros(1))) == 3
         self.shakes = camera.shake_x is not None or camera.shake_y is not None
         self.edges = _edges(np.arange(camera.width)), _edges(np.arange(camera.height))
         self.grid = self.background.grid(*self.edges)
-        self.still = self._background(np.ones(1), np.zeros(1), np.zeros(1))
+        self.still_background = self._background(np.ones(1), np.zeros(1), np.zeros(1))
         self.glare = target.highlight.light(*self.edges) if target.highlight else None
 
     def frame(self, t: float) -> Array:
-        """Light of the frame exposed round t (s): (height, width)."""
+        """Light of the frame exposed about t (s), (height, width)."""
         moments = self._exposure(t)
         if self.shakes:
             picture = self._background(moments.weight, moments.shake_x, moments.shake_y)
         else:
-            picture = self.still * moments.weight.sum()
+            picture = self.still_background * moments.weight.sum()
         x, y = self._window(moments)
         if len(x) and len(y):
-            block, cover = (self._turned if self.turns else self._straight)(moments, x, y)
+            block, cover = (self._rotated_block if self.rotates else self._upright_block)(moments, x, y)
             part = picture[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
             part *= 1 - cover / moments.weight.sum()
             part += block
-        self._in_front(picture, moments)
+        self._add_foreground(picture, moments)
         return picture
 
-    def _in_front(self, picture: Array, moments: _Moments) -> None:
-        """Put the rod and the highlight on the picture."""
+    def _add_foreground(self, picture: Array, moments: _ExposureSamples) -> None:
+        """Draw the rod and the highlight over the picture."""
         rod, light = self.target.rod, moments.weight.sum()
         if rod is not None:
             cover = moments.weight @ rod.cover(self.edges[0] - moments.shake_x[:, None]) / light
@@ -154,16 +188,16 @@ class _Stage:
             picture += light * self.glare
 
     def _place(self, t: Array) -> tuple[Array, Array, Array]:
-        """Centre of the block in the picture, shake included, and its angle, at times (n,)."""
-        where = self.path(t)
+        """Centre of the block in the picture (px), shake included, and its angle (rad) at times t (n,)."""
+        position = self.path(t)
         shake_x, shake_y = self.camera.shake(t)
-        angle = where[2] if len(where) == 3 else np.zeros_like(t)
+        angle = position[2] if len(position) == 3 else np.zeros_like(t)
         if self.target.rotation is not None:
             angle = angle + self.target.rotation(t)
-        return where[0] + shake_x, where[1] + shake_y, angle
+        return position[0] + shake_x, position[1] + shake_y, angle
 
-    def _exposure(self, t: float) -> _Moments:
-        """Gauss-Legendre instants between the cuts of one exposure."""
+    def _exposure(self, t: float) -> _ExposureSamples:
+        """Gauss-Legendre instants of one exposure, which is cut where an edge of the block passes a pixel border."""
         span = self.camera.exposure / self.camera.fps
         times, weight = np.array([t]), np.ones(1)
         if span > 0:
@@ -173,12 +207,12 @@ class _Stage:
             cuts = [_crossings(grid, path + sign * side / 2) for path, side in sides for sign in (-1, 1)]
             times, weight = _gauss_legendre(np.unique(np.concatenate([grid[[0, -1]], *cuts])), np.ptp(x) + np.ptp(y))
         weight = weight * self.camera.light(times)
-        return _Moments(weight, *self._place(times), *self.camera.shake(times))
+        return _ExposureSamples(weight, *self._place(times), *self.camera.shake(times))
 
-    def _window(self, moments: _Moments) -> tuple[Pixels, Pixels]:
-        """Columns and rows of the picture that the block touches during the exposure, and one more around."""
+    def _window(self, moments: _ExposureSamples) -> tuple[Pixels, Pixels]:
+        """Columns and rows of the picture that the block touches during the exposure, with a margin of one pixel."""
         half_x, half_y = self.target.width / 2, self.target.height / 2
-        if self.turns:
+        if self.rotates:
             sin = np.abs(np.sin(moments.angle)).max()
             half_x, half_y = half_x + sin * half_y, half_y + sin * half_x
         return (
@@ -186,26 +220,26 @@ class _Stage:
             _inside(moments.y, half_y, self.camera.height),
         )
 
-    def _straight(self, moments: _Moments, x: Pixels, y: Pixels) -> tuple[Array, Array]:
-        """Weighted sum over the exposure of the block's light and of the area that it covers."""
+    def _upright_block(self, moments: _ExposureSamples, x: Pixels, y: Pixels) -> tuple[Array, Array]:
+        """Light of an upright block and area that it covers per pixel, summed over the exposure: two (ny, nx)."""
         x_edges = _clip(x, moments.x, self.target.width)
         y_edges = _clip(y, moments.y, self.target.height)
         weight = moments.weight[:, None]
         cover = (weight * np.diff(y_edges)).T @ np.diff(x_edges)
-        return self.surface.cells(x_edges, y_edges, moments.weight), cover
+        return self.surface.integrate_cells(x_edges, y_edges, moments.weight), cover
 
-    def _turned(self, moments: _Moments, x: Pixels, y: Pixels) -> tuple[Array, Array]:
-        """The same for a block at an angle."""
+    def _rotated_block(self, moments: _ExposureSamples, x: Pixels, y: Pixels) -> tuple[Array, Array]:
+        """The same for a rotated block."""
         block, cover = np.zeros((2, len(y), len(x)))
         size = (self.target.width, self.target.height)
         for weight, *pose in zip(moments.weight, moments.x, moments.y, moments.angle, strict=True):
-            light, area = turned_block(self.surface, size, Pose(*pose), x, y)
+            light, area = render_rotated_block(self.surface, size, BlockPose(*pose), x, y)
             block += weight * light
             cover += weight * area
         return block, cover
 
     def _background(self, weight: Array, shake_x: Array, shake_y: Array) -> Array:
-        """Weighted sum over the exposure of wall and course, (height, width)."""
+        """Light of wall and course, summed over the exposure, (height, width)."""
         picture = self.background.shifted(self.grid, weight, (shake_x, shake_y))
         if self.target.course:
             step = _soft_step(self.edges[1] - shake_y[:, None] - self.course_y)
@@ -214,8 +248,8 @@ class _Stage:
 
 
 def _soft_step(z: Array) -> Array:
-    """Antiderivative of a step from 0 to 1 that is COURSE_EDGE px soft."""
-    return 0.5 * COURSE_EDGE * np.logaddexp(0.0, 2 * z / COURSE_EDGE)
+    """Antiderivative of a step from 0 to 1 with a soft edge of COURSE_EDGE_PX."""
+    return 0.5 * COURSE_EDGE_PX * np.logaddexp(0.0, 2 * z / COURSE_EDGE_PX)
 
 
 def _edges(pixels: Pixels) -> Array:
@@ -224,18 +258,18 @@ def _edges(pixels: Pixels) -> Array:
 
 
 def _clip(pixels: Pixels, centre: Array, side: float) -> Array:
-    """Pixel borders seen from the block and cut to it: (q, n + 1)."""
+    """Pixel borders relative to the block's centre and clipped to the block, (q, n + 1)."""
     return np.clip(_edges(pixels) - centre[:, None], -side / 2, side / 2)
 
 
 def _inside(centre: Array, half: float, n: int) -> Pixels:
-    """Pixels of a picture of n that a block from centre - half to centre + half touches, and one more around."""
+    """Of n pixels those that a block from centre - half to centre + half touches, with a margin of one."""
     low, high = np.floor(centre.min() - half + 0.5) - 1, np.ceil(centre.max() + half - 0.5) + 1
     return np.arange(max(int(low), 0), min(int(high), n - 1) + 1)
 
 
 def _crossings(t: Array, edge: Array) -> Array:
-    """Times at which an edge (at the times t) passes a pixel border."""
+    """Times at which an edge, given at the times t, passes a pixel border."""
     if edge[-1] < edge[0]:
         t, edge = t[::-1], edge[::-1]
     borders = np.arange(np.ceil(edge[0] - 0.5), edge[-1] + 0.5) + 0.5
@@ -244,7 +278,7 @@ def _crossings(t: Array, edge: Array) -> Array:
 
 def _gauss_legendre(cuts: Array, travel: float) -> tuple[Array, Array]:
     """Instants and weights (sum 1) that integrate a function smooth between the cuts."""
-    z, w = FEW if travel < 0.25 else MORE
+    z, w = GAUSS_3 if travel < 0.25 else GAUSS_5
     length = np.diff(cuts)
     times = cuts[:-1, None] + length[:, None] * (z + 1) / 2
     return times.ravel(), np.outer(length, w / 2).ravel() / (cuts[-1] - cuts[0])

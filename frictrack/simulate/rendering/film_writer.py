@@ -1,4 +1,4 @@
-"""Writes frames to a film that other software opens: MJPEG, lossless MOV, TIFF, or a folder of PNG."""
+"""Write frames to a film that other software opens: MJPEG, lossless MOV, TIFF, or a folder of PNG files."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from frictrack.errors import FrictrackError
 from frictrack.files import replaced
 
 Frame = NDArray[Any]
-Put = Callable[[Frame], object]
+WriteFrame = Callable[[Frame], object]
 
 
-class Settings(NamedTuple):
-    """What a format is told beside the frames."""
+class FilmSettings(NamedTuple):
+    """Settings of the written file: frames per second, JPEG quality (1 to 100) and bit depth."""
 
     fps: float
     quality: int
@@ -36,11 +36,35 @@ def write_film(
     quality: int = 95,
     bit_depth: int | None = None,
 ) -> int:
-    """Write 2-D uint8 or uint16 frames to `path` and return how many; the suffix chooses the format.
+    """Write frames to a film; the suffix of the path chooses the format.
 
-    .avi: MJPEG of the given quality (1 to 100), 8 bit. .mov: lossless PNG frames, 8 bit. .tif, .tiff: uncompressed
-    ImageJ stack of 8 or 16 bit, which notes that only `bit_depth` of the bits are used (12). No suffix: a folder
-    of PNG files, 8 or 16 bit, without frame rate. A file appears whole or not at all.
+    .avi is MJPEG with 8 bit, .mov has lossless PNG frames with 8 bit, .tif and .tiff are uncompressed ImageJ stacks
+    with 8 or 16 bit. A path without suffix becomes a folder of PNG files with 8 or 16 bit and no frame rate. A file
+    is replaced only when all frames are written.
+
+    Parameters
+    ----------
+    frames
+        Pictures, each (height, width), uint8 or uint16.
+    path
+        File or folder to write.
+    fps
+        Frames per second.
+    quality
+        JPEG quality of .avi, 1 to 100.
+    bit_depth
+        Bits in use, stored in TIFF files; by default all bits of the frames.
+
+    Returns
+    -------
+    int
+        Number of frames written.
+
+    Raises
+    ------
+    FrictrackError
+        For an unknown suffix, no frames, frames that the format cannot hold, or a file that cannot be written.
+
     """
     path = Path(path)
     if path.suffix.lower() not in _WRITERS:
@@ -50,17 +74,18 @@ def write_film(
     first = next(frames, None)
     if first is None:
         raise FrictrackError(f"{path.name}: expected at least one frame to write but got none")
-    _check(first, path)
-    settings = Settings(fps, quality, bit_depth or 8 * first.dtype.itemsize)
+    _check_frame(first, path)
+    settings = FilmSettings(fps, quality, bit_depth or 8 * first.dtype.itemsize)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _whole(path) as partial, _WRITERS[path.suffix.lower()](partial, first, settings) as put:
+    with _atomic_file(path) as partial, _WRITERS[path.suffix.lower()](partial, first, settings) as write_frame:
         n = 0
         for n, frame in enumerate(chain([first], frames), start=1):  # noqa: B007 - the count is the answer
-            put(np.ascontiguousarray(frame))
+            write_frame(np.ascontiguousarray(frame))
     return n
 
 
-def _check(frame: Frame, path: Path) -> None:
+def _check_frame(frame: Frame, path: Path) -> None:
+    """Raise FrictrackError for a frame that the format of the path cannot hold."""
     if frame.ndim != 2 or frame.dtype not in (np.uint8, np.uint16):
         raise FrictrackError(
             f"{path.name}: expected grey frames of 8 or 16 bit but got shape {frame.shape} of {frame.dtype}"
@@ -72,8 +97,8 @@ def _check(frame: Frame, path: Path) -> None:
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """A neighbouring file that takes the place of `path` only when all went well; folders are filled in place."""
+def _atomic_file(path: Path) -> Iterator[Path]:
+    """Temporary file that replaces `path` when all frames are written; folders are filled in place."""
     if not path.suffix:
         path.mkdir(exist_ok=True)
         yield path
@@ -84,8 +109,8 @@ def _whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.VideoWriter]:
-    """An OpenCV writer that was really opened, and a file that was really written."""
-    # OpenCV's own MJPEG writer: FFmpeg's AVI muxer drops frames above 1000 fps and has no quality setting.
+    """OpenCV writer of a codec; raise FrictrackError if this OpenCV cannot open it."""
+    # OpenCV's own MJPEG writer, because FFmpeg's AVI muxer drops frames above 1000 fps and has no quality setting.
     mjpeg = codec == "MJPG"
     api = cv2.CAP_OPENCV_MJPEG if mjpeg else cv2.CAP_FFMPEG
     size = (frame.shape[1], frame.shape[0])
@@ -99,22 +124,22 @@ def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.Vi
 
 
 @contextmanager
-def _mjpeg(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
+def _mjpeg(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
     with _opencv(path, "MJPG", settings.fps, frame) as writer:
         writer.set(cv2.VIDEOWRITER_PROP_QUALITY, settings.quality)
-        # Three equal channels: this writer scrambles grey frames.
+        # Three equal channels, because this writer scrambles grey frames.
         yield lambda f: writer.write(cv2.cvtColor(f, cv2.COLOR_GRAY2BGR))
 
 
 @contextmanager
-def _mov(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
-    # QuickTime keeps any frame rate; AVI would not (above), Matroska rounds time stamps to 1 ms.
+def _mov(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
+    # QuickTime keeps any frame rate; AVI does not (above), Matroska rounds time stamps to 1 ms.
     with _opencv(path, "png ", settings.fps, frame) as writer:
         yield writer.write
 
 
 @contextmanager
-def _tiff(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
+def _tiff(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
     about = {"finterval": 1 / settings.fps}
     white = (281, "H", 1, 2**settings.bit_depth - 1, True)  # tag MaxSampleValue
     with tifffile.TiffWriter(path, imagej=True) as writer:
@@ -122,18 +147,18 @@ def _tiff(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
 
 
 @contextmanager
-def _folder(path: Path, frame: Frame, settings: Settings) -> Iterator[Put]:
+def _folder(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
     numbers = iter(range(10**9))
 
-    def put(f: Frame) -> None:
+    def write_frame(f: Frame) -> None:
         name = path / f"frame_{next(numbers):06d}.png"
         if not cv2.imwrite(str(name), f):
             raise FrictrackError(f"{name}: expected to write this file but could not; check the folder and the disk")
 
-    yield put
+    yield write_frame
 
 
-_WRITERS: dict[str, Callable[[Path, Frame, Settings], AbstractContextManager[Put]]] = {
+_WRITERS: dict[str, Callable[[Path, Frame, FilmSettings], AbstractContextManager[WriteFrame]]] = {
     ".avi": _mjpeg,
     ".mov": _mov,
     ".tif": _tiff,

@@ -1,4 +1,4 @@
-"""Painted surfaces as band-limited Fourier series, integrated exactly over any rectangle.
+"""The model of a painted surface: a band-limited Fourier series, integrated exactly over any rectangle.
 
 A surface is T(u, v) = Re sum_k c_k exp(i (q_x u + q_y v)). Its integral over a cell is the second difference
 of the antiderivative at the cell's corners, which every term has in closed form. A pixel that the block's
@@ -19,24 +19,44 @@ from frictrack.records import Array
 
 Complex = NDArray[np.complex128]
 
-OVERSAMPLE = 4  # points per pixel on which a pattern is drawn before it is cut to its band
-HIGHEST = 0.45  # cycles/px: below Nyquist, so that the films hold no aliased texture
-OPTICS = 1.5  # FWHM of the lens, px
-FWHM = 2.3548200450309493  # full width at half maximum over the standard deviation of a Gaussian
+OVERSAMPLING = 4  # points per pixel on which a pattern is drawn before it is band-limited
+MAX_FREQUENCY = 0.45  # cycles/px, below Nyquist: films contain no aliased texture
+LENS_FWHM_PX = 1.5  # blur of the lens
+FWHM_PER_SIGMA = 2.3548200450309493  # full width at half maximum over the standard deviation of a Gaussian
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
-    """A real periodic function of the plane: half spectrum with the weight of both halves inside `c`."""
+class FourierSurface:
+    """Real periodic function of the plane as a half spectrum; `c` contains the weight of both halves.
 
-    c: Complex  # (ky, kx)
-    q_x: Array  # rad/px, >= 0
-    q_y: Array  # rad/px, both signs
+    Attributes
+    ----------
+    c
+        Coefficients, (ky, kx).
+    q_x, q_y
+        Wavenumbers, rad/px: q_x >= 0, (kx,); q_y of both signs, (ky,).
 
-    def cells(self, x_edges: Array, y_edges: Array, weight: Array) -> Array:
-        """Integrals over the cells between edges (q, nx + 1) and (q, ny + 1), px^2: (ny, nx).
+    """
 
-        Each of the q grids counts with its `weight` (q,); this is the sum over an exposure.
+    c: Complex
+    q_x: Array
+    q_y: Array
+
+    def integrate_cells(self, x_edges: Array, y_edges: Array, weight: Array) -> Array:
+        """Integrate over the cells of q grids, and sum over the grids of one exposure.
+
+        Parameters
+        ----------
+        x_edges, y_edges
+            Borders of the cells, px, (q, nx + 1) and (q, ny + 1).
+        weight
+            Weight of each grid, (q,).
+
+        Returns
+        -------
+        Array
+            Weighted sum of the integrals, px^2, (ny, nx).
+
         """
         e_x = np.diff(_antiderivative(self.q_x, x_edges), axis=-1)  # (kx, q, nx)
         e_y = np.diff(_antiderivative(self.q_y, y_edges), axis=-1) * weight[:, None]  # (ky, q, ny)
@@ -46,16 +66,16 @@ class Series:
         # Only the real part is needed: two real products instead of one complex one.
         return columns.real @ rows.real - columns.imag @ rows.imag
 
-    def shifted(self, cells: tuple[Complex, Complex], weight: Array, shift: tuple[Array, Array]) -> Array:
-        """Light of a fixed `grid` of pixels when the surface lies at the shifts (q,), px, with weights (q,)."""
-        e_x, e_y = cells
+    def shifted(self, integrate_cells: tuple[Complex, Complex], weight: Array, shift: tuple[Array, Array]) -> Array:
+        """Light of the pixels of `grid` (ny, nx), summed over shifts of the surface (q,), px, with weights (q,)."""
+        e_x, e_y = integrate_cells
         turn_x = np.exp(-1j * np.outer(self.q_x, shift[0]))
         turn_y = np.exp(-1j * np.outer(self.q_y, shift[1])) * weight
         rows = (self.c * (turn_y @ turn_x.T)) @ e_x
         return e_y.real.T @ rows.real - e_y.imag.T @ rows.imag
 
     def grid(self, x_edges: Array, y_edges: Array) -> tuple[Complex, Complex]:
-        """Integrals of all waves over the pixels between the borders: (kx, nx) and (ky, ny)."""
+        """Integrals of all waves over the pixels between the borders, (kx, nx) and (ky, ny)."""
         return np.diff(_antiderivative(self.q_x, x_edges)), np.diff(_antiderivative(self.q_y, y_edges))
 
 
@@ -68,12 +88,22 @@ def _antiderivative(q: Array, x: Array) -> Complex:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a surface looks like: reflectance level + contrast * pattern, pattern within about +-1.
+    """Painted surface of reflectance level + contrast * pattern, with a pattern within about +-1.
 
-    `size` is the FWHM of a speckle or dot, or the side of a checker square, in px; white reflects 1.
+    Attributes
+    ----------
+    kind
+        "speckle", "dots" or "checker".
+    size
+        Full width at half maximum of a speckle or dot, or side of a checker square, px.
+    level, contrast
+        Mean reflectance and half its range; white reflects 1.
+    seed
+        Seed of the random pattern.
+
     """
 
-    kind: str = "speckle"  # or "dots", "checker"
+    kind: str = "speckle"
     size: float = 4.0
     level: float = 0.5
     contrast: float = 0.35
@@ -89,48 +119,49 @@ class Surface:
             faults.append(f"expected a contrast between 0 and the level {self.level:g} but got {self.contrast:g}")
         gather(faults, "surface")
 
-    def series(self, width: float, height: float) -> Series:
-        """The surface as a Fourier series that does not repeat within width x height px."""
+    def series(self, width: float, height: float) -> FourierSurface:
+        """Fourier series of the surface, which does not repeat within width x height px."""
         period = tuple(self._period(side) for side in (width, height))
-        n_x, n_y = (fft.next_fast_len(int(np.ceil(OVERSAMPLE * side)), real=True) for side in period)
+        n_x, n_y = (fft.next_fast_len(int(np.ceil(OVERSAMPLING * side)), real=True) for side in period)
         x = np.arange(n_x) * period[0] / n_x
         y = np.arange(n_y) * period[1] / n_y
         pattern = PATTERNS[self.kind](x, y[:, None], self.size, np.random.default_rng(self.seed))
-        return _cut(self.level + self.contrast * pattern, period, self._band())
+        return _band_limited(self.level + self.contrast * pattern, period, self._band())
 
     def _period(self, side: float) -> float:
-        """A margin keeps the pattern's two ends apart; a checker must close on itself."""
+        """Period along one side, px: a margin separates the ends of the pattern; a checker must close on itself."""
         unit = 2 * self.size if self.kind == "checker" else 1.0
         return float(unit * np.ceil((side + 4 * self.size) / unit))
 
     def _band(self) -> float:
-        """Highest frequency kept, cycles/px; coarse speckle needs fewer terms."""
-        return HIGHEST if self.kind == "checker" else min(HIGHEST, 1.6 / self.size)
+        """Highest frequency, cycles/px; coarse speckle needs fewer terms."""
+        return MAX_FREQUENCY if self.kind == "checker" else min(MAX_FREQUENCY, 1.6 / self.size)
 
 
-def _cut(picture: Array, period: tuple[float, ...], band: float) -> Series:
+def _band_limited(picture: Array, period: tuple[float, ...], band: float) -> FourierSurface:
     """Fourier series of a periodic picture (ny, nx) up to `band`, blurred by the lens."""
     spectrum = fft.rfft2(picture) / picture.size
     f_x = np.arange(spectrum.shape[1]) / period[0]
     f_y = fft.fftfreq(picture.shape[0]) * picture.shape[0] / period[1]
     keep_x, keep_y = f_x <= band, np.abs(f_y) <= band
-    c = spectrum[np.ix_(keep_y, keep_x)] * _gauss(f_x[keep_x], f_y[keep_y, None], OPTICS)
-    c[:, 1:] *= 2  # the half that rfft2 leaves out
-    return Series(c, 2 * np.pi * f_x[keep_x], 2 * np.pi * f_y[keep_y])
+    c = spectrum[np.ix_(keep_y, keep_x)] * _gauss(f_x[keep_x], f_y[keep_y, None], LENS_FWHM_PX)
+    c[:, 1:] *= 2  # the half that rfft2 omits
+    return FourierSurface(c, 2 * np.pi * f_x[keep_x], 2 * np.pi * f_y[keep_y])
 
 
 def _gauss(f_x: Array, f_y: Array, fwhm: float) -> Array:
-    """Transfer function of a Gaussian of unit area."""
-    return np.exp(-2 * (np.pi * fwhm / FWHM) ** 2 * (f_x**2 + f_y**2))
+    """Transfer function of a Gaussian of unit area at frequencies in cycles/px."""
+    return np.exp(-2 * (np.pi * fwhm / FWHM_PER_SIGMA) ** 2 * (f_x**2 + f_y**2))
 
 
 def _blur(picture: Array, x: Array, y: Array, fwhm: float) -> Array:
+    """Convolve a periodic picture (ny, nx) with a Gaussian of the given width, px."""
     f_x, f_y = fft.rfftfreq(x.size, x[1]), fft.fftfreq(y.size, y[1, 0])
     return fft.irfft2(fft.rfft2(picture) * _gauss(f_x, f_y[:, None], fwhm), s=picture.shape)
 
 
 def _speckle(x: Array, y: Array, size: float, rng: np.random.Generator) -> Array:
-    """Sprayed paint: smoothed white noise, pushed toward black and white."""
+    """Sprayed paint: smoothed white noise, saturated toward black and white."""
     field = _blur(rng.standard_normal((y.size, x.size)), x, y, size)
     return np.tanh(field / field.std())
 
@@ -150,7 +181,7 @@ def _dots(x: Array, y: Array, size: float, rng: np.random.Generator) -> Array:
 
 def _checker(x: Array, y: Array, size: float, rng: np.random.Generator) -> Array:
     """Black and white squares: a product of square waves without the harmonics above the band."""
-    odd = np.arange(1, max(2, 2 * HIGHEST * size), 2)[:, None, None]
+    odd = np.arange(1, max(2, 2 * MAX_FREQUENCY * size), 2)[:, None, None]
     wave_x, wave_y = (np.sum(4 / (np.pi * odd) * np.sin(odd * np.pi * z / size), axis=0) for z in (x, y))
     return wave_x * wave_y
 

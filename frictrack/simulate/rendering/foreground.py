@@ -1,4 +1,4 @@
-"""What lies between the block and the camera: a rod across the course, and a highlight on the window."""
+"""The model of what lies between the block and the camera: a rod across the course, a highlight on the window."""
 
 from __future__ import annotations
 
@@ -13,14 +13,21 @@ from frictrack.records import Array
 
 @dataclass(frozen=True)
 class Rod:
-    """An upright rod in front of the course, sharp to the part of a pixel; it shakes with the scene.
+    """Upright rod in front of the course, with sub-pixel edges; it shakes with the scene.
 
-    What an edge of the rod leaves free of a pixel shows that pixel's mean light: of the two columns that the
-    edges cut, the texture within a pixel is not resolved.
+    In the two columns that its edges cut, the free part of a pixel shows the mean light of that pixel.
+
+    Attributes
+    ----------
+    x, width
+        Place of the axis and width, px.
+    reflectance
+        Light of the rod; 1 is white.
+
     """
 
-    x: float  # px, its axis
-    width: float = 14.0  # px
+    x: float
+    width: float = 14.0
     reflectance: float = 0.06
 
     def __post_init__(self) -> None:
@@ -30,15 +37,23 @@ class Rod:
         gather(faults, "rod")
 
     def cover(self, x_edges: Array) -> Array:
-        """Share of each pixel that it hides between the borders x_edges (..., n + 1): (..., n)."""
+        """Share of each pixel that the rod hides, (..., n), for pixel borders x_edges (..., n + 1)."""
         return np.diff(np.clip(x_edges - self.x, -self.width / 2, self.width / 2))
 
 
 @dataclass(frozen=True)
 class Highlight:
-    """Light of the lamp, reflected by a window, added to whatever is there; fixed in the picture.
+    """Reflection of the lamp in a window, added to the picture and fixed in it: a Gaussian.
 
-    A Gaussian: amplitude (1 = white) at x, y (px), `radius` px its standard deviation.
+    Attributes
+    ----------
+    x, y
+        Centre, px.
+    radius
+        Standard deviation, px.
+    amplitude
+        Light at the centre; 1 is white.
+
     """
 
     x: float
@@ -53,10 +68,10 @@ class Highlight:
         gather(faults, "highlight")
 
     def light(self, x_edges: Array, y_edges: Array) -> Array:
-        """Added light of each pixel between the borders (nx + 1,), (ny + 1,): (ny, nx), averaged over the pixel."""
-        along_x, along_y = (self._part(x_edges - self.x), self._part(y_edges - self.y))
-        return self.amplitude * np.outer(along_y, along_x)
+        """Added light (ny, nx), averaged over each pixel, for pixel borders x_edges (nx + 1,) and y_edges (ny + 1,)."""
+        profile_x, profile_y = (self._profile(x_edges - self.x), self._profile(y_edges - self.y))
+        return self.amplitude * np.outer(profile_y, profile_x)
 
-    def _part(self, edges: Array) -> Array:
-        """Integral of exp(-z^2 / 2 radius^2) from one border to the next."""
+    def _profile(self, edges: Array) -> Array:
+        """Integral of exp(-z^2 / (2 radius^2)) from one border to the next."""
         return np.sqrt(np.pi / 2) * self.radius * np.diff(erf(edges / (np.sqrt(2) * self.radius)))

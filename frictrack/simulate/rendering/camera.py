@@ -1,8 +1,8 @@
-"""The camera of the simulated film: from light on a pixel to a number, with shot noise, read noise and bits."""
+"""The model of a camera: from light on a pixel to a digital number, with shot noise, read noise and bit depth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,42 +13,76 @@ from scipy.interpolate import make_interp_spline
 from frictrack.errors import gather
 from frictrack.records import Array
 
-WHITE = 0.8  # part of the full well that a white surface fills
-MANY = 1000  # e-: from here on shot noise is drawn from a Gaussian (skewness below 0.03), eight times faster
+WHITE_LEVEL = 0.8  # share of the full well that a white surface fills
+MIN_GAUSSIAN_ELECTRONS = 1000  # from here on shot noise is drawn from a Gaussian: skewness below 0.03, 8 times faster
 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """amplitude * sin(2 pi frequency t + phase): a nuisance of known truth."""
+    """Sinusoid amplitude * sin(2 pi frequency t + phase).
+
+    Examples
+    --------
+    >>> round(float(Oscillation(2.0, frequency=50.0)(np.array(0.005))), 12)
+    2.0
+
+    """
 
     amplitude: float
     frequency: float  # Hz
     phase: float = 0.0  # rad
 
     def __call__(self, t: Array) -> Array:
-        """Value at the times t (any shape), s."""
+        """Value at the times t (any shape), s, in the unit of the amplitude."""
         return self.amplitude * np.sin(2 * np.pi * self.frequency * t + self.phase)
+
+    def second_derivative(self) -> Oscillation:
+        """Second derivative with respect to time, in the unit of the amplitude per s^2."""
+        return replace(self, amplitude=-self.amplitude * (2 * np.pi * self.frequency) ** 2)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A high-speed camera. Frame i is exposed symmetrically round t = i / fps.
+    """A high-speed camera whose frame i is exposed symmetrically about t = i / fps.
 
-    Flicker is relative to the light, which besides changes by `drift` per second; shake moves the whole picture
-    and is not part of the target's position. Every pixel has a sensitivity of its own, of relative standard
-    deviation `prnu` (photo response non-uniformity, drawn from `prnu_seed`): a pattern fixed in the picture.
+    Attributes
+    ----------
+    fps
+        Frames per second.
+    width, height
+        Size of the picture, px.
+    scale
+        Object size of one pixel, m/px.
+    exposure
+        Exposure time over the frame interval, 0 to 1.
+    bit_depth
+        8, 12 or 16.
+    full_well, read_noise
+        Electrons at full scale; standard deviation of the read noise in electrons.
+    black
+        Digital number without light.
+    prnu, prnu_seed
+        Photo response non-uniformity: relative standard deviation of the pixels' sensitivity, and the seed of the
+        pattern, which is fixed in the picture.
+    flicker
+        Relative change of the light.
+    drift
+        Relative change of the light per second.
+    shake_x, shake_y
+        Displacement of the whole picture, px. It is not part of the target's position.
+
     """
 
     fps: float = 4000.0
     width: int = 640
     height: int = 96
     scale: float = 0.5e-3  # m/px
-    exposure: float = 0.1  # part of the frame interval
+    exposure: float = 0.1
     bit_depth: int = 8
     full_well: float = 15_000.0  # e-
     read_noise: float = 20.0  # e-
-    black: float = 4.0  # digital number of no light
-    prnu: float = 0.0  # relative
+    black: float = 4.0
+    prnu: float = 0.0
     prnu_seed: int = 0
     flicker: Oscillation | None = None
     drift: float = 0.0  # 1/s
@@ -83,13 +117,13 @@ class Camera:
 
     @property
     def gain(self) -> float:
-        """Digital numbers per electron: a full well is full scale."""
+        """Digital numbers per electron; a full well gives full scale."""
         return (self.full_scale - self.black) / self.full_well
 
     def shake(self, t: Array) -> tuple[Array, Array]:
         """Displacement of the whole picture at the times t (s), px."""
-        still = np.zeros_like(t)
-        return (self.shake_x(t) if self.shake_x else still, self.shake_y(t) if self.shake_y else still)
+        zero = np.zeros_like(t)
+        return (self.shake_x(t) if self.shake_x else zero, self.shake_y(t) if self.shake_y else zero)
 
     def light(self, t: Array) -> Array:
         """Illumination at the times t (s), 1 without flicker and drift; never below 0."""
@@ -104,25 +138,52 @@ class Camera:
 
     def electrons(self, clean: Array) -> Array:
         """Mean number of electrons for light `clean` (1 = white)."""
-        return np.clip(clean, 0, None) * (WHITE * self.full_well)
+        return np.clip(clean, 0, None) * (WHITE_LEVEL * self.full_well)
 
     def mean(self, clean: Array) -> Array:
         """Digital number without noise and rounding for light `clean` (1 = white)."""
         return self.black + self.gain * self.electrons(clean)
 
     def noise(self, clean: Array) -> Array:
-        """Standard deviation, digital numbers: shot and read noise and rounding (photon transfer).
+        """Standard deviation of shot noise, read noise and rounding, for light `clean` (1 = white).
 
-        Source: Janesick, Photon Transfer (2007): variance = gain (signal + gain read^2) + 1/12.
+        Parameters
+        ----------
+        clean
+            Light, any shape; 1 is white.
+
+        Returns
+        -------
+        Array
+            Standard deviation, digital numbers, same shape.
+
+        References
+        ----------
+        Janesick 2007, Photon Transfer: variance = gain (signal + gain read^2) + 1/12.
+
         """
         return np.sqrt(self.gain**2 * (self.electrons(clean) + self.read_noise**2) + 1 / 12)
 
     def record(self, clean: Array, rng: np.random.Generator) -> NDArray[Any]:
-        """One frame (uint8, else uint16) of light `clean` (height, width); any shape where prnu is 0."""
+        """Record one frame.
+
+        Parameters
+        ----------
+        clean
+            Light, 1 = white, shape (height, width); any shape where prnu is 0.
+        rng
+            Source of shot and read noise.
+
+        Returns
+        -------
+        NDArray
+            Digital numbers of the same shape: uint8 at 8 bit, else uint16.
+
+        """
         electrons = self.electrons(clean)
         if self.prnu:
             electrons = electrons * self.sensitivity
-        if electrons.min() >= MANY:
+        if electrons.min() >= MIN_GAUSSIAN_ELECTRONS:
             spread = np.sqrt(electrons + self.read_noise**2).astype(np.float32)
             electrons = electrons + spread * rng.standard_normal(clean.shape, dtype=np.float32)
         else:
@@ -131,11 +192,21 @@ class Camera:
         return number.astype(np.uint8 if self.bit_depth == 8 else np.uint16)
 
 
-def speckle_bound(clean_patch: Array, noise: Array | float) -> float:
-    """Least standard deviation of the shift along x of a known picture in noise, px (Cramer-Rao bound).
+def cramer_rao_shift_std(clean_patch: Array, noise: Array | float) -> float:
+    """Cramer-Rao bound of the standard deviation of a measured shift along x: 1 / sqrt(sum (g_x / noise)^2).
 
-    1 / sqrt(sum (g_x / noise)^2), g_x the slope along x of `clean_patch` (ny, nx), from a quintic spline;
-    `noise` in the units of the patch. For the bound along y give both transposed.
+    Parameters
+    ----------
+    clean_patch
+        Picture without noise, (ny, nx); its slope g_x comes from a quintic spline along x.
+    noise
+        Standard deviation of the noise in the units of the patch, (ny, nx) or one number.
+
+    Returns
+    -------
+    float
+        Smallest standard deviation of an unbiased estimate, px. For the bound along y, transpose both.
+
     """
     x = np.arange(clean_patch.shape[1])
     slope = make_interp_spline(x, clean_patch, k=5, axis=1).derivative()(x)

@@ -1,0 +1,28 @@
+"""Integrate the equation of motion m x'' = D(t) - F(x, v, t) by collocation, and linearise the solution.
+
+The simulator and the fit share this integrator. Three steps use it:
+
+- `Panels` cuts time into panels with three Gauss-Legendre nodes each;
+- `solve_motion` returns the motion as a `CollocationSolution` and its `MotionResponse`, the derivative of the motion
+  with respect to small forces and to the start;
+- `EdgeResponse` applies such a response to many forces at once.
+"""
+
+from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels
+from frictrack.simulate.dynamics.edge_response import EdgeResponse
+from frictrack.simulate.dynamics.linear_response import LinearResponse
+from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
+from frictrack.simulate.dynamics.solver import linearise_acceleration, solve_motion, solve_simplified_newton
+
+__all__ = [
+    "NODES",
+    "CollocationSolution",
+    "EdgeResponse",
+    "KrylovResponse",
+    "LinearResponse",
+    "MotionResponse",
+    "Panels",
+    "linearise_acceleration",
+    "solve_motion",
+    "solve_simplified_newton",
+]

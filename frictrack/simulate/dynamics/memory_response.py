@@ -1,0 +1,130 @@
+"""Compute the linear response of a motion under a law with memory, by a Krylov method.
+
+A force with memory depends on the whole motion so far, so derivatives at single nodes do not describe it. The response
+is solved iteratively from directional differences of the law itself; the response without memory is the
+preconditioner (Newton-Krylov methods: Knoll & Keyes 2004, J. Comput. Phys. 193, 357-397).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+from frictrack.simulate.dynamics.linear_response import LinearResponse
+
+MAX_KRYLOV_DIRECTIONS = 80
+MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
+SENSITIVITY_RTOL = 1e-7  # residual over the input, of a sensitivity
+NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
+
+_Direction = tuple[
+    Array, Array, Array
+]  # orthonormal input (3 p,), its node accelerations (3 p,), edge states (p + 1, 2)
+
+
+class KrylovResponse:
+    """Linear response of a motion under a law with memory, with the interface of `LinearResponse`.
+
+    Directions that were solved for one input are reused for the next.
+
+    Parameters
+    ----------
+    local
+        Response of the same law without its memory; the preconditioner.
+    tangent
+        Function of node accelerations (3 p,) and of a change of the start (2,). It returns the change of the law's
+        acceleration (3 p,) along that small change of the motion.
+
+    """
+
+    def __init__(self, local: LinearResponse, tangent: Callable[[Array, Array], Array]) -> None:
+        self._local, self._tangent = local, tangent
+        self._directions: list[_Direction] = []
+
+    def newton_step(self, residual: Array) -> tuple[Array, Array]:
+        """Newton correction (node accelerations (3 p,), edge positions (p + 1,)) for a residual (3 p,)."""
+        a, edges = self.solve(residual, np.zeros(2), NEWTON_STEP_RTOL)
+        return a, edges[:, 0]
+
+    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under k small inputs; see `LinearResponse.respond`.
+
+        Raises
+        ------
+        FrictrackError
+            If the response grows beyond all bounds.
+
+        """
+        pairs = [self.solve(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
+            raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
+        a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
+        return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
+
+    def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:
+        """Solve for one input by generalised conjugate residuals, preconditioned from the right.
+
+        Parameters
+        ----------
+        g
+            Added acceleration at the nodes, m/s^2, shape (3 p,).
+        start
+            Change of position and velocity at the first edge, (2,).
+        rtol
+            Norm of the residual over the norm of the input at which the iteration ends.
+
+        Returns
+        -------
+        tuple of arrays
+            Change of the node accelerations (3 p,), and of the state at the edges (p + 1, 2). Both are NaN if the law
+            runs off to infinity.
+
+        References
+        ----------
+        Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20, 345-357.
+
+        """
+        a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
+        residual = g + self._tangent(a, start) - a if np.any(start) else g
+        tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+        for direction in self._directions:
+            a, edges, residual = _apply_direction(a, edges, residual, direction)
+        for _ in range(MAX_KRYLOV_DIRECTIONS):
+            size = float(np.linalg.norm(residual))
+            if size <= tolerance:
+                return a, edges
+            found = self._add_direction(residual / size)
+            if found is None:
+                break
+            a, edges, residual = _apply_direction(a, edges, residual, found)
+        if not np.all(np.isfinite(residual)):
+            return np.full_like(a, np.nan), np.full_like(edges, np.nan)
+        return a, edges
+
+    def _add_direction(self, toward: Array) -> _Direction | None:
+        """Solve one more direction, orthogonal to all before; return None if nothing new remains of it."""
+        a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
+        w = a - self._tangent(a, np.zeros(2))
+        full_size = float(np.linalg.norm(w))
+        for _ in range(2):  # Gram-Schmidt twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
+            for v, b, b_edges in self._directions:
+                c = float(v @ w)
+                w, a, edges = w - c * v, a - c * b, edges - c * b_edges
+        size = float(np.linalg.norm(w))
+        if not size > MIN_NEW_SHARE * full_size:
+            return None
+        self._directions.append((w / size, a / size, edges / size))
+        return self._directions[-1]
+
+
+def _apply_direction(a: Array, edges: Array, residual: Array, direction: _Direction) -> tuple[Array, Array, Array]:
+    """Move a response along a solved direction as far as that reduces the residual."""
+    w, b, b_edges = direction
+    c = float(w @ residual)
+    return a + c * b, edges + c * b_edges, residual - c * w
+
+
+MotionResponse = LinearResponse | KrylovResponse

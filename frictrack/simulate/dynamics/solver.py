@@ -1,0 +1,291 @@
+"""Solve x'' = a(x, v, t) by collocation and Newton's method, for laws with and without memory.
+
+All panels are solved at once: linearised, each panel is a 3 x 3 system and panels are chained by a banded system
+(`linear_response`). Under a law with memory a first guess is improved window by window, and Newton's steps use the
+response of `memory_response`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from frictrack.errors import FrictrackError
+from frictrack.records import Array
+from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels
+from frictrack.simulate.dynamics.linear_response import LinearResponse
+from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
+
+MAX_NEWTON_STEPS = 30
+MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged
+JACOBIAN_REUSE_M = 1e-6  # Newton step below which the linear response is no longer recomputed
+RELATIVE_STEP = 1e-7  # of a difference, over the range of x or v: the root of the rounding error, roughly
+DIFFERENCE_STEP = 3e-9  # of a directional difference, over the motion's own size
+
+MEMORY_TOLERANCE_M = 2e-11  # relative beyond 1 m: a law with memory has a kink at every reversal
+SWEEP_PANELS, MIN_SWEEP_PANELS = 64, 4  # panels per window of a sweep: first try, and fewest
+SWEEP_TOLERANCE_M = 1e-12  # at which a window of a sweep has converged
+MAX_SIMPLIFIED_STEPS = 25
+SEGMENT_PANELS = 16  # panels per segment where all panels together do not converge
+SEGMENT_TOLERANCE_M = 1e-10  # at which a segment has converged
+
+Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """The problem to solve: acceleration law, time axis and start (m, m/s).
+
+    A law with memory is called with the start in front of the nodes.
+    """
+
+    acceleration: Acceleration
+    panels: Panels
+    start: tuple[float, float]
+    memory: bool
+
+    def at(self, x: Array, v: Array, start: tuple[float, float] | None = None) -> Array:
+        """Acceleration at the nodes (3 p,) for a motion there."""
+        t = self.panels.t
+        if not self.memory:
+            return self.acceleration(x, v, t)
+        x0, v0 = start or self.start
+        with_start = np.append(x0, x), np.append(v0, v), np.append(self.panels.edges[0], t)
+        return self.acceleration(*with_start)[1:]
+
+    def local(self, x: Array, v: Array) -> tuple[Array, LinearResponse]:
+        """Acceleration at the nodes, and the response by its derivatives in x and v there, from differences."""
+        ex = RELATIVE_STEP * max(float(np.ptp(x)), 1e-3)
+        ev = RELATIVE_STEP * max(float(np.max(np.abs(v))), 1e-3)
+        f = self.at(x, v)
+        # Alternating signs from panel to panel: a law of the distance slid does not change under one common shift.
+        e = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2)) if self.memory else ex
+        return f, LinearResponse(self.panels, (self.at(x + e, v) - f) / e, (self.at(x, v + ev) - f) / ev)
+
+    def response(self, local: LinearResponse, f: Array, x: Array, v: Array) -> MotionResponse:
+        """Response about a motion x, v along which the law gives f."""
+        if not self.memory:
+            return local
+        size = np.array([max(float(np.ptp(x)), 1e-6), max(float(np.max(np.abs(v))), 1e-6)])
+
+        def tangent(a: Array, start: Array) -> Array:
+            dx, dv, _, _ = self.panels.integrate(a, float(start[0]), float(start[1]))
+            relative_size = max(float(np.max(np.abs(dx))) / size[0], float(np.max(np.abs(dv))) / size[1])
+            if not relative_size > 0:
+                return np.zeros_like(f)
+            e = DIFFERENCE_STEP / relative_size
+            begin = self.start[0] + e * float(start[0]), self.start[1] + e * float(start[1])
+            return (self.at(x + e * dx, v + e * dv, begin) - f) / e
+
+        return KrylovResponse(local, tangent)
+
+
+def solve_motion(
+    acceleration: Acceleration,
+    panels: Panels,
+    start: tuple[float, float],
+    guess: Array,
+    *,
+    tolerance: float = 1e-13,
+    memory: bool = False,
+) -> tuple[CollocationSolution, MotionResponse]:
+    """Solve x'' = acceleration(x, v, t) from a given start.
+
+    Parameters
+    ----------
+    acceleration
+        Function of position (m), velocity (m/s) and time (s) at the nodes that returns x'' (m/s^2). A law with
+        `memory` gets the start and the nodes, (1 + 3 q,), where q counts the panels solved so far.
+    panels
+        Time axis of p panels.
+    start
+        Position (m) and velocity (m/s) at the first edge.
+    guess
+        First guess of x'' at the nodes, m/s^2, shape (3 p,).
+    tolerance
+        Newton step at which the motion has converged, m; relative beyond 1 m.
+    memory
+        Whether the law depends on the whole motion so far.
+
+    Returns
+    -------
+    motion : CollocationSolution
+    response : MotionResponse
+        Derivative of the motion with respect to small forces and to the start.
+
+    Raises
+    ------
+    FrictrackError
+        If Newton's method does not converge.
+
+    References
+    ----------
+    Hairer, Norsett & Wanner 1993, Solving Ordinary Differential Equations I, section II.7.
+
+    Examples
+    --------
+    Free fall from rest:
+
+    >>> panels = Panels(np.array([0.0, 0.5, 1.0]))
+    >>> motion, _ = solve_motion(lambda x, v, t: -9.81 + 0 * x, panels, (0.0, 0.0), np.zeros(6))
+    >>> motion.x_edge.round(6).tolist()
+    [0.0, -1.22625, -4.905]
+
+    """
+    law = _Law(acceleration, panels, start, memory)
+    guess = np.array(guess, dtype=float)
+    with np.errstate(all="ignore"):  # a diverging law is reported below
+        if memory:
+            guess, tolerance = _sweep_windows(law, guess), max(tolerance, MEMORY_TOLERANCE_M)
+        solved = _newton(law, guess, tolerance)
+        if solved is None and memory:
+            marched = _march_segments(law, guess)
+            solved = None if marched is None else _newton(law, marched, tolerance)
+    if solved is None:
+        raise FrictrackError(
+            "the motion under this law could not be integrated; check mass, drive and the sign of incline "
+            "(positive where the course rises toward +x)"
+        )
+    return solved
+
+
+def solve_simplified_newton(
+    law: Callable[[Array, Array], Array], panels: Panels, start: tuple[float, float], a: Array, tolerance: float
+) -> CollocationSolution | None:
+    """Solve a motion by Newton's method with one Jacobian, which ignores the law's memory.
+
+    Memory changes little within a few oscillations, so derivatives at the nodes, recomputed once, are sufficient.
+
+    Parameters
+    ----------
+    law
+        Function of position (m) and velocity (m/s) at the nodes, each (3 p,), that returns x'' (m/s^2).
+    panels, start
+        Time axis; position (m) and velocity (m/s) at its first edge.
+    a
+        First guess of x'' at the nodes, m/s^2, shape (3 p,).
+    tolerance
+        Largest step at the edges at which the motion has converged, m.
+
+    Returns
+    -------
+    CollocationSolution or None
+        None if the steps grow or do not converge within `MAX_SIMPLIFIED_STEPS`.
+
+    """
+    size, response = np.inf, None
+    for k in range(MAX_SIMPLIFIED_STEPS):
+        x, v, x_edge, v_edge = panels.integrate(a, *start)
+        f = law(x, v)
+        if response is None or k == 1:
+            ex, ev = RELATIVE_STEP * max(float(np.ptp(x)), 1e-3), RELATIVE_STEP * max(float(np.max(np.abs(v))), 1e-3)
+            dx = ex * (1 - 2 * (np.arange(len(x)) // 3 % 2))  # alternating, as in `_Law.local`
+            response = LinearResponse(panels, (law(x + dx, v) - f) / dx, (law(x, v + ev) - f) / ev)
+        step, edges = response.newton_step(f - a)
+        last, size = size, float(np.max(np.abs(edges)))
+        if not size < min(2 * last, MAX_DISPLACEMENT_M):
+            return None
+        a = a + step
+        if size <= tolerance:
+            x, v, x_edge, v_edge = panels.integrate(a, *start)
+            return CollocationSolution(panels, x, v, a, x_edge, v_edge)
+    return None
+
+
+def linearise_acceleration(
+    acceleration: Acceleration,
+    panels: Panels,
+    motion: tuple[Array, Array],
+    start: tuple[float, float] = (0.0, 0.0),
+    *,
+    memory: bool = False,
+) -> tuple[Array, LinearResponse]:
+    """Linearise a law along any motion, which need not satisfy it.
+
+    Parameters
+    ----------
+    acceleration
+        As in `solve_motion`.
+    panels
+        Time axis of p panels.
+    motion
+        Position (m) and velocity (m/s) at the nodes, each (3 p,).
+    start
+        Position and velocity at the first edge; only a law with memory needs them.
+    memory
+        Whether the law depends on the whole motion so far; the response ignores that memory.
+
+    Returns
+    -------
+    tuple
+        Acceleration at the nodes, m/s^2, (3 p,), and the response by its derivatives there.
+
+    """
+    return _Law(acceleration, panels, start, memory).local(*motion)
+
+
+def _newton(law: _Law, a: Array, tolerance: float) -> tuple[CollocationSolution, MotionResponse] | None:
+    """Iterate Newton's method from node accelerations a (3 p,); return None if it does not converge."""
+    size = np.inf
+    for _ in range(MAX_NEWTON_STEPS):
+        x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
+        if size > JACOBIAN_REUSE_M or law.memory:  # near the solution the derivatives no longer change
+            f, local = law.local(x, v)
+            response = law.response(local, f, x, v)
+        else:
+            f = law.at(x, v)
+        step, edges = response.newton_step(f - a)
+        a = a + step
+        size = float(np.max(np.abs(edges)))
+        if not max(size, float(np.max(np.abs(x_edge)))) < MAX_DISPLACEMENT_M:
+            return None
+        if size <= tolerance * max(1.0, float(np.max(np.abs(x_edge)))):
+            x, v, x_edge, v_edge = law.panels.integrate(a, *law.start)
+            return CollocationSolution(law.panels, x, v, a, x_edge, v_edge), response
+    return None
+
+
+def _sweep_windows(law: _Law, a: Array) -> Array:
+    """Improve node accelerations (3 p,) under a law with memory, window by window, as far as windows converge."""
+    a, done, window, total = a.copy(), 0, SWEEP_PANELS, len(law.panels.h)
+    x, v, start, edges = np.empty(0), np.empty(0), law.start, law.panels.edges
+    while done < total:
+        until = min(done + window, total)
+        part, rows = replace(law, panels=Panels(edges[: until + 1])), slice(3 * done, 3 * until)
+
+        def at(
+            x_new: Array, v_new: Array, part: _Law = part, rows: slice = rows, solved: tuple[Array, Array] = (x, v)
+        ) -> Array:
+            return part.at(np.append(solved[0], x_new), np.append(solved[1], v_new))[rows]
+
+        motion = solve_simplified_newton(at, Panels(edges[done : until + 1]), start, a[rows], SWEEP_TOLERANCE_M)
+        if motion is None:
+            window //= 2
+            if window < MIN_SWEEP_PANELS:
+                break
+            continue
+        a[rows], start = motion.a, (float(motion.x_edge[-1]), float(motion.v_edge[-1]))
+        x, v, done = np.append(x, motion.x), np.append(v, motion.v), until
+    return a
+
+
+def _march_segments(law: _Law, a: Array) -> Array | None:
+    """Solve segment by segment, because later forces do not act on earlier motion; node accelerations (3 p,)."""
+    done, count, total = 0, SEGMENT_PANELS, len(law.panels.h)
+    a = a.copy()
+    while done < total:
+        until = min(done + count, total)
+        part = replace(law, panels=Panels(law.panels.edges[: until + 1]))
+        if done:
+            a[3 * done : 3 * until] = a[3 * done - 1]
+        found = _newton(part, a[: 3 * until], SEGMENT_TOLERANCE_M)
+        if found is None and count == 1:
+            return None
+        if found is None:
+            count //= 2
+            continue
+        a[: 3 * until] = found[0].a
+        done, count = until, min(2 * count, SEGMENT_PANELS)
+    return a

@@ -1,0 +1,375 @@
+"""Simulate the motion of the slider under a sum of effects: m x'' = D - F, with sticking, release and reversal.
+
+Between stops the direction of motion s is fixed, so the law is smooth and the collocation integrator keeps its order.
+At v = 0 the mass sticks while the drive lies between the friction of starting backward and that of starting forward,
+both of which the model gives. A law whose force does not jump at a reversal is integrated through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from frictrack.effects import Path
+from frictrack.errors import FrictrackError
+from frictrack.models import Model, Values
+from frictrack.records import Array
+from frictrack.simulate.conditions import Conditions
+from frictrack.simulate.dynamics import (
+    NODES,
+    CollocationSolution,
+    LinearResponse,
+    Panels,
+    solve_motion,
+    solve_simplified_newton,
+)
+from frictrack.simulate.state import SimulationState, interleave, nodes_and_edges
+
+WINDOW_PANELS = 64  # panels solved at once
+REVERSAL_WINDOW_PANELS = 16  # the same under a model in which reversals are frequent
+SMOOTH_WINDOW_PANELS = 64  # the same under a law without a jump at rest
+AGREEMENT_M = 1e-10  # largest change of the displacement when panels are halved
+MAX_HALVINGS, MAX_HALVINGS_LONG = 6, 3  # of the panels, for short and for long motions
+SOLVER_MARGIN = 1e3  # a long motion is solved this much more accurately than halved panels must agree
+MAX_FORCE_JUMP = 1e-9  # share of the force by which it may change with the direction at rest and still be smooth
+MIN_EXCESS_N = 1e-9  # driving force beyond friction at which a mass at rest starts
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """True motion of the slider at the frames.
+
+    Attributes
+    ----------
+    t, x, v, a
+        Recorded time (s), position (m), velocity (m/s) and acceleration (m/s^2), each (n,).
+    F
+        Friction force, N, shape (n,).
+    shift
+        Displacement of the recorded position from the true one by measurement effects, m, shape (n,).
+
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    F: Array
+    shift: Array
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start of a motion: position x (m), velocity v (m/s), and the known states of effects with memory, (1, k) each."""
+
+    x: float
+    v: float
+    states: Mapping[str, Array] = field(default_factory=dict)
+
+
+def simulate(model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]) -> Trajectory:
+    """Simulate a run of known truth.
+
+    Panels are halved until the displacement changes by at most 0.1 nm, so that a blow much shorter than a frame is
+    resolved too.
+
+    Parameters
+    ----------
+    model, values
+        The law: its effects, and for each effect the values of its parameters by name (SI).
+    conditions
+        Mass, load, drive and what else acts in the run.
+    t
+        Recorded times of the frames, s since release, shape (n,).
+    start
+        Position (m) and velocity (m/s) at t[0].
+
+    Returns
+    -------
+    Trajectory
+        Motion and force at the frames.
+
+    Raises
+    ------
+    FrictrackError
+        If the displacement cannot be computed to 1 nm.
+
+    Examples
+    --------
+    A mass of 0.35 kg at 2 m/s under 3.5 N of Coulomb friction is braked by 10 m/s^2 and stops after 0.2 m:
+
+    >>> from frictrack import models
+    >>> t = np.arange(300) / 1000
+    >>> run = simulate(models.of(["coulomb"]), {"coulomb": {"F_c": 3.5}}, Conditions(mass=0.35), t, (0.0, 2.0))
+    >>> round(float(run.x[-1]), 6), float(run.v[-1])
+    (0.2, 0.0)
+
+    """
+    state, recorded, t = SimulationState(model, values, conditions), t, t * model.clock(values)
+    per_frame = max(2, *(e.fine for e in model.effects))
+    finer, change = _sample_trajectory(state, t, start, per_frame), np.inf
+    for _ in range(MAX_HALVINGS):
+        per_frame *= 2
+        coarse, finer = finer, _sample_trajectory(state, t, start, per_frame)
+        change = float(np.max(np.abs(finer.x - coarse.x)))
+        if change <= AGREEMENT_M:
+            return replace(finer, t=recorded)
+    if change > 10 * AGREEMENT_M:
+        raise FrictrackError(
+            f"expected a motion that can be followed to 1 nm but got one that still moves by {change * 1e9:.2g} nm "
+            f"when every frame is cut into {per_frame} parts; give more frames per second, or wider pulses"
+        )
+    return replace(finer, t=recorded)
+
+
+def simulate_displacement(
+    model: Model,
+    values: Values,
+    conditions: Conditions,
+    t: Array,
+    start: Start,
+    tolerance: float,
+) -> Array:
+    """Simulate the recorded displacement of a long motion to a given accuracy.
+
+    A law without a jump at rest is integrated through its reversals.
+
+    Parameters
+    ----------
+    model, values, conditions, t
+        As in `simulate`.
+    start
+        Position, velocity and known states at t[0].
+    tolerance
+        Change of the displacement at which panels are no longer halved, m; they are halved three times at most.
+
+    Returns
+    -------
+    Array
+        Displacement as a camera would record it, m, shape (n,).
+
+    Raises
+    ------
+    FrictrackError
+        If the motion under this law cannot be integrated.
+
+    """
+    smooth = is_smooth_at_rest(model, values, conditions)
+    state = SimulationState(model, values, conditions, smooth, start.states, tolerance / SOLVER_MARGIN)
+    t = t * model.clock(values)
+    per_frame = max(e.fine for e in model.effects)
+    displacement = _sample_displacement(state, t, start, per_frame)
+    for _ in range(MAX_HALVINGS_LONG):
+        per_frame *= 2
+        coarse, displacement = displacement, _sample_displacement(state, t, start, per_frame)
+        if float(np.max(np.abs(displacement - coarse))) <= tolerance:
+            break
+    return displacement
+
+
+def is_smooth_at_rest(model: Model, values: Values, conditions: Conditions) -> bool:
+    """Whether the force at rest does not depend on the direction in which the mass is about to move."""
+    rest = np.zeros(2)
+    for place in (-0.371, 0.0, 0.083, 0.229, 0.517):  # m, and s; several, because one may lie on a zero of a texture
+        forces = []
+        for s in (1.0, -1.0):
+            path = conditions.path(rest + place, rest, rest + abs(place), s)
+            path.s[0] = 0.0
+            forces.append(float(model.force(path, values)[-1]))
+        if abs(forces[0] - forces[1]) > MAX_FORCE_JUMP * max(abs(forces[0]), abs(forces[1])):
+            return False
+    return True
+
+
+def _integrate(state: SimulationState, t: Array, start: tuple[float, float], per_frame: int) -> Array:
+    """Integrate through every stop and release; return the rows of the history (6, k), frames among them."""
+    state.reset(start)
+    edges = np.interp(np.arange((len(t) - 1) * per_frame + 1) / per_frame, np.arange(len(t)), t)
+    now, x, v = float(edges[0]), float(start[0]), float(start[1])
+    while now < edges[-1] - 1e-12:
+        next_one = int(np.searchsorted(edges, now + 1e-12, side="right"))
+        count = SMOOTH_WINDOW_PANELS if state.smooth else WINDOW_PANELS
+        ahead = np.concatenate([[now], edges[next_one : next_one + count]])
+        state.history.add(np.array([now]), np.array([x]), np.array([v]), 0.0)
+        if state.smooth:
+            now, x, v = _follow_smooth(state, ahead, (x, v))
+            continue
+        s = np.sign(v) if v else _start_direction(state, x, now)
+        now, x, v = _slide_until_stop(state, ahead, (x, v), float(s)) if s else _stick(state, ahead, x)
+    return state.history.rows
+
+
+def _start_direction(state: SimulationState, x: float, now: float) -> float:
+    """Direction in which the mass starts from rest; 0 if it sticks."""
+    for s in (1.0, -1.0):
+        if state.excess_force(x, np.array([now]), s)[0] > MIN_EXCESS_N:
+            return s
+    return 0.0
+
+
+def _stick(state: SimulationState, ahead: Array, x: float) -> tuple[float, float, float]:
+    """Stick until the drive overcomes friction in one direction, at most through the times ahead (k,)."""
+    excess = {s: state.excess_force(x, ahead, s) - MIN_EXCESS_N for s in (1.0, -1.0)}
+    free = (excess[1.0] > 0) | (excess[-1.0] > 0)
+    free[0] = False
+    last = int(np.argmax(free)) if free.any() else len(ahead)
+    until, still = float(ahead[last - 1]), np.full(last, x)
+    if last < len(ahead):
+        s = 1.0 if excess[1.0][last] > 0 else -1.0
+        until = _release(state, ahead[: last + 1], x, s)
+    state.stick(ahead[:last], still, until)
+    return until, x, 0.0
+
+
+def _release(state: SimulationState, ahead: Array, x: float, s: float) -> float:
+    """Time within the last interval of `ahead` at which the mass starts in direction s, s."""
+
+    def gap(t: float) -> float:
+        times = np.append(ahead[:-1], t) if state.model.memory else np.array([t])
+        return float(state.excess_force(x, times, s)[-1]) - MIN_EXCESS_N
+
+    if gap(float(ahead[-2])) >= 0:
+        return float(ahead[-2]) + 1e-9
+    return float(brentq(gap, ahead[-2], ahead[-1])) + 1e-9
+
+
+def _slide_until_stop(
+    state: SimulationState, ahead: Array, start: tuple[float, float], s: float
+) -> tuple[float, float, float]:
+    """Slide in direction s through one window of panels, or to the stop; return time, position and velocity there."""
+    panels = Panels(ahead[: (REVERSAL_WINDOW_PANELS if state.model.turns else WINDOW_PANELS) + 1])
+    motion = _solve_window(state, panels, start, s)
+    panels = motion.panels
+    stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
+    last = int(stopped[0]) if len(stopped) else len(panels.h)  # edge before the stop
+    state.advance(motion, last + 1, s)
+    if not len(stopped):
+        return float(panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
+    piece = panels.edges[last : last + 2]
+    return _locate_stop(state, s, piece, (motion.x_edge[last], motion.v_edge[last]), motion.a[3 * last : 3 * last + 3])
+
+
+def _follow_smooth(state: SimulationState, ahead: Array, start: tuple[float, float]) -> tuple[float, float, float]:
+    """Integrate a smooth law through the times ahead, reversals included."""
+    motion = _solve_window(state, Panels(ahead), start, 1.0)
+    state.advance(motion, len(motion.x_edge), 1.0)
+    return float(motion.panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
+
+
+def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> CollocationSolution:
+    """Solve the motion on the panels, or on as many of the first as converge if an accuracy was given."""
+    guess = _predict_accelerations(state, panels, start, s)
+    if state.tolerance is None:
+        return solve_motion(state.acceleration(s), panels, start, guess, memory=state.model.memory)[0]
+    count = len(panels.h)
+    while count:
+        some = Panels(panels.edges[: count + 1])
+        law = state.acceleration_at_nodes(some, s)
+        motion = solve_simplified_newton(law, some, start, guess[: 3 * count], state.tolerance)
+        if motion is not None:
+            return motion
+        count //= 2
+    one = Panels(panels.edges[:2])
+    return solve_motion(state.acceleration(s), one, start, guess[:3], memory=state.model.memory)[0]
+
+
+def _predict_accelerations(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> Array:
+    """First guess of the node accelerations (3 p,): the law linearised about the start, under the coming drive."""
+    law, (x, v), t = state.acceleration(s), start, np.full(2, panels.edges[0])
+    forward = float(np.sign(v)) or s  # a step backward would undo a memory
+    step = 1e-7 * np.array([forward, max(abs(v), 1.0)])
+    first = float(law(np.full(2, x), np.full(2, v), t)[-1])
+    by_x = (float(law(x + np.array([0.0, step[0]]), np.full(2, v), t)[-1]) - first) / step[0]
+    by_v = (float(law(np.full(2, x), v + np.array([0.0, step[1]]), t)[-1]) - first) / step[1]
+    one = np.ones_like(panels.t)
+    rest = (
+        first
+        - by_x * x
+        - by_v * v
+        + (state.driving_force(panels.t) - state.driving_force(t)[0]) / state.conditions.mass
+    )
+    a, _ = LinearResponse(panels, by_x * one, by_v * one).respond(rest[:, None], np.array([[x], [v]]))
+    return a[:, 0]
+
+
+def _locate_stop(
+    state: SimulationState, s: float, edges: Array, first: tuple[float, float], a: Array
+) -> tuple[float, float, float]:
+    """Locate the stop in a panel with edges (2,), first x and v, and node accelerations a (3,); time, x, v."""
+    h, begin, law = float(edges[1] - edges[0]), float(edges[0]), state.acceleration(s)
+    curve = np.polynomial.Polynomial(np.polyfit(NODES * h, a, 2)[::-1]).integ(k=float(first[1]))
+    tau = float(brentq(curve, 0.0, h)) if curve(0.0) * curve(h) < 0 else h
+    if tau < 1e-12:
+        return begin + 1e-9, float(first[0]), 0.0
+    for _ in range(4):  # the polynomial gives a first guess; the law itself gives the time
+        piece = Panels(np.array([begin, begin + tau]))
+        start = float(first[0]), float(first[1])
+        motion, _ = solve_motion(law, piece, start, np.full(3, float(a[0])), memory=state.model.memory)
+        x, v, t = (interleave(*pair) for pair in (nodes_and_edges(motion)[k] for k in (1, 2, 0)))
+        braking = float(law(x, v, t)[-1])
+        late = float(motion.v_edge[-1]) / braking if braking else 0.0
+        if abs(late) < 1e-13:
+            break
+        tau = float(np.clip(tau - late, 0.5 * tau, h))
+    state.advance(motion, 2, s)
+    return float(piece.edges[-1]), float(motion.x_edge[-1]), 0.0
+
+
+def _sample_trajectory(state: SimulationState, t: Array, start: tuple[float, float], per_frame: int) -> Trajectory:
+    """Motion and force at the frames t (n,)."""
+    times, x, v, _, s, remembered = _integrate(state, t, start, per_frame)
+    force = state.driving_force(times)
+    for rows in np.split(np.arange(len(times)), np.flatnonzero(np.diff(s)) + 1):
+        if s[rows[0]]:
+            memory = state.model.memory
+            force[rows] = remembered[rows] if memory else state.force(x[rows], v[rows], times[rows], float(s[rows[0]]))
+    at = _rows_at(times, t)
+    x, v, force = x[at], v[at], force[at]
+    a = (state.driving_force(t) - force) / state.conditions.mass
+    return Trajectory(t, x, v, a, force, _recorded_position(state, x, v, t) - x)
+
+
+def _sample_displacement(state: SimulationState, t: Array, start: Start, per_frame: int) -> Array:
+    """Recorded position at the frames t, m, (n,)."""
+    times, x, v, *_ = _integrate(state, t, (start.x, start.v), per_frame)
+    at = _rows_at(times, t)
+    return _recorded_position(state, x[at], v[at], t)
+
+
+def _rows_at(times: Array, t: Array) -> NDArray[np.int_]:
+    """Rows of the history at the frames t."""
+    return np.clip(np.searchsorted(times, t - 1e-10), 0, len(times) - 1)
+
+
+def _recorded_position(state: SimulationState, x: Array, v: Array, t: Array) -> Array:
+    """Position with the shift by measurement effects, m, (n,)."""
+    if all(e.acts_on == "force" for e in state.model.effects):
+        return x
+    return x + image_shift(state.model, state.values, state.path(x, v, t, 1.0))
+
+
+def image_shift(model: Model, values: Values, path: Path) -> Array:
+    """Shift of the recorded position by the measurement effects of a model.
+
+    Parameters
+    ----------
+    model, values
+        The model and, for each effect, the values of its parameters by name (SI).
+    path
+        Motion of n samples.
+
+    Returns
+    -------
+    Array
+        Shift, m, shape (n,).
+
+    """
+    out = np.zeros_like(path.x)
+    clocks = {e.name for e in model.effects if e.clock is not None}  # they change the time axis instead
+    for name, block in model.measurement_columns(path, values).items():
+        out += 0.0 if name in clocks else block @ model.coefficients(name, values)
+    return out
