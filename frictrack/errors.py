@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-LONGEST = 8000  # characters of a message
+MAX_MESSAGE_LENGTH = 8000  # characters of a message
 
 
 class FrictrackError(ValueError):
@@ -15,19 +15,19 @@ class FrictrackError(ValueError):
     """
 
     def __init__(self, message: str, *, usage: bool = False) -> None:
-        super().__init__(_line(message))
+        super().__init__(_printable(message))
         self.usage = usage
 
 
-def _line(message: str) -> str:
-    if len(message) > LONGEST:
-        message = f"{message[: LONGEST // 2]} ... {message[-LONGEST // 4 :]}"
+def _printable(message: str) -> str:
+    if len(message) > MAX_MESSAGE_LENGTH:
+        message = f"{message[: MAX_MESSAGE_LENGTH // 2]} ... {message[-MAX_MESSAGE_LENGTH // 4 :]}"
     if message.isprintable():
         return message
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
 
 
-def gather(faults: list[str], what: str) -> None:
+def raise_faults(faults: list[str], what: str) -> None:
     """Raise one `FrictrackError` that lists every fault found in `what`; do nothing when there is none."""
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))

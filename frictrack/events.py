@@ -8,7 +8,7 @@ import numpy as np
 
 from frictrack.errors import FrictrackError
 from frictrack.friction import is_motion, is_moving, release_time
-from frictrack.records import Array, Happenings, Run, stretches
+from frictrack.records import Array, Run, RunEvents, stretches
 
 WAY = 5.0  # standard deviations of the position that a motion must cover
 SUDDEN = 5.0  # times what the usual acceleration would change the velocity by: an impact
@@ -16,7 +16,7 @@ LEAST_REST = 12  # frames, fewer do not tell the noise
 EDGE = 3  # frames at either end of a rest that may still move
 
 
-def happenings(run: Run) -> Happenings:
+def happenings(run: Run) -> RunEvents:
     """Release, impacts, stops, starts and reversals of a run, in order, and its rests.
 
     A reversal is where the velocity crosses zero between two motions of opposite direction, a stop and a start where
@@ -44,7 +44,7 @@ def happenings(run: Run) -> Happenings:
         found.append(("start", float(t[motions[0].start - 1]), float(t[motions[0].start])))
     found += _impacts(run, motions, found[0][1] if found[:1] and found[0][0] == "release" else -np.inf)
     rests = _rests(run, motions)
-    return Happenings(tuple(sorted(found, key=lambda e: e[1])), tuple(_span(t, s) for s in rests), _noise(run, rests))
+    return RunEvents(tuple(sorted(found, key=lambda e: e[1])), tuple(_span(t, s) for s in rests), _noise(run, rests))
 
 
 def _one_way(run: Run) -> list[slice]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.files import inner, replaced
-from frictrack.records import Modelled
+from frictrack.files import atomic_write, make_subfolder
+from frictrack.records import ModelledMotion
 from frictrack.results import Results, RunResults
 
 if TYPE_CHECKING:
@@ -24,26 +24,26 @@ def write(results: Results, to: Literal["csv", "xlsx"]) -> list[Path]:
     Returns the files. Raises `FrictrackError` where Excel is asked for and openpyxl is not installed, or the
     folder cannot be written.
     """
-    own = {told.run: told for told in results.current.motion} if results.current else {}
-    tables = {_safe(run.name): _run(run, own.get(run.name)) for run in results.runs}
-    tables |= {"parameters": _parameters(results), "errors": _errors(results)}
+    own = {motion.run: motion for motion in results.current.motion} if results.current else {}
+    tables = {_table_name(run.name): _curves_table(run, own.get(run.name)) for run in results.runs}
+    tables |= {"parameters": _parameters_table(results), "errors": _errors_table(results)}
     if any(run.budget for run in results.runs):
-        tables["budget"] = _budget(results)
+        tables["budget"] = _budget_table(results)
     if to == "csv":
-        folder = inner(results.output, "csv")
+        folder = make_subfolder(results.output, "csv")
         paths = [folder / f"{name}.csv" for name in tables]
         for path, table in zip(paths, tables.values(), strict=True):
-            with replaced(path) as part:
+            with atomic_write(path) as part:
                 table.to_csv(part, index=False)
         return paths
-    return [_workbook(tables, results.output / f"{results.path.stem}.xlsx")]
+    return [_write_workbook(tables, results.output / f"{results.path.stem}.xlsx")]
 
 
-def _workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
+def _write_workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
     import pandas as pd  # noqa: PLC0415 - slow to load
 
     try:
-        with replaced(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
+        with atomic_write(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
             for name, table in tables.items():
                 table.to_excel(book, sheet_name=name[:31], index=False)
     except ImportError as e:
@@ -51,12 +51,12 @@ def _workbook(tables: dict[str, pd.DataFrame], path: Path) -> Path:
     return path
 
 
-def _safe(name: str) -> str:
+def _table_name(name: str) -> str:
     """A run's name that is not one of our own tables."""
     return f"run {name}" if name in ("parameters", "errors", "budget") else name
 
 
-def _run(run: RunResults, own: Modelled | None) -> pd.DataFrame:
+def _curves_table(run: RunResults, own: ModelledMotion | None) -> pd.DataFrame:
     """Displacement, motion and friction of one run, and the current model's own motion beside them.
 
     A row per frame, the unit in every header; frames that were not fitted have no motion of the model.
@@ -67,22 +67,22 @@ def _run(run: RunResults, own: Modelled | None) -> pd.DataFrame:
     for record in (run.motion, run.friction):
         for f in fields(record) if record is not None else ():
             if f.metadata.get("column") and f.name != "t":
-                columns[_head(f.name, f)] = getattr(record, f.name)
+                columns[_column_name(f.name, f)] = getattr(record, f.name)
     table = pd.DataFrame(columns)
     if own is not None:
         rows = np.searchsorted(run.displacement.t, own.t - 1e-9)
         for f in fields(own):
             if f.metadata.get("unit") and f.name != "t":
-                table.loc[rows, _head(f"{f.name}_model", f)] = getattr(own, f.name)
+                table.loc[rows, _column_name(f"{f.name}_model", f)] = getattr(own, f.name)
     return table
 
 
-def _head(name: str, field: Field[Any]) -> str:
+def _column_name(name: str, field: Field[Any]) -> str:
     unit = re.sub(r"[/^]", "", field.metadata["unit"])
     return f"{name}_{unit}" if unit else name
 
 
-def _parameters(results: Results) -> pd.DataFrame:
+def _parameters_table(results: Results) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415
 
     rows = [
@@ -93,13 +93,13 @@ def _parameters(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _errors(results: Results) -> pd.DataFrame:
+def _errors_table(results: Results) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415
 
     return pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])
 
 
-def _budget(results: Results) -> pd.DataFrame:
+def _budget_table(results: Results) -> pd.DataFrame:
     """Every source of error of every run's friction force; an empty size or effect is not known."""
     import pandas as pd  # noqa: PLC0415
 

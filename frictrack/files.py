@@ -15,29 +15,29 @@ from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
 
-LONGEST_NAME = 100  # characters; a word and a suffix stand behind it
+MAX_NAME_LENGTH = 100  # characters; a word and a suffix stand behind it
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
 _RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
 _HOST = re.sub(r"\W", "", platform.node()) or "here"
-DAY = 86400.0  # s
-PATIENCE = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
+DAY_S = 86400.0  # s
+LOCK_TIMEOUT_S = 60.0  # s that a writer waits for another one; each of them takes a fraction of a second
 
 
 def is_file_name(name: str) -> bool:
     """Whether files can be called so on every system; a path out of the folder cannot."""
-    fits = len(name.encode(errors="replace")) <= 2 * LONGEST_NAME and len(name) <= LONGEST_NAME
+    fits = len(name.encode(errors="replace")) <= 2 * MAX_NAME_LENGTH and len(name) <= MAX_NAME_LENGTH
     return fits and _NAME.fullmatch(name) is not None and not _RESERVED.fullmatch(name)
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Nobody else writes into this folder of results meanwhile; readers never wait. May be entered again inside.
 
     Raises `FrictrackError` when the folder cannot be written, or another frictrack does not let go of it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=PATIENCE, is_singleton=True)
+        lock = FileLock(folder / ".lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
         lock.acquire()
     except Timeout as e:
         raise FrictrackError(f"another frictrack holds {folder}; wait for it or stop it") from e
@@ -50,7 +50,7 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def working(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
+def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
     """Nobody else works on this folder of results meanwhile; says that it `waits` for as long as another one does.
 
     Readers and short changes do not wait. May be entered again inside.
@@ -88,7 +88,7 @@ def _is_held(path: Path) -> bool:
     return False
 
 
-def inner(folder: Path, name: str) -> Path:
+def make_subfolder(folder: Path, name: str) -> Path:
     """The folder of that name inside a folder of results, made where there is none.
 
     Raises `FrictrackError` where it cannot be made, or a link to elsewhere stands in its place.
@@ -104,7 +104,7 @@ def inner(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def replaced(path: Path, mode: int = 0o644) -> Iterator[Path]:
+def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
     """A file to write that takes the place of `path` when the block ends well; a power cut leaves the old or the new.
 
     Raises `FrictrackError` when it cannot be written, and leaves what was there.
@@ -118,7 +118,7 @@ def replaced(path: Path, mode: int = 0o644) -> Iterator[Path]:
     os.close(handle)
     part = Path(name)
     try:
-        _sweep(path, part)
+        _remove_leftovers(path, part)
         yield part
         _commit(part, path, mode)
     except OSError as e:
@@ -128,16 +128,16 @@ def replaced(path: Path, mode: int = 0o644) -> Iterator[Path]:
             part.unlink()
 
 
-def _sweep(path: Path, mine: Path) -> None:
+def _remove_leftovers(path: Path, mine: Path) -> None:
     """Remove what writers of `path` that were killed have left: those of this host, and of others after a day."""
     left = re.compile(rf"\.{re.escape(path.stem)}_(\w+)-(\d+)_[^.]+\.part{re.escape(path.suffix)}")
     for part in path.parent.iterdir():
-        told = left.fullmatch(part.name)
-        if told is None or part == mine:
+        found = left.fullmatch(part.name)
+        if found is None or part == mine:
             continue
         with suppress(OSError):
-            old = mine.stat().st_mtime - part.stat().st_mtime > DAY
-            if old if told[1] != _HOST else not psutil.pid_exists(int(told[2])):
+            old = mine.stat().st_mtime - part.stat().st_mtime > DAY_S
+            if old if found[1] != _HOST else not psutil.pid_exists(int(found[2])):
                 part.unlink()
 
 
@@ -154,6 +154,6 @@ def _commit(part: Path, path: Path, mode: int) -> None:
 
 def replace_text(path: Path, text: str) -> Path:
     """Write a text in UTF-8, its line ends as they are, whole or not at all; returns the path."""
-    with replaced(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(text.encode())
     return path

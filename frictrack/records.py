@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import gather
+from frictrack.errors import raise_faults
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +36,7 @@ def scalar(unit: str, **options: Any) -> Any:
     return field(metadata={"unit": unit}, **options)
 
 
-class Table:
+class FrameTable:
     """Shared border check of the records: same length, finite unless allowed, time rising, read-only."""
 
     min_rows: ClassVar[int] = 2
@@ -53,7 +53,7 @@ class Table:
         if not faults and np.any(np.diff(t) <= 0):
             i = int(np.argmax(np.diff(t) <= 0))
             faults.append(f"expected rising time but got t[{i + 1}] = {t[i + 1]:g} s after t[{i}] = {t[i]:g} s")
-        gather(faults, type(self).__name__)
+        raise_faults(faults, type(self).__name__)
 
     def _check_column(self, name: str, meta: Any, n: int) -> list[str]:
         value = getattr(self, name)
@@ -83,7 +83,7 @@ MEASURED = frozenset({"x_px", "y_px", "angle", "sigma_px", "sigma_y_px", "sigma_
 
 
 @dataclass(frozen=True, eq=False)
-class Track(Table):
+class Track(FrameTable):
     """Where the target is in every frame, in pixels of the picture (pixel centres are integers, y down).
 
     A frame in which the target was not found holds NaN and a reason; a found frame has the reason "".
@@ -121,7 +121,7 @@ class Track(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Displacement(Table):
+class Displacement(FrameTable):
     """Unfiltered displacement along the course (x) and across it (y, up), with its standard deviation."""
 
     t: Array = column("s")
@@ -152,7 +152,7 @@ class Displacement(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered(Table):
+class Filtered(FrameTable):
     """Low-passed displacement; what `differentiate` needs to state standard deviations comes with it."""
 
     t: Array = column("s")
@@ -175,7 +175,7 @@ class Filtered(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion(Table):
+class Motion(FrameTable):
     """Smoothed displacement, velocity and acceleration with their standard deviations."""
 
     t: Array = column("s")
@@ -195,7 +195,7 @@ class Motion(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Friction(Table):
+class Friction(FrameTable):
     """Friction force F = D - m a (F > 0 resists motion toward +x) and the free section it is judged on."""
 
     t: Array = column("s")
@@ -206,7 +206,7 @@ class Friction(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Trade:
+class CutoffTradeOff:
     """Residual and floor (m), noise, lost and hidden signal in acceleration (m/s^2), by frequency (Hz); all (k,)."""
 
     frequency: Array = column("Hz")
@@ -232,7 +232,7 @@ class Trade:
 
 
 @dataclass(frozen=True)
-class Happenings:
+class RunEvents:
     """What happens in a run: (kind, from, to) in s, in order; rests (from, to) in s; and the noise seen there, m.
 
     Kinds: release, impact, stop, start, reversal.
@@ -292,7 +292,7 @@ class Run:
                 faults.append(f"expected {name} at {len(self.displacement)} frames but got {np.shape(value)}")
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
-        gather(faults, f'run "{self.name}"')
+        raise_faults(faults, f'run "{self.name}"')
 
     def _cut_to_motion(self) -> None:
         """Leave out the frames before the first and after the last one that the motion covers."""
@@ -320,7 +320,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve(Table):
+class Curve(FrameTable):
     """One run's measurement beside the fitted model, over the frames that were fitted (or predicted)."""
 
     t: Array = column("s")
@@ -341,7 +341,7 @@ class Curve(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Modelled(Table):
+class ModelledMotion(FrameTable):
     """The motion of one run that a fitted model itself tells, at the frames that were fitted (or predicted).
 
     The standard deviations are those of the fit: mass and scale are common to all runs and stand apart. NaN: a law

@@ -19,15 +19,15 @@ from platformdirs import user_cache_path
 
 from frictrack.errors import FrictrackError
 
-FOLDER = "FRICTRACK_CACHE"  # environment: where fetched recordings are kept
-MOST = 50e9  # bytes kept; the longest unused go first
-NOTES = "cache"  # file in which fsspec notes what it has fetched
-BESIDE = {".cih": (".mraw",), ".cihx": (".mraw",)}  # a header's frames are in a file beside it
-TOLD = ("ETag", "etag", "LastModified", "last_modified", "mtime", "updated")  # by which a file's change is seen
+CACHE_VARIABLE = "FRICTRACK_CACHE"  # environment: where fetched recordings are kept
+MAX_CACHE_BYTES = 50e9  # bytes kept; the longest unused go first
+CACHE_INDEX = "cache"  # file in which fsspec notes what it has fetched
+COMPANION_ENDINGS = {".cih": (".mraw",), ".cihx": (".mraw",)}  # a header's frames are in a file beside it
+CHANGE_KEYS = ("ETag", "etag", "LastModified", "last_modified", "mtime", "updated")  # by which a file's change is seen
 
 
 @dataclass(frozen=True)
-class Remote:
+class RemoteFile:
     """The address of a file, with a path's names."""
 
     url: str
@@ -45,16 +45,16 @@ class Remote:
         """The name without its ending: ``v3``."""
         return PurePosixPath(self.name).stem
 
-    def local(self) -> Path:
+    def fetch(self) -> Path:
         """The file on this machine, fetched unless it is there and has not changed since.
 
         Raises `FrictrackError` where it cannot be fetched.
         """
         fsspec = _fsspec()
-        kept = _kept(self.url)
-        _make_room(kept.parent)
-        beside = BESIDE.get(PurePosixPath(self.name).suffix.lower(), ())
-        urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in beside)]
+        kept = _cache_folder(self.url)
+        _delete_oldest(kept.parent)
+        companions = COMPANION_ENDINGS.get(PurePosixPath(self.name).suffix.lower(), ())
+        urls = [self.url, *(self.url[: -len(PurePosixPath(self.name).suffix)] + ending for ending in companions)]
         how = {"cache_storage": str(kept), "same_names": True, "check_files": True}
         try:
             found = [Path(fsspec.open_local(f"filecache::{url}", filecache=how)) for url in urls]
@@ -68,11 +68,11 @@ class Remote:
         """What tells whether the file has changed, without fetching it; nothing where it does not answer."""
         try:
             fs, path = _fsspec().url_to_fs(self.url)
-            told: dict[str, Any] = fs.info(path)
+            info: dict[str, Any] = fs.info(path)
         except Exception:  # noqa: BLE001 - every protocol has errors of its own
             return []
-        mark = hashlib.sha256(repr([str(told.get(key)) for key in TOLD]).encode()).hexdigest()
-        return [int(told.get("size") or 0), int(mark[:12], 16)]
+        mark = hashlib.sha256(repr([str(info.get(key)) for key in CHANGE_KEYS]).encode()).hexdigest()
+        return [int(info.get("size") or 0), int(mark[:12], 16)]
 
     def _failed(self, e: Exception) -> FrictrackError:
         why = " ".join(str(e).split()) or type(e).__name__
@@ -84,9 +84,9 @@ def is_remote(text: str) -> bool:
     return "://" in text
 
 
-def local(path: Path | Remote) -> Path:
+def local_path(path: Path | RemoteFile) -> Path:
     """A file of this machine, fetched where it lies elsewhere."""
-    return path.local() if isinstance(path, Remote) else path
+    return path.fetch() if isinstance(path, RemoteFile) else path
 
 
 def _fsspec() -> Any:
@@ -97,20 +97,20 @@ def _fsspec() -> Any:
     return fsspec
 
 
-def _kept(url: str) -> Path:
+def _cache_folder(url: str) -> Path:
     """The folder of what was fetched from one folder elsewhere."""
-    folder = os.environ.get(FOLDER)
+    folder = os.environ.get(CACHE_VARIABLE)
     root = Path(folder) if folder else user_cache_path("frictrack") / "recordings"
     return root / hashlib.sha256(url.rpartition("/")[0].encode()).hexdigest()[:16]
 
 
-def _make_room(root: Path) -> None:
+def _delete_oldest(root: Path) -> None:
     """Drop what was not used for longest, above `MOST` bytes."""
-    files = (path for path in root.rglob("*") if path.is_file() and path.name != NOTES)
+    files = (path for path in root.rglob("*") if path.is_file() and path.name != CACHE_INDEX)
     held = sorted(files, key=lambda path: path.stat().st_mtime)
     total = sum(path.stat().st_size for path in held)
     for path in held:
-        if total <= MOST:
+        if total <= MAX_CACHE_BYTES:
             return
         total -= path.stat().st_size
         path.unlink(missing_ok=True)

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from frictrack.records import (
     Array,
     Curve,
+    CutoffTradeOff,
     Displacement,
     Filtered,
+    FrameTable,
     Friction,
-    Happenings,
-    Modelled,
+    ModelledMotion,
     Motion,
-    Table,
+    RunEvents,
     Track,
-    Trade,
     column,
     scalar,
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Film(Table):
+class RecordingInfo(FrameTable):
     """What stays of a recording once it is tracked: its clock, its identity and its first picture."""
 
     t: Array = column("s")
@@ -47,7 +47,7 @@ class Film(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Sensors(Table):
+class Sensors(FrameTable):
     """What was measured beside the motion, on the camera's clock at the frames of the displacement."""
 
     t: Array = column("s")
@@ -69,10 +69,10 @@ class RunResults:
     displacement: Displacement
     filtered: Filtered
     motion: Motion
-    happenings: Happenings = field(default_factory=Happenings)
-    cutoff: Trade | None = None
+    happenings: RunEvents = field(default_factory=RunEvents)
+    cutoff: CutoffTradeOff | None = None
     friction: Friction | None = None  # None without a mass and without measured friction
-    film: Film | None = None
+    film: RecordingInfo | None = None
     track: Track | None = None
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
@@ -102,7 +102,9 @@ class ModelResults:
     current: bool = False
     diagnosis: dict[str, Any] | None = None  # JSON of `frictrack diagnose` on this model, where it was asked
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
-    motion: tuple[Modelled, ...] = ()  # the model's own, one per run; none of a model stored before there was such
+    motion: tuple[
+        ModelledMotion, ...
+    ] = ()  # the model's own, one per run; none of a model stored before there was such
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +131,14 @@ class Results:
         return next((m for m in reversed(self.models) if m.current), None)
 
 
-def plain(value: Any) -> Any:
+def to_builtins(value: Any) -> Any:
     """The same value in what JSON knows: numpy becomes Python, what is not finite becomes None."""
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): to_builtins(v) for k, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_builtins(value.tolist())
     if isinstance(value, tuple | list):
-        return [plain(v) for v in value]
+        return [to_builtins(v) for v in value]
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-MOST = 2  # threads of Python that large products keep busy; more only wait for the interpreter
+MAX_THREADS = 2  # threads of Python that large products keep busy; more only wait for the interpreter
 
 One = TypeVar("One")
 Made = TypeVar("Made")
@@ -27,16 +27,16 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def side_by_side(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
+def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
     """Results for every item in order, worked out in as many threads as there are processors to spare."""
-    workers = min(_spare(), MOST, len(items))
+    workers = min(_max_threads(), MAX_THREADS, len(items))
     if workers < 2:
         return [of(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(of, items))
 
 
-def _spare() -> int:
+def _max_threads() -> int:
     """Processors for threads: one where this process is told to keep to one, as a worker among others is."""
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else processors()
 

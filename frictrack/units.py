@@ -12,15 +12,17 @@ from frictrack.errors import FrictrackError
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # Pint works out any arithmetic, and 9**9**9 has no end: only a name has an exponent, of two digits at most.
-_ENDLESS = re.compile(r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]")
-_MOST = 1e30  # of any unit: what is larger is no measurement
-_LONGEST = 60  # characters of a unit
+_UNBOUNDED_ARITHMETIC = re.compile(
+    r"[\d.)]\s*(?:\^|\*\*)|(?:\^|\*\*)(?!\s*[+-]?\d{1,2}(?!\w|\.))|[⁰¹²³⁴-⁹]{3}|\)\s*[⁺⁻⁰¹²³⁴-⁹]"
+)
+_MAX_VALUE = 1e30  # of any unit: what is larger is no measurement
+_MAX_UNIT_LENGTH = 60  # characters of a unit
 _QUANTITY = re.compile(
     rf"^\s*\(?\s*(?P<value>{_NUMBER})\s*(?:(?:\+/-|±)\s*(?P<std>{_NUMBER})\s*(?P<percent>%)?)?\s*\)?\s*(?P<unit>.*?)\s*$"
 )
 
 
-def quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
+def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
     """Value and standard deviation of `text`, both in `unit`.
 
     A number (or a text without a unit) is taken as SI, that is, as already in `unit`. A text may carry a
@@ -36,7 +38,7 @@ def quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
         value, std = _float(text), 0.0
     else:
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
-    if not abs(value) < _MOST:
+    if not abs(value) < _MAX_VALUE:
         raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
     return value, std
 
@@ -68,10 +70,10 @@ def _convert(values: np.ndarray, source: str, target: str, what: str) -> Any:
     """`values` from unit `source` to unit `target`."""
     import pint  # noqa: PLC0415 - half a second that only texts with units need to pay
 
-    if len(source) > _LONGEST or _ENDLESS.search(source):
-        raise FrictrackError(f'{_expected(target, what)} but got "{source[:_LONGEST]}" as its unit')
+    if len(source) > _MAX_UNIT_LENGTH or _UNBOUNDED_ARITHMETIC.search(source):
+        raise FrictrackError(f'{_expected(target, what)} but got "{source[:_MAX_UNIT_LENGTH]}" as its unit')
     try:
-        return _registry().Quantity(values, _spell(source)).to(_spell(target)).magnitude
+        return _registry().Quantity(values, _pint_name(source)).to(_pint_name(target)).magnitude
     except pint.UndefinedUnitError as error:
         raise FrictrackError(
             f'{_expected(target, what)} but got the unknown unit "{source}"; write it like "{_example(target)}"'
@@ -92,7 +94,7 @@ def _registry() -> Any:
     return pint.UnitRegistry(cache_folder=None)
 
 
-def _spell(unit: str) -> str:
+def _pint_name(unit: str) -> str:
     """Pint's own ``px`` is the 1/96 inch of style sheets; a camera's pixel is ``pixel``."""
     return re.sub(r"\bpx\b", "pixel", unit)
 
@@ -105,20 +107,20 @@ def _example(unit: str) -> str:
     return {"m/px": "0.5 mm/px", "m": "100 mm", "kg": "0.350 +/- 0.002 kg"}.get(unit, f"1.5 {unit}")
 
 
-COMMON = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
+COHERENT_UNITS = ("1", "N", "m", "s", "Hz", "rad", "m/s", "N/m", "N s", "N s/m", "1/m", "kg")  # known without pint
 
 
-PLAIN = re.compile(r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)(?:[ */](?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)){0,6}")
+UNIT_PATTERN = re.compile(r"(?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)(?:[ */](?:1|[A-Za-zµ]{1,20}(?:\^-?\d)?)){0,6}")
 
 
-def coherent(unit: str) -> bool:
+def is_coherent(unit: str) -> bool:
     """Whether numbers in a unit need no factor: an SI unit without a prefix, such as "N s/m", but not "mm"."""
-    if unit in COMMON:
+    if unit in COHERENT_UNITS:
         return True
-    if not PLAIN.fullmatch(unit):  # pint would work out any arithmetic
+    if not UNIT_PATTERN.fullmatch(unit):  # pint would work out any arithmetic
         return False
     try:
-        factor, _ = _registry().get_base_units(_spell(unit))
+        factor, _ = _registry().get_base_units(_pint_name(unit))
     except Exception:  # noqa: BLE001 - pint's parser raises whatever Python's tokenizer does
         return False
     return bool(abs(float(factor) - 1.0) < 1e-12)

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import frictrack as ft
-from frictrack.units import quantity
+from frictrack.units import parse_quantity
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_videos"
 
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--model", default="tustin")
     told = parser.parse_args()
 
-    mass, sigma_mass = quantity(told.mass, "kg", "mass")
+    mass, sigma_mass = parse_quantity(told.mass, "kg", "mass")
     tracks, runs = [], []
     for film in told.films:
         tracks.append(ft.track(ft.open_recording(film, fps=told.fps)))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from film import Film as Pictures
+from film import RecordingInfo as Pictures
 from runs import BASE, Slider, integrate
 
 from frictrack import plots
@@ -22,7 +22,7 @@ from frictrack.motion import covariance, differentiate, low_pass
 from frictrack.motion.filter import Smoother
 from frictrack.records import Displacement, Run
 from frictrack.report import budgets
-from frictrack.results import Film, RunResults
+from frictrack.results import RecordingInfo, RunResults
 from frictrack.simulate.scene import read_scene
 from frictrack.simulate.scene import study_writer as scene
 from frictrack.tracking import track
@@ -56,7 +56,7 @@ def smoothed(displacement, method="kalman", cutoff=None, **known):
 
 def film(*rates, fps=FPS, clocked=True):
     """A film whose frame rates were found to be so."""
-    return Film(
+    return RecordingInfo(
         T,
         fps=fps,
         clocked=clocked,

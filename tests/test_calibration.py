@@ -9,7 +9,7 @@ from frictrack.calibration import calibrate, parse_scale
 from frictrack.errors import FrictrackError
 from frictrack.friction import friction
 from frictrack.records import Displacement, Motion, Run, Track
-from frictrack.units import quantity
+from frictrack.units import parse_quantity
 
 
 def a_track(x, y, lost=(), **given):
@@ -48,7 +48,7 @@ X, Y = np.array([100.0, 110.0, 130.0]), np.array([50.0, 49.0, 47.0])
     ],
 )
 def test_quantity(text, unit, value, std):
-    got = quantity(text, unit, "the thing")
+    got = parse_quantity(text, unit, "the thing")
     assert got == pytest.approx((value, std), rel=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_quantity(text, unit, value, std):
 )
 def test_no_quantity(text, said):
     with pytest.raises(FrictrackError, match=said):
-        quantity(text, "kg", "mass")
+        parse_quantity(text, "kg", "mass")
 
 
 # ---- scale

@@ -10,7 +10,7 @@ from frictrack import models
 from frictrack.compare import compare, failing_spans, history
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.results import plain
+from frictrack.results import to_builtins
 
 PATCH = {"F": 4.0, "x_c": 0.2, "w": 0.008}
 PAIR = (Spec(4.0, 1, 0.1), Spec(5.0, 1, 0.09))
@@ -51,7 +51,7 @@ def test_what_is_missing_shows_where_it_acts(runs, fits):
 
 
 def test_errors_fall_in_the_order_tried(fits):
-    table = plain(compare(fits).summary())
+    table = to_builtins(compare(fits).summary())
     assert table.keys() == {"models", "fails_at"}
     assert [m["name"] for m in table["models"]] == ["1_coulomb+viscous", "2_coulomb+viscous+patch"]
     assert [m["model"] for m in table["models"]] == [f.model.names for f in fits]
@@ -60,7 +60,7 @@ def test_errors_fall_in_the_order_tried(fits):
         assert after[key] < before[key]
     assert after["heldout_rms_um"] == pytest.approx(2.0, rel=0.1)
     assert table["fails_at"] == []
-    assert plain(history(fits).summary()) == table
+    assert to_builtins(history(fits).summary()) == table
     assert compare(fits[0]).summary()["models"] == [table["models"][0]] != []
 
 

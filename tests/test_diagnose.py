@@ -15,7 +15,7 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 from frictrack import effects, models
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.results import plain
+from frictrack.results import to_builtins
 
 FOUR = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.05))
 LAW = ["coulomb", "viscous"]
@@ -80,7 +80,7 @@ def test_the_hidden_effect_is_named_first_and_its_addition_leaves_the_noise(text
 
 def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
     for found in (nothing_missing, texture_missing[1]):
-        summary = json.loads(json.dumps(plain(found.summary()), allow_nan=False))
+        summary = json.loads(json.dumps(to_builtins(found.summary()), allow_nan=False))
         assert summary.keys() >= KEYS
         assert summary["model"] == LAW
         for c in summary["candidates"]:
@@ -147,7 +147,7 @@ def test_the_noise_of_an_angle_that_rests_is_no_rotation():
 def test_the_same_seed_gives_the_same_p_values():
     fitted = fit(LAW, runs_with("patch", {"F": 0.8, "x_c": 0.05, "w": 0.01}, specs=FOUR[:1]))
     first, second, other = (diagnose(fitted, seed=s) for s in (3, 3, 4))
-    assert plain(first.summary()) == plain(second.summary())
+    assert to_builtins(first.summary()) == to_builtins(second.summary())
     assert first.p_lack_of_fit == pytest.approx(other.p_lack_of_fit, abs=0.1)
 
 
@@ -174,7 +174,7 @@ def test_validation_runs_are_not_looked_at():
     run, other = runs_with(specs=FOUR[:2])
     broken = replace(other, role="validation", mass=5 * MASS)
     alone, beside = diagnose(fit(LAW, [run])), diagnose(fit(LAW, [run, broken]))
-    assert plain(alone.summary()) == plain(beside.summary())
+    assert to_builtins(alone.summary()) == to_builtins(beside.summary())
 
 
 def test_progress_is_told():

@@ -15,7 +15,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.fit.least_squares import heldout_rms, refine
 from frictrack.records import Displacement, Motion
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
 NEVER_SLOW = (Spec(7.0, 1, 0.05), Spec(8.0, 1, 0.05))
@@ -307,7 +307,7 @@ def test_errors_and_curves_are_those_of_the_residual():
 
 def test_summary_has_the_keys_of_the_contract_and_is_json():
     runs, _ = study(sigma=1e-5, scatter=0.03)
-    summary = plain(fit("tustin", runs).summary())
+    summary = to_builtins(fit("tustin", runs).summary())
     keys = {"model", "domain", "search", "parameters", "friction_scatter", "correlations", "errors", "per_run"}
     assert keys <= summary.keys()
     assert {"value", "std", "unit", "at_bound", "reason"} <= summary["parameters"]["coulomb.F_c"].keys()

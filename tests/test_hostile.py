@@ -18,8 +18,8 @@ from test_recording import H, W, write_video
 
 from frictrack import export, store
 from frictrack.calibration.lens import read_lens
-from frictrack.errors import LONGEST, FrictrackError
-from frictrack.files import alone, inner, is_file_name
+from frictrack.errors import MAX_MESSAGE_LENGTH, FrictrackError
+from frictrack.files import is_file_name, lock_folder, make_subfolder
 from frictrack.flow import Session, open_study
 from frictrack.flow.command_history import CommandHistory
 from frictrack.recording import open_recording
@@ -29,7 +29,7 @@ from frictrack.store import GroupContent
 from frictrack.store.file_header import HEADER_BYTES, with_header
 from frictrack.store.signatures import sign
 from frictrack.study import load, parse, read_table, reading_tables, write_study
-from frictrack.units import quantity
+from frictrack.units import parse_quantity
 from frictrack.version import __version__
 
 RUN = '[[run]]\nname = {name}\ntable = "t.csv"\n'
@@ -127,14 +127,14 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     results = Results("a", tmp_path / "study.toml", output, "0", runs=(), models=())
     with pytest.raises(FrictrackError, match="csv but it is a link to elsewhere; remove the link"):
         export.write(results, "csv")
-    with pytest.raises(FrictrackError, match=r"cannot write results into .*results"), alone(output):
+    with pytest.raises(FrictrackError, match=r"cannot write results into .*results"), lock_folder(output):
         pass
     (output / ".lock").unlink()
     with pytest.raises(FrictrackError, match="it is a link to another place"), CommandHistory(output).record("fit"):
         pass
     export.write(results, "xlsx")  # takes the link's place
     (output / "csv").unlink()
-    (inner(output, "csv") / "errors.csv").symlink_to(victim)
+    (make_subfolder(output, "csv") / "errors.csv").symlink_to(victim)
     export.write(results, "csv")
     (tmp_path / "new.toml").symlink_to(outside / "made")
     write_study(tmp_path / "new.toml", [tmp_path / "t.csv"])
@@ -146,10 +146,10 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
 def test_a_lock_that_is_none(tmp_path: Path, make: object) -> None:
     make(tmp_path / ".lock")
     if make is os.mkdir:
-        with pytest.raises(FrictrackError, match="cannot write results into"), alone(tmp_path):
+        with pytest.raises(FrictrackError, match="cannot write results into"), lock_folder(tmp_path):
             pass
     else:
-        with alone(tmp_path):  # it is never read
+        with lock_folder(tmp_path):  # it is never read
             pass
 
 
@@ -207,10 +207,10 @@ def test_values_without_bounds(study: Path, monkeypatch: pytest.MonkeyPatch, key
 
 
 def test_units_that_are_arithmetic_but_finite_stay() -> None:
-    assert quantity("1 kg*m^2/s**2", "J", "energy")[0] == 1
-    assert quantity("1 kg m² s⁻²", "J", "energy")[0] == pytest.approx(1)
-    assert quantity("3 N/(m/s)", "N*s/m", "F_v")[0] == 3
-    assert quantity("2 cm^2", "m^2", "area")[0] == pytest.approx(2e-4)
+    assert parse_quantity("1 kg*m^2/s**2", "J", "energy")[0] == 1
+    assert parse_quantity("1 kg m² s⁻²", "J", "energy")[0] == pytest.approx(1)
+    assert parse_quantity("3 N/(m/s)", "N*s/m", "F_v")[0] == 3
+    assert parse_quantity("2 cm^2", "m^2", "area")[0] == pytest.approx(2e-4)
 
 
 def test_a_study_file_without_end(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_an_error_is_one_line_that_no_terminal_obeys() -> None:
     said = str(FrictrackError("a\x1b[2J\nb\u202ec\ud800" + "x" * 10**6 + "the end"))
     assert said.startswith(r"a\x1b[2J\nb\u202ec\ud800xxx")
     assert said.endswith("the end")
-    assert len(said) < LONGEST
+    assert len(said) < MAX_MESSAGE_LENGTH
 
 
 @pytest.mark.parametrize(
@@ -321,7 +321,7 @@ def numbers(row: int, first: float, second: float, column: str = "B") -> str:
 def test_a_sheet_that_claims_more_than_it_holds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sheet: str, said: str
 ) -> None:
-    monkeypatch.setattr(reading_tables, "MOST_ROWS", 5000)  # a million empty ones take six seconds
+    monkeypatch.setattr(reading_tables, "MAX_ROWS", 5000)  # a million empty ones take six seconds
     start = time.perf_counter()
     with pytest.raises(FrictrackError, match=said):
         read_table(workbook(tmp_path / "t.xlsx", sheet))

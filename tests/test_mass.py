@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.records import GRAVITY, Displacement, Motion, Run
-from frictrack.results import plain
+from frictrack.results import to_builtins
 
 MASS, F_C, F_V = 3.0, 6.0, 15.0
 LAW = "coulomb,viscous"
@@ -115,7 +115,7 @@ def test_errors_and_curves_are_in_newtons_of_the_fitted_mass(course):
         np.testing.assert_allclose(sum(curve.parts.values()), curve.F_model, rtol=1e-12)
         assert set(curve.parts) == {"coulomb", "viscous"}
     assert found.errors["relative_force_error"] < 0.02
-    assert plain(found.summary())["model"] == ["coulomb", "viscous"]
+    assert to_builtins(found.summary())["model"] == ["coulomb", "viscous"]
     assert found.runs[0].mass is None  # so that a further fit seeks it again
 
 

@@ -37,7 +37,7 @@ from frictrack.fit import fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
 from frictrack.report import next_experiments
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
 LAW = ["coulomb", "viscous"]
@@ -200,7 +200,7 @@ def test_the_diagnosis_tells_it_in_json_best_first():
     values = {"amplitude": 0.8, "frequency": 61.3, "phase": 0.7}
     found = diagnose(fit(LAW, runs_with("vibration", values, (4.0,), duration=0.04)))
     assert found.verdict == "ambiguous"
-    steps = json.loads(json.dumps(plain(found.summary()), allow_nan=False))["next_experiment"]
+    steps = json.loads(json.dumps(to_builtins(found.summary()), allow_nan=False))["next_experiment"]
     assert steps
     for step in steps:
         assert step.keys() == KEYS

@@ -29,7 +29,7 @@ from frictrack.flow import plan as plan_study
 from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default_setup, fitted_setup, summarise_plan
 from frictrack.plan.experiment_setup import COULOMB_DECELERATION, DEFAULT_NOISE_PX
 from frictrack.plan.traces import simulate_runs
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
 BARE = '[study]\nname = "before"\nmass = "0.35 kg"\n[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
@@ -43,7 +43,7 @@ def run_plan():
 
 @pytest.fixture(scope="module")
 def told(run_plan):
-    return json.loads(json.dumps(plain(summarise_plan(run_plan)), allow_nan=False))
+    return json.loads(json.dumps(to_builtins(summarise_plan(run_plan)), allow_nan=False))
 
 
 def test_the_usual_set_up_is_stated_and_is_what_is_simulated(run_plan, told):

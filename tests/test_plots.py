@@ -13,7 +13,7 @@ import pytest
 from frictrack import plots
 from frictrack.plots import style
 from frictrack.records import Curve, Displacement, Filtered, Friction, Motion, Track
-from frictrack.results import Film, ModelResults, Results, RunResults
+from frictrack.results import ModelResults, RecordingInfo, Results, RunResults
 
 MASS, FORCE, NOISE = 0.5, 2.0, 10e-6  # kg, N, m
 FPS, N, GUARD = 1000.0, 200, 10
@@ -47,7 +47,7 @@ def run_results(name: str = "v1", v0: float = 1.0, *, film: bool = False, force:
         filtered=Filtered(t, x, nan, NOISE * one, nan, 120.0, reason="cut-off 120 Hz by maximum likelihood"),
         motion=Motion(t, x, v, a * one, nan, NOISE * one, 0.01 * one, 0.5 * one, nan, GUARD, 120.0),
         friction=Friction(t, s * FORCE * one, 0.25 * one, free, "from here to there") if force else None,
-        film=Film(t, f"{name}.avi", FPS, N, 8, "ab" * 32, picture) if film else None,
+        film=RecordingInfo(t, f"{name}.avi", FPS, N, 8, "ab" * 32, picture) if film else None,
         track=track if film else None,
         settings={"name": name, "mass": (MASS, 0.002), "fps": FPS, "note": "oiled <twice>"},
         hashes={"displacement": "cd" * 32, "friction": "ef" * 32},

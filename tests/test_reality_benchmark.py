@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from frictrack.blind.truth import RunTruth, Truth
-from frictrack.results import plain
+from frictrack.results import to_builtins
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
@@ -253,7 +253,7 @@ def test_two_studies_are_made_and_judged(tmp_path: Path):
     assert (clean.verdict, clean.wrong, clean.noted) == (clean.verdict, "", ())
     assert clean.verdict in ("complete", "undetermined")
     assert 0 < abs(clean.worst[1]) < 5
-    assert read_outcome(json.loads(json.dumps(plain(clean.to_dict())))) == clean
+    assert read_outcome(json.loads(json.dumps(to_builtins(clean.to_dict())))) == clean
     fault = Fault("outliers", "single", 400.0, ("r2",))
     spoilt_one = judge(Case("outliers", TRUTH, fault), tmp_path / "outliers")
     assert spoilt_one.named

@@ -17,12 +17,12 @@ from frictrack import remote
 from frictrack.batch.file_states import are_unchanged, file_states
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.remote import Remote
+from frictrack.remote import RemoteFile
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(remote.FOLDER, str(tmp_path / "cache"))
+    monkeypatch.setenv(remote.CACHE_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 
@@ -65,7 +65,7 @@ def test_a_study_of_an_address_is_fetched_once_and_again_when_it_changes(
 
 def test_a_header_is_fetched_with_its_frames(elsewhere: fsspec.AbstractFileSystem) -> None:
     elsewhere.pipe({"/lab/a.cih": b"header", "/lab/a.mraw": b"frames"})
-    found = Remote("memory://lab/a.cih").local()
+    found = RemoteFile("memory://lab/a.cih").fetch()
     assert found.with_suffix(".mraw").read_bytes() == b"frames"
 
 
@@ -81,8 +81,8 @@ def test_over_http(tmp_path: Path) -> None:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         url = f"http://127.0.0.1:{server.server_port}/v3.csv"
-        assert Remote(url).local().read_bytes() == table()
-        assert Remote(url).state()
+        assert RemoteFile(url).fetch().read_bytes() == table()
+        assert RemoteFile(url).state()
     finally:
         server.shutdown()
         server.server_close()
@@ -98,17 +98,17 @@ def test_over_http(tmp_path: Path) -> None:
 def test_what_does_not_answer_is_said(tmp_path: Path, url: str, why: str) -> None:
     with pytest.raises(FrictrackError, match=f"{url}.*{why}"):
         Session(open_study(study(tmp_path, url))).fit()
-    assert Remote(url).state() == []
+    assert RemoteFile(url).state() == []
 
 
 def test_room_is_made_by_what_was_not_used_for_longest(
     cache: Path, elsewhere: fsspec.AbstractFileSystem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remote, "MOST", 25.0)
+    monkeypatch.setattr(remote, "MAX_CACHE_BYTES", 25.0)
     for i, name in enumerate(("old", "middle", "new")):
         elsewhere.pipe(f"/lab/{name}", b"0123456789")
-        os.utime(Remote(f"memory://lab/{name}").local(), (1e9 + i, 1e9 + i))
+        os.utime(RemoteFile(f"memory://lab/{name}").fetch(), (1e9 + i, 1e9 + i))
     elsewhere.pipe("/lab/last", b"0123456789")
-    Remote("memory://lab/last").local()
+    RemoteFile("memory://lab/last").fetch()
     assert {path.name for path in cache.rglob("*") if path.is_file()} == {"cache", "middle", "new", "last"}
-    assert Remote("memory://lab/old").local().read_bytes() == b"0123456789"  # fetched again
+    assert RemoteFile("memory://lab/old").fetch().read_bytes() == b"0123456789"  # fetched again

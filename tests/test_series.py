@@ -24,7 +24,7 @@ from frictrack.fit.measured_friction import block_covariance, friction_pieces
 from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.records import Displacement, Motion, Run
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.study import read_table
 
 DATA = Path(__file__).parent / "data" / "tribometer"
@@ -240,7 +240,7 @@ class TestRuns:
         result = fit("tustin", runs)
         again = restore(runs, state(result))
         assert again.solution.p == pytest.approx(result.solution.p, rel=1e-12)
-        assert plain(again.summary()) == plain(result.summary())
+        assert to_builtins(again.summary()) == to_builtins(result.summary())
 
 
 class TestSearch:

@@ -12,7 +12,7 @@ import pytest
 from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.records import Curve, Track
-from frictrack.results import Film
+from frictrack.results import RecordingInfo
 from frictrack.store import GroupContent, Provenance
 
 
@@ -41,12 +41,14 @@ def equal(a: object, b: object) -> None:
 
 def test_a_record_comes_back_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "v3.h5"
-    film = Film(np.arange(3.0), path="v3.avi", fps=4000.0, n_frames=3, hash="ab", picture=np.eye(4, dtype=np.uint8))
+    film = RecordingInfo(
+        np.arange(3.0), path="v3.avi", fps=4000.0, n_frames=3, hash="ab", picture=np.eye(4, dtype=np.uint8)
+    )
     ramp = np.linspace(0, 1, 4)
     curve = Curve(ramp, ramp, ramp, ramp, ramp, ramp, ramp, run="v3", parts={"coulomb": 2 * ramp})
     store.write(path, {"track": GroupContent(track()), "recording": GroupContent(film), "curve": GroupContent(curve)})
     equal(store.read(path, "track", Track), track())
-    equal(store.read(path, "recording", Film), film)
+    equal(store.read(path, "recording", RecordingInfo), film)
     equal(store.read(path, "curve", Curve), curve)
 
 

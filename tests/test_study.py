@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from frictrack.errors import FrictrackError
-from frictrack.study import find_recordings, load, read_clocked, read_table, write_study
+from frictrack.study import find_recordings, load, read_sensor_table, read_table, write_study
 
 CAMERA = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'
 RUN = '[[run]]\nname = "v3"\nvideo = "v3.avi"\n'
@@ -379,20 +379,20 @@ def test_a_film_is_no_table(folder: Path) -> None:
 
 
 def test_a_sensor_with_its_own_clock_is_read(folder: Path) -> None:
-    data = read_clocked(table(folder, "t_s,drive_N\n0,0\n1,\n2,20\n"), ("drive",))
+    data = read_sensor_table(table(folder, "t_s,drive_N\n0,0\n1,\n2,20\n"), ("drive",))
     np.testing.assert_array_equal(data.drive, [0, np.nan, 20])  # an empty cell is a sample that was not taken
     with pytest.raises(FrictrackError, match="expected a column a_m_s2 or friction_N beside t_s but got none"):
-        read_clocked(folder / "run.csv", ("a", "friction"))
+        read_sensor_table(folder / "run.csv", ("a", "friction"))
     with pytest.raises(FrictrackError, match='expected numbers in "drive_N" but got off in row 2'):
-        read_clocked(table(folder, "t_s,drive_N\n0,0\n1,off\n2,20\n"), ("drive",))
+        read_sensor_table(table(folder, "t_s,drive_N\n0,0\n1,off\n2,20\n"), ("drive",))
 
 
 def test_a_sensors_headers_carry_units(folder: Path) -> None:
     path = table(folder, "Time (ms),acc (g),p (bar)\n0,1,2\n1,2,3\n")
-    data = read_clocked(path, ("a",), {"t": "Time (ms)", "a": "-acc (g)"})
+    data = read_sensor_table(path, ("a",), {"t": "Time (ms)", "a": "-acc (g)"})
     np.testing.assert_allclose(data.t, [0, 1e-3])
     np.testing.assert_allclose(data.a, [-9.80665, -2 * 9.80665])
-    data = read_clocked(path, ("pressure",), {"t": "Time (ms)", "pressure": "p (bar)"})
+    data = read_sensor_table(path, ("pressure",), {"t": "Time (ms)", "pressure": "p (bar)"})
     np.testing.assert_allclose(data.pressure, [2e5, 3e5])
 
 

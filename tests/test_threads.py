@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import frictrack as ft
-from frictrack.threads import one_thread, side_by_side
+from frictrack.threads import map_in_threads, one_thread
 
 
 def counts() -> set[int]:
@@ -50,7 +50,7 @@ def test_work_comes_back_in_order(monkeypatch: pytest.MonkeyPatch, told: str | N
         names.add(threading.get_ident())
         return i * i
 
-    assert side_by_side(square, range(50)) == [i * i for i in range(50)]
+    assert map_in_threads(square, range(50)) == [i * i for i in range(50)]
     if told == "1":
         assert names == {threading.get_ident()}
 
@@ -60,4 +60,4 @@ def test_an_error_in_dealt_out_work_comes_out() -> None:
         raise ft.FrictrackError(f"no {i}")
 
     with pytest.raises(ft.FrictrackError, match="no 0"):
-        side_by_side(fails, range(3))
+        map_in_threads(fails, range(3))

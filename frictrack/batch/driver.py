@@ -17,7 +17,7 @@ from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends
 from frictrack.report import campaign as page
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.workers import cluster_workers, local_workers
 
 MIN_TABLE_INTERVAL_S = 10.0  # s between two tables while studies are being done
@@ -78,7 +78,7 @@ class _BatchOutput:
         kept = [(label, self.done[path]) for path, label in self.labels.items() if path in self.done]
         studies = [{"study": str(label), **one.summary} for label, one in kept]
         found = find_trends([one for _, one in kept])
-        result: dict[str, Any] = plain(
+        result: dict[str, Any] = to_builtins(
             {
                 "studies": studies,
                 "failed": [{"study": str(label), **failure} for label, one in kept for failure in one.failures],

@@ -6,7 +6,7 @@ from pathlib import Path
 from stat import S_ISDIR
 
 from frictrack.flow import run_pipeline
-from frictrack.remote import Remote, is_remote
+from frictrack.remote import RemoteFile, is_remote
 from frictrack.study import Study
 
 FileStates = dict[str, list[int]]  # path -> size, time of change in ns
@@ -25,13 +25,13 @@ def are_unchanged(files: FileStates) -> bool:
     return bool(files) and all(_state(_file(path)) == state for path, state in files.items())
 
 
-def _file(text: str) -> Path | Remote:
-    return Remote(text) if is_remote(text) else Path(text)
+def _file(text: str) -> Path | RemoteFile:
+    return RemoteFile(text) if is_remote(text) else Path(text)
 
 
-def _state(path: Path | Remote) -> list[int]:
+def _state(path: Path | RemoteFile) -> list[int]:
     """Size and time of change; of a folder the number and size of its files, and the last change of any."""
-    if isinstance(path, Remote):
+    if isinstance(path, RemoteFile):
         return path.state()
     try:
         found = path.stat()

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,10 +33,10 @@ def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
     """
     table = make_table(rows)
     paths = [stem.with_name(f"{stem.name}.csv")]
-    with replaced(paths[0]) as part:
+    with atomic_write(paths[0]) as part:
         table.to_csv(part, index=False)
     if find_spec("pyarrow") is not None:
         paths.append(stem.with_name(f"{stem.name}.parquet"))
-        with replaced(paths[1]) as part:
+        with atomic_write(paths[1]) as part:
             table.to_parquet(part, index=False, engine="pyarrow")
     return paths

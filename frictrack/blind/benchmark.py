@@ -22,7 +22,7 @@ from frictrack.blind.write_study import write_study
 from frictrack.errors import FrictrackError
 from frictrack.files import replace_text
 from frictrack.flow import Progress, no_progress
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.workers import run_parallel
 
 STUDIES_PER_KIND_TABLES = {"one": 200, "none": 100, "two": 60, "foreign": 60}
@@ -105,13 +105,13 @@ def score(
         rows[name] = row
         _write_kept(kept / f"{name}.json", row, key)
     counted = tally([rows[name] for name in truths])
-    result: dict[str, Any] = plain({"output": str(folder), "seed": seed} | counted)
+    result: dict[str, Any] = to_builtins({"output": str(folder), "seed": seed} | counted)
     _write_json(folder / "score.json", result | {"outcomes": [_to_json(rows[name]) for name in truths]})
     return result
 
 
 def _to_json(row: Outcome) -> dict[str, Any]:
-    values: dict[str, Any] = plain(asdict(row))
+    values: dict[str, Any] = to_builtins(asdict(row))
     return {"alike" if key == "equivalents" else key: value for key, value in values.items()}  # key in existing files
 
 

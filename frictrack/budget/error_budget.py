@@ -31,7 +31,7 @@ from frictrack.motion import noise_level
 from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
 
 if TYPE_CHECKING:
-    from frictrack.results import Film
+    from frictrack.results import RecordingInfo
 
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
 NOISE_FACTORS = (NOISE_FACTOR_TWICE_FRAMES, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # noise reductions that are tried
@@ -41,7 +41,7 @@ def budget(
     run: Run,
     filtered: Filtered,
     quality: Mapping[str, Any] | None = None,
-    film: Film | None = None,
+    film: RecordingInfo | None = None,
     clocks: Mapping[str, Any] | None = None,
 ) -> Budget:
     """Compute the error budget of a run's friction force.
@@ -153,7 +153,7 @@ class _RunErrors:
             MASS, 1e3 * sigma, "g", "as given in the study", *self.effect(sigma * acceleration), ALL_RUNS
         )
 
-    def time_base(self, film: Film | None) -> Contribution:
+    def time_base(self, film: RecordingInfo | None) -> Contribution:
         """Error of the frame rate; acceleration goes with its square."""
         error, known_from = frame_rate_error(film)
         if error is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from frictrack.results import Film
+    from frictrack.results import RecordingInfo
 
 RATE_PREFIX = "frame rate, "
 PLAYBACK = "speed of showing"
@@ -14,7 +14,7 @@ MIN_RELATIVE_ERROR = 5e-7  # rounding of the rates in the audit
 RATE_TEXTS = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
 
 
-def frame_rate_error(film: Film | None) -> tuple[float | None, str]:
+def frame_rate_error(film: RecordingInfo | None) -> tuple[float | None, str]:
     """Relative error of the frame rate.
 
     The rates given by the user, by the header and by the time stamps are compared with the one that is used; the

@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.calibration.plane import PlaneMap, Straight, as_seen, uniform
 from frictrack.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.units import quantity
+from frictrack.units import parse_quantity
 
 Scale = str | float | Mapping[str, Any] | Sequence[Any]
 KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
@@ -85,7 +85,7 @@ def _describe_wrong_keys(keys: frozenset[str]) -> str:
 
 def parse_number(scale: Any) -> tuple[float, float]:
     """Metres per pixel and its standard deviation."""
-    value, std = quantity(scale, "m/px", "the scale")
+    value, std = parse_quantity(scale, "m/px", "the scale")
     if not value > 0:
         raise FrictrackError(f"expected a scale above 0 m/px but got {value:g} m/px")
     return value, std
@@ -132,7 +132,7 @@ def picture_points(raw: Any, min_count: int) -> Array:
 
 def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
     """A length above 0 and its standard deviation."""
-    value, std = quantity(raw, unit, what)
+    value, std = parse_quantity(raw, unit, what)
     if not value > 0:
         raise FrictrackError(f"expected {what} above 0 {unit} but got {raw!r}")
     return value, std
@@ -149,12 +149,12 @@ def plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
     Numbers are metres, or of the `unit` that stands beside them; texts carry their own.
     """
     raw, unit = scale["plane"], scale.get("unit", "m")
-    factor = quantity(f"1 {unit}", "m", "the unit of plane")[0]
+    factor = parse_quantity(f"1 {unit}", "m", "the unit of plane")[0]
     if not isinstance(raw, list | tuple) or any(not isinstance(p, list | tuple) or len(p) != 2 for p in raw):
         raise FrictrackError(f"expected plane as places [[X, Y], ...] but got {raw!r}")
 
     def place(v: Any) -> tuple[float, float]:
-        value, std = quantity(v, "m", "a place on the plane")
+        value, std = parse_quantity(v, "m", "a place on the plane")
         return (value, std) if isinstance(v, str) else (value * factor, std)
 
     both = np.array([[place(v) for v in pair] for pair in raw], dtype=np.float64).reshape(-1, 2, 2)

@@ -17,7 +17,7 @@ from frictrack.fit.measured_friction import is_measured_friction
 from frictrack.fit.stepwise import EVENT_PENALTY, effect_for_scan, ties_are_resolved
 from frictrack.models import Model
 from frictrack.records import Array
-from frictrack.threads import side_by_side
+from frictrack.threads import map_in_threads
 
 ALPHA = 0.01  # half for lack of fit, half for candidates
 COMMON_SCALE_QUANTILE = 0.99  # quantile of its own null at which every candidate is put on the common scale
@@ -101,7 +101,7 @@ def _may_repeat(effect: Effect) -> bool:
 
 def run_tests(solution: Solution, draws: Ensemble, library: Sequence[Effect]) -> SearchTests:
     """Test the fitted model for lack of fit and for every effect of the library."""
-    made = side_by_side(lambda e: _scan(solution, draws, e), library)
+    made = map_in_threads(lambda e: _scan(solution, draws, e), library)
     scanned = [s for s in made if s is not None]
     tallest = np.max([s.excess for s in scanned], axis=0) if scanned else np.zeros(draws.series.data.shape[1])
     p = {s.effect.name: _p_value(tallest[1:], s.excess[0]) for s in scanned}

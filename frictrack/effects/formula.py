@@ -21,7 +21,7 @@ from simpleeval import SimpleEval
 from frictrack.effects.base import Effect, Nonlinear, Parameter, Path, Span, frequencies
 from frictrack.errors import FrictrackError
 from frictrack.records import GRAVITY, Array
-from frictrack.units import coherent
+from frictrack.units import is_coherent
 
 VARIABLES = ("t", "x", "v", "s", "L", "mass")  # of a `Path`; L is the load, s the direction of motion
 CONSTANTS = {"g": GRAVITY, "pi": np.pi}
@@ -226,7 +226,7 @@ def _check(
         if not low < high:
             _refuse(name, f"bounds: expected the lower bound of {key} below the upper one but got [{low:g}, {high:g}]")
     for key, unit in units.items():
-        if not coherent(unit):
+        if not is_coherent(unit):
             _refuse(name, f'units: expected an SI unit of {key}, such as "m" or "N s/m", but got "{unit}"')
 
 

@@ -14,7 +14,7 @@ from frictrack.fit import measured_friction
 from frictrack.fit.free_run import free_errors
 from frictrack.fit.result import Fit, errors_of
 from frictrack.models import Model
-from frictrack.records import Curve, Modelled, Run
+from frictrack.records import Curve, ModelledMotion, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class GroupFits:
         return tuple(chain.from_iterable(f.curves for f in self.fits.values()))
 
     @property
-    def motion(self) -> tuple[Modelled, ...]:
+    def motion(self) -> tuple[ModelledMotion, ...]:
         """The laws' own motion with their bands, group by group."""
         return tuple(chain.from_iterable(f.motion for f in self.fits.values()))
 

@@ -24,7 +24,7 @@ from frictrack.fit.collisions import frames_of_impact
 from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import mass_ratio, penalty_jacobian, without_mass
 from frictrack.motion import noise_level
-from frictrack.records import Array, Modelled, Run
+from frictrack.records import Array, ModelledMotion, Run
 
 MotionFunction = Callable[[Array, Array, Array], tuple[Array, Array]]
 
@@ -35,7 +35,7 @@ EXCESS_STD = 4.0  # standard deviations of chi-squared per frame beyond which it
 
 def modelled_motion(
     solution: Solution, covariance: Array, runs: Sequence[Run], validation: Sequence[tuple[Solution, Run]] = ()
-) -> tuple[Modelled, ...]:
+) -> tuple[ModelledMotion, ...]:
     """Compute the fitted model's own motion with its bands, one table per run, validation runs last.
 
     A band holds the parameters, the starts and the camera's noise; mass and scale are common to all and stand apart.
@@ -92,22 +92,22 @@ def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array
     return free
 
 
-def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> Modelled:
+def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> ModelledMotion:
     """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
     mine = [r for r in solution.responses if r.piece.run == index]
     lacks = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
     parts = [_stretch(solution, covariance, r, lack) for r, lack in zip(mine, lacks, strict=True)]
     parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
-    columns = [f.name for f in fields(Modelled) if f.metadata.get("column")]
+    columns = [f.name for f in fields(ModelledMotion) if f.metadata.get("column")]
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
     once = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
     whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
-    return Modelled(
+    return ModelledMotion(
         **{name: column[once] for name, column in whole.items()}, run=run.name, notes=_unmodelled_notes(lacks)
     )
 
 
-def _stretch(solution: Solution, covariance: Array, response: PieceResponse, lack: UnmodelledMotion) -> Modelled:
+def _stretch(solution: Solution, covariance: Array, response: PieceResponse, lack: UnmodelledMotion) -> ModelledMotion:
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
     force, a = _motion_function(solution, response)(solution.p, x, v)
@@ -116,7 +116,7 @@ def _stretch(solution: Solution, covariance: Array, response: PieceResponse, lac
     )
     gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
     sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
-    return Modelled(
+    return ModelledMotion(
         t=piece.t,
         x=x,
         v=v,
@@ -228,7 +228,7 @@ def _unmodelled_notes(lacks: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
     )
 
 
-def band_summary(motion: Modelled, run: Run) -> dict[str, Any]:
+def band_summary(motion: ModelledMotion, run: Run) -> dict[str, Any]:
     """Root mean square bands of the modelled motion, and the smoothed acceleration's at the same frames: JSON.
 
     Frames of a blow that is too short to be resolved are left out of both.

@@ -30,7 +30,7 @@ from frictrack.fit.uncertainty import (
 )
 from frictrack.fit.uncertainty import reported_by_address as quoted
 from frictrack.models import Model
-from frictrack.records import Array, Curve, Modelled, Run
+from frictrack.records import Array, Curve, ModelledMotion, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ class Fit:
         )
 
     @cached_property
-    def motion(self) -> tuple[Modelled, ...]:
+    def motion(self) -> tuple[ModelledMotion, ...]:
         """The law's own x, v, a and F with their bands, one table per run, validation runs last.
 
         Where friction itself was measured, the law tells no motion: none.

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.errors import FrictrackError
-from frictrack.files import alone
+from frictrack.files import lock_folder
 
 FILE_NAME = "log.jsonl"
 _KEYS = {  # key of a line in the log -> field of `Change`
@@ -188,7 +188,7 @@ class CommandHistory:
             If the study is not at the expected revision, or the log is damaged or cannot be written.
 
         """
-        with alone(self.folder):
+        with lock_folder(self.folder):
             self.check_revision()
             self._cut_incomplete_line()
             time = datetime.now().astimezone().isoformat(timespec="seconds")

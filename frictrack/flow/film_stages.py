@@ -13,7 +13,7 @@ from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
 from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
-from frictrack.results import Film
+from frictrack.results import RecordingInfo
 from frictrack.samples import screened
 
 if TYPE_CHECKING:
@@ -34,10 +34,10 @@ NOTE_NO_REFERENCE = (
 )
 
 
-def make_recording(pipeline: RunPipeline) -> Film:
+def make_recording(pipeline: RunPipeline) -> RecordingInfo:
     """What stays of the recording."""
     rec = pipeline.recording
-    return Film(
+    return RecordingInfo(
         t=rec.t,
         path=pipeline.settings("recording")["video"],
         fps=rec.fps,
@@ -52,7 +52,7 @@ def make_recording(pipeline: RunPipeline) -> Film:
     )
 
 
-def make_track(pipeline: RunPipeline, film: Film) -> Track:
+def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """The target's track; a calibration that cannot serve is said before the film is gone through."""
     from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
@@ -68,7 +68,7 @@ def make_track(pipeline: RunPipeline, film: Film) -> Track:
         return track(opened, drawn, template=frame, known=pipeline.lesson, progress=pipeline.progress)
 
 
-def make_further_tracks(pipeline: RunPipeline, film: Film, track: Track) -> dict[str, Track]:
+def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
     """The fixed reference, further targets, the target once more backward; and the contact sheet of them all."""
     from frictrack import tracking  # noqa: PLC0415
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.tried_models import FitRequest
 from frictrack.study import Study, load, write_study
@@ -29,7 +29,7 @@ def check_study(study: Study) -> Study:
             faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
     faults += _fault(lambda: FitRequest(study.model).model(study.effects), "model")
     try:
-        gather(faults, study.path.name)
+        raise_faults(faults, study.path.name)
     except FrictrackError as e:
         raise FrictrackError(str(e), usage=True) from e
     return study

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from frictrack import store
 from frictrack.errors import FrictrackError
 from frictrack.records import Displacement, Motion, Run, Track
-from frictrack.remote import Remote, local
-from frictrack.results import Sensors, plain
+from frictrack.remote import RemoteFile, local_path
+from frictrack.results import Sensors, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 from frictrack.version import __version__
@@ -110,7 +110,7 @@ class RunPipeline:
         from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
 
         assert self.run.video is not None
-        return open_recording(local(self.run.video), fps=self.run.fps)
+        return open_recording(local_path(self.run.video), fps=self.run.fps)
 
     @contextmanager
     def open_film(self) -> Iterator[Recording]:
@@ -165,10 +165,10 @@ class RunPipeline:
             return {key: self.as_written(part) for key, part in value.items()}
         if isinstance(value, list):
             return [self.as_written(part) for part in value]
-        if isinstance(value, Remote):
+        if isinstance(value, RemoteFile):
             return str(value)
         if not isinstance(value, Path):
-            return plain(value)
+            return to_builtins(value)
         inside = value.is_relative_to(self.study.folder)
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
@@ -183,7 +183,9 @@ class RunPipeline:
     def changed_keys(self) -> list[str]:
         """Return the keys of the study file whose values have changed since the stored stages were computed."""
         held = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
-        pairs = ((json.loads(provenance.settings), plain(self.settings(name))) for name, provenance in held.items())
+        pairs = (
+            (json.loads(provenance.settings), to_builtins(self.settings(name))) for name, provenance in held.items()
+        )
         return list(dict.fromkeys(key for then, now in pairs for key in now if then.get(key) != now[key]))
 
     def inputs(self, name: str) -> list[tuple[str, str]]:
@@ -207,7 +209,7 @@ class RunPipeline:
             self._inputs[name] = groups + files
         return self._inputs[name]
 
-    def input_files(self, *stages: Stage) -> list[Path | Remote]:
+    def input_files(self, *stages: Stage) -> list[Path | RemoteFile]:
         """Return the files that some stages read; those of all stages if none is given."""
         keys = [key for stage in stages or self.stages.values() for key in stage.settings]
         return [path for key in keys for path in _paths(getattr(self.run, key))]
@@ -220,7 +222,7 @@ class RunPipeline:
             return None
         return RunPipeline(self.study, first, self.stages, self._progress, stored_only=self.stored_only)
 
-    def content_hash(self, path: Path | Remote) -> str:
+    def content_hash(self, path: Path | RemoteFile) -> str:
         """Return the hash of a file, or of the files of a folder.
 
         Raises
@@ -232,7 +234,7 @@ class RunPipeline:
         if path == self.run.video:
             return self.recording.hash
         try:
-            return hash_path(local(path))
+            return hash_path(local_path(path))
         except OSError as e:
             raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
@@ -303,11 +305,11 @@ def digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _paths(value: Any) -> list[Path | Remote]:
+def _paths(value: Any) -> list[Path | RemoteFile]:
     """Return the files that the value of a key names, also inside a table or a list."""
     if isinstance(value, dict | list):
         return [path for part in (value.values() if isinstance(value, dict) else value) for path in _paths(part)]
-    return [value] if isinstance(value, Path | Remote) else []
+    return [value] if isinstance(value, Path | RemoteFile) else []
 
 
 def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:

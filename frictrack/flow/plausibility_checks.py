@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.friction import free_section
 from frictrack.plausibility import (
@@ -110,7 +110,7 @@ class Findings:
             if finding.grade != ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        gather(_error_messages([f for f in new if f.grade == ERROR]), self.study.path.name)
+        raise_faults(_error_messages([f for f in new if f.grade == ERROR]), self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:
         """Whether the same was found before, of that run or of all, and on as good grounds."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from frictrack.budget import budget
 from frictrack.flow.film_stages import REFERENCE, min_shake_px
 from frictrack.flow.track_quality import residual_shake, track_quality
-from frictrack.results import plain
+from frictrack.results import to_builtins
 
 if TYPE_CHECKING:
     from frictrack.flow.pipeline import RunPipeline
@@ -25,7 +25,7 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
     if film is not None:
         known = (known or _quality(pipeline)) | _residual_shake(pipeline)
     found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
-    made: dict[str, Any] = plain(found.summary())
+    made: dict[str, Any] = to_builtins(found.summary())
     return made
 
 

@@ -12,7 +12,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.study import Study
 
 
@@ -25,7 +25,7 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
 
     setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
     run_plan = planning.choose_runs(setup, progress)
-    told = plain({**planning.summarise_plan(run_plan), "name": study.name})
+    told = to_builtins({**planning.summarise_plan(run_plan), "name": study.name})
     page = plan_page.write(told, study.output / "plan.html")
     return {**told, "page": str(page), "output": str(study.output)}
 

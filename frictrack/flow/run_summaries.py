@@ -13,14 +13,14 @@ from frictrack.flow.pipeline import RunPipeline
 from frictrack.flow.run_budget import run_budget
 from frictrack.flow.sensor_stage import sensor_summary
 from frictrack.flow.track_quality import track_quality
-from frictrack.records import Displacement, Friction, Happenings, Motion, Trade
-from frictrack.results import plain
+from frictrack.records import CutoffTradeOff, Displacement, Friction, Motion, RunEvents
+from frictrack.results import to_builtins
 
 
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
     """The rows of all runs, after they were brought up to the stage; a table has no track and no row there."""
     describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
-    made: list[dict[str, Any]] = plain(
+    made: list[dict[str, Any]] = to_builtins(
         [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
     )
     if stage == "track":  # what cannot be calibrated has no displacement to compare
@@ -75,7 +75,7 @@ def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """What a plain low-pass would cost, in newtons where the mass is known, and what lies above its cut-off."""
-    found: Trade = pipeline.get("cutoff")
+    found: CutoffTradeOff = pipeline.get("cutoff")
     mass = pipeline.run.mass[0] if isinstance(pipeline.run.mass, tuple) else None
     unit, factor = ("m/s^2", 1.0) if mass is None else ("N", mass)
     noise, lost = found.at(found.chosen)
@@ -92,7 +92,7 @@ def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 def _events_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Release, impacts, stops, starts, reversals; and the noise that a resting mass shows."""
-    found: Happenings = pipeline.get("events")
+    found: RunEvents = pipeline.get("events")
     noise = found.noise_at_rest
     return {
         "events": [{"kind": kind, "from_s": begins, "to_s": ends} for kind, begins, ends in found.events],

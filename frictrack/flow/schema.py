@@ -17,7 +17,7 @@ import numpy as np
 from frictrack import store
 from frictrack.files import replace_text
 from frictrack.flow.stages import FILM, TABLE
-from frictrack.records import Curve, Modelled
+from frictrack.records import Curve, ModelledMotion
 from frictrack.store import Provenance
 
 PAGE = Path(store.__file__).parent / "SCHEMA.md"
@@ -126,7 +126,7 @@ def schema_page() -> str:
     ]
     model = ((f"`{name}`", *told) for name, told in MODEL_MEMBERS.items())
     parts += ["\n### `/models/<number>_<name>`\n\n", _table(("name", "type", "what"), model)]
-    parts += [_record_section("`curves/<number>_<run>`", Curve), _record_section("`motion/<run>`", Modelled)]
+    parts += [_record_section("`curves/<number>_<run>`", Curve), _record_section("`motion/<run>`", ModelledMotion)]
     return "".join(parts) + _READ.format(run="v3")
 
 

@@ -27,7 +27,7 @@ from frictrack.sensors import (
     release_energy,
     second_differences,
 )
-from frictrack.study import RunTable, TableData, read_clocked
+from frictrack.study import RunTable, TableData, read_sensor_table
 
 if TYPE_CHECKING:
     from frictrack.flow.pipeline import RunPipeline
@@ -112,7 +112,7 @@ class _SensorReader:
 
     def sensor(self, spec: dict[str, Any]) -> None:
         """An accelerometer, a load cell that measures friction, or both."""
-        data = read_clocked(spec["table"], ("a", "friction"), spec.get("columns", {}))
+        data = read_sensor_table(spec["table"], ("a", "friction"), spec.get("columns", {}))
         name = spec["table"].name
         if data.a is not None:
             self._acceleration(SensorRecord(data.t, data.a, name), _offset(spec))
@@ -173,7 +173,7 @@ class _SensorReader:
 def _drive_force(spec: dict[str, Any]) -> SensorRecord:
     """The drive's table in N."""
     area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
-    data = read_clocked(path, ("drive",) if area is None else ("pressure",), columns)
+    data = read_sensor_table(path, ("drive",) if area is None else ("pressure",), columns)
     values = data.drive if area is None else np.asarray(data.pressure) * area
     assert values is not None
     return SensorRecord(data.t, values, path.name)

@@ -16,7 +16,7 @@ from frictrack import effects, store
 from frictrack.compare import compare, history
 from frictrack.diagnose import diagnose
 from frictrack.errors import FrictrackError
-from frictrack.files import working
+from frictrack.files import lock_work
 from frictrack.fit import analyse_uncertainty
 from frictrack.flow import study_edits
 from frictrack.flow.auxiliary_signals import auxiliary_signals
@@ -33,9 +33,9 @@ from frictrack.flow.stored_results import read_results
 from frictrack.flow.table_stage import jitter_notes
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.friction import impact
-from frictrack.results import Results, plain
+from frictrack.results import Results, to_builtins
 from frictrack.store import GroupContent
-from frictrack.study import Study, nearest
+from frictrack.study import Study, suggest
 from frictrack.version import __version__
 
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
@@ -58,7 +58,7 @@ def exclusive(method: Callable[Concatenate[Session, P], T]) -> Callable[Concaten
 
     @wraps(method)
     def locked(session: Session, *arguments: P.args, **keywords: P.kwargs) -> T:
-        with working(session.study.output, lambda: session.progress(0, 1, "waiting for another frictrack")):
+        with lock_work(session.study.output, lambda: session.progress(0, 1, "waiting for another frictrack")):
             return method(session, *arguments, **keywords)
 
     return locked
@@ -135,7 +135,7 @@ class Session:
         if command in STUDY_EDITS:
             return self._edit_study(command, **arguments)
         if command not in MODEL_EDITS:
-            hint = nearest(command, (*MODEL_EDITS, *STUDY_EDITS))
+            hint = suggest(command, (*MODEL_EDITS, *STUDY_EDITS))
             raise FrictrackError(f"expected a command but got {command!r}; {hint}", usage=True)
         result: dict[str, Any] = getattr(self, command)(**arguments)
         return result
@@ -248,7 +248,7 @@ class Session:
             stored = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
             asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "seed": seed}
             found = analyse_uncertainty(fitted, **asked, progress=self.progress)
-            return {"summary": json.dumps(stored | plain(found.summary()))}
+            return {"summary": json.dumps(stored | to_builtins(found.summary()))}
 
         key = digest(["certainty", profiles, draws, seed, self.models.fit_key(self.models.request(group))])
         self._stored_summary(inside, make, key, seed)
@@ -288,7 +288,7 @@ class Session:
     def _with_group_names(self, summary: dict[str, Any]) -> dict[str, Any]:
         """Name the models of a summary as the store does."""
         named = [{**model, "name": group} for model, group in zip(summary["models"], self.models.groups, strict=True)]
-        result: dict[str, Any] = plain({**summary, "models": named})
+        result: dict[str, Any] = to_builtins({**summary, "models": named})
         return result
 
     @exclusive
@@ -301,7 +301,7 @@ class Session:
             own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
             diagnosis = diagnose(self.models.fit(group), own=own, auxiliary=signals, seed=seed, progress=self.progress)
             summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
-            return {"summary": json.dumps(plain(summary)), "figures": diagnosis.figures}
+            return {"summary": json.dumps(to_builtins(summary)), "figures": diagnosis.figures}
 
         self.models.fit(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"

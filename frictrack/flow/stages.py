@@ -14,8 +14,8 @@ from frictrack.flow.table_stage import make_displacement_from_table, read_run_ta
 from frictrack.friction import friction
 from frictrack.motion import differentiate, low_pass, trade
 from frictrack.plausibility import missing_incline, path_angle
-from frictrack.records import Displacement, Filtered, Friction, Happenings, Motion, Run, Track, Trade
-from frictrack.results import Film, Sensors
+from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
+from frictrack.results import RecordingInfo, Sensors
 from frictrack.study import RunTable, Study
 
 MASS_FIT_MODEL = "coulomb,viscous"  # beside which the drive tells a mass before anything else is fitted
@@ -72,7 +72,13 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
         ),
         Stage("filtered", ("displacement", "sensors"), ("cutoff",), _make_filtered, Filtered),
         Stage("motion", ("filtered",), (), lambda pipeline, filtered: differentiate(filtered), Motion),
-        Stage("cutoff", ("displacement", "filtered", "motion"), (), lambda pipeline, d, f, m: trade(d, f, m), Trade),
+        Stage(
+            "cutoff",
+            ("displacement", "filtered", "motion"),
+            (),
+            lambda pipeline, d, f, m: trade(d, f, m),
+            CutoffTradeOff,
+        ),
         Stage(
             "friction",
             ("displacement", "motion", "sensors"),
@@ -85,14 +91,14 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
             ("displacement", "motion", "sensors"),
             ("mass", "incline", "normal_load", "free"),
             lambda pipeline, *inputs: happenings(make_run(pipeline.run, *inputs)),
-            Happenings,
+            RunEvents,
         ),
     )
     return {stage.name: stage for stage in (*head, *tail)}
 
 
 FILM = _stage_table(
-    Stage("recording", (), ("video", "fps"), make_recording, Film),
+    Stage("recording", (), ("video", "fps"), make_recording, RecordingInfo),
     Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), make_track, Track),
     Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), make_further_tracks, dict),
     Stage(

@@ -25,8 +25,8 @@ from frictrack.flow.stages import run_pipeline
 from frictrack.flow.track_quality import track_quality
 from frictrack.flow.tried_models import TriedModels, model_results
 from frictrack.motion import derivatives, low_pass
-from frictrack.records import Array, Happenings
-from frictrack.results import ModelResults, Results, RunResults, plain
+from frictrack.records import Array, RunEvents
+from frictrack.results import ModelResults, Results, RunResults, to_builtins
 from frictrack.study import Study
 from frictrack.version import __version__
 
@@ -112,7 +112,7 @@ def run_results(pipeline: RunPipeline) -> RunResults:
         displacement=done["displacement"],
         filtered=done["filtered"],
         motion=done["motion"],
-        happenings=done.get("events", Happenings()),
+        happenings=done.get("events", RunEvents()),
         cutoff=done.get("cutoff"),
         friction=done.get("friction"),
         film=done.get("recording"),
@@ -133,7 +133,7 @@ def _quality(done: dict[str, Any]) -> dict[str, Any]:
     """What a film says of its own measurement; nothing for a table."""
     if "track" not in done:
         return {}
-    found: dict[str, Any] = plain(
+    found: dict[str, Any] = to_builtins(
         track_quality(done["recording"], done["track"], done["tracks"], done["displacement"].pixel_pitch)
     )
     return found

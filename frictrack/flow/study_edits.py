@@ -16,7 +16,7 @@ from frictrack.files import replace_text
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
 from frictrack.flow.tried_models import TriedModels
-from frictrack.study import Study, edited, parse, with_effect, with_runs, without_run
+from frictrack.study import Study, parse, with_effect, with_key, with_runs, without_run
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
     """
 
     def rewrite(text: str) -> str:
-        after = edited(text, table, key, value, which)
+        after = with_key(text, table, key, value, which)
         if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
             request = opened.models.request(opened.models.current_group)
             request.model(parse(opened.study.path, after, bare=True).effects)

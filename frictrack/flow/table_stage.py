@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frictrack.calibration import parse_scale
 from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask
-from frictrack.remote import local
+from frictrack.remote import local_path
 from frictrack.samples import (
     EvenClock,
     SampledPath,
@@ -60,7 +60,7 @@ class EvenTable:
 def read_run_table(run: RunTable) -> TableData:
     """The table that a run is."""
     assert run.table is not None
-    return read_table(local(run.table), run.columns)
+    return read_table(local_path(run.table), run.columns)
 
 
 def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement:

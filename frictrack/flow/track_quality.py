@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frictrack.calibration import estimate_shake, subtract_shake
 from frictrack.flow.target_rotation import rotation_note
 from frictrack.records import MEASURED, Array, Track
-from frictrack.results import Film
+from frictrack.results import RecordingInfo
 
 if TYPE_CHECKING:
     from frictrack.samples import Slip
@@ -169,7 +169,7 @@ def _corrected_slip_notes(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
     return (*left_out, *(f"{note}; left as gaps in time" for note in missing))
 
 
-def track_quality(film: Film, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
+def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
     """Numbers on one film's measurement; `pitch` is that of the displacement, m, None where there is none."""
     from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
 

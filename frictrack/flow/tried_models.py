@@ -17,8 +17,8 @@ from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
 from frictrack.models import Model
-from frictrack.records import Curve, Modelled, Run
-from frictrack.results import ModelResults, plain
+from frictrack.records import Curve, ModelledMotion, Run
+from frictrack.results import ModelResults, to_builtins
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import EffectTable, RunTable, Study
 
@@ -225,7 +225,7 @@ class TriedModels:
     @property
     def _study_model(self) -> str:
         """The study file's model as JSON, which is stored beside the models."""
-        return json.dumps(plain(self.study.model))
+        return json.dumps(to_builtins(self.study.model))
 
     def domain(self) -> str:
         """Return the domain of a new fit: "force" if a load cell measured friction, else "displacement"."""
@@ -366,7 +366,7 @@ class TriedModels:
         content = {
             "current": current,
             "equation": str(fitted.model),
-            "summary": json.dumps(plain(fitted.summary())),
+            "summary": json.dumps(to_builtins(fitted.summary())),
             "state": state(fitted),
             "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
             "motion": {motion.run: motion for motion in fitted.motion},
@@ -396,7 +396,7 @@ def model_results(path: Path, group: str) -> ModelResults:
                 json.loads(held["summary"]), json.loads(held.get("certainty", {}).get("summary", "{}"))
             ),
             curves=tuple(store.read(path, f"{inside}/curves/{name}", Curve) for name in curves),
-            motion=tuple(store.read(path, f"{inside}/motion/{name}", Modelled) for name in motion),
+            motion=tuple(store.read(path, f"{inside}/motion/{name}", ModelledMotion) for name in motion),
             current=bool(held["current"]),
             diagnosis=json.loads(held["diagnosis"]["summary"]) if "diagnosis" in held else None,
             figures=held.get("diagnosis", {}).get("figures", {}),

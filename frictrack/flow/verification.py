@@ -23,7 +23,7 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, 
 from frictrack.flow.stages import FILM, TABLE, run_pipeline
 from frictrack.flow.tried_models import TriedModels
 from frictrack.store import Fault, Provenance
-from frictrack.study import Study, load, results_of
+from frictrack.study import Study, load, results_folder
 
 Provenances = Callable[[Path], dict[str, Provenance]]
 RUN_AGAIN = "run the study again"
@@ -94,7 +94,7 @@ def _study_files(path: Path) -> list[Path]:
 
 def _output_folder(path: Path) -> Path | None:
     try:
-        return results_of(path)
+        return results_folder(path)
     except FrictrackError:
         return None
 

@@ -15,7 +15,7 @@ from frictrack.motion.posterior_deviations import weighted_cubic
 from frictrack.motion.stencil import stencil_derivatives
 from frictrack.motion.structure import Structure, undetectable_amplitude
 from frictrack.motion.system import TREND_ORDER, NoiseColour, SmootherData
-from frictrack.records import Array, Displacement, Filtered, Mask, Motion, Trade
+from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 N_CUTOFFS = 32
 MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # cycles over the record, and per frame
@@ -24,7 +24,7 @@ MIN_PASSED_AMPLITUDE = 0.9  # of its amplitude; a line of which less is left lie
 N_FREQUENCIES = 2048  # at which noise is summed
 
 
-def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Trade:
+def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> CutoffTradeOff:
     """Every cut-off that a plain low-pass of x might have, with what it lets through and what it takes.
 
     The one that was used is marked: the one given, else that of the highest likelihood for a plain low-pass, which the
@@ -43,7 +43,7 @@ def trade(displacement: Displacement, filtered: Filtered, motion: Motion) -> Tra
     colour = Smoother.read(best.smoother).colour
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
     total = np.hypot(passed, rows[:, 1])
-    return Trade(
+    return CutoffTradeOff(
         frequency=frequency,
         residual=rows[:, 0],
         floor=floor,

@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.style import axis_label, new_figure, styled
-from frictrack.records import Trade
+from frictrack.records import CutoffTradeOff
 
 
 @styled
-def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
+def cutoff(name: str, found: CutoffTradeOff, mass: float | None = None) -> Figure:
     """Draw the residual analysis (above) and the sum of noise and lost signal (below) over the cut-off frequency.
 
     Parameters
@@ -58,7 +58,7 @@ def cutoff(name: str, found: Trade, mass: float | None = None) -> Figure:
     return figure
 
 
-def _title(name: str, found: Trade, factor: float, unit: str) -> str:
+def _title(name: str, found: CutoffTradeOff, factor: float, unit: str) -> str:
     noise, lost = found.at(found.chosen)
     plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
     written = format_unit(unit)

@@ -15,7 +15,7 @@ from frictrack.number_format import format_number
 from frictrack.plots import style
 from frictrack.plots.model import worst_runs
 from frictrack.plots.style import axis_label, draw_band, new_figure, plain_name, styled
-from frictrack.records import Array, Mask, Modelled, stretches
+from frictrack.records import Array, Mask, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 
 MAX_PANELS = 6  # runs drawn; of more runs, those that fit worst
@@ -88,7 +88,7 @@ def _rms(values: Sequence[float | None]) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
-def _draw_run(cell: Sequence[Axes], motion: Modelled, run: RunResults, impulses: str) -> None:
+def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, impulses: str) -> None:
     """Draw one run in its three panels."""
     a, left, force = cell
     m, rows = run.motion, np.searchsorted(run.motion.t, motion.t - 1e-9)
@@ -138,7 +138,7 @@ def _unsmeared(run: RunResults, rows: Any) -> Mask:
     return kept if np.any(kept) else ~kept
 
 
-def _draw_model(ax: Axes, motion: Modelled, values: Array, sigma: Array) -> None:
+def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
     """Draw the model's line with its band, segment by segment, with a gap at an unresolved blow."""
     for k in np.unique(motion.segment):
         at = motion.segment == k

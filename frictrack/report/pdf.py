@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 
 BROWSERS = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "msedge"),
@@ -34,7 +34,7 @@ def printed(page: Path) -> Path:
             "browser and print it from there"
         )
     sheet = page.with_suffix(".pdf")
-    with replaced(sheet) as part, tempfile.TemporaryDirectory() as profile:
+    with atomic_write(sheet) as part, tempfile.TemporaryDirectory() as profile:
         words = [
             browser,
             "--headless",

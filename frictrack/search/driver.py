@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch
@@ -113,7 +113,7 @@ def _search(method: str, settings: dict[str, Any]) -> SearchMethod:
     if method not in METHODS:
         raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"')
     known = [f.name for f in fields(METHODS[method])]  # type: ignore[arg-type]
-    gather(
+    raise_faults(
         [f'expected a setting among {", ".join(known)} but got "{name}"' for name in settings if name not in known],
         f"search {method}",
     )
@@ -126,7 +126,7 @@ def _box(bounds: ArrayLike) -> Array:
     if box.ndim != 2 or box.shape[1] != 2 or len(box) == 0:
         raise FrictrackError(f"expected bounds of shape (d, 2) but got shape {box.shape}; give one [lower, upper] each")
     bad = ~(np.isfinite(box).all(axis=1) & (box[:, 0] < box[:, 1]))
-    gather(
+    raise_faults(
         [
             f"expected finite lower < upper but got [{lo:g}, {hi:g}] in row {i}"
             for i, (lo, hi) in zip(np.flatnonzero(bad), box[bad], strict=True)

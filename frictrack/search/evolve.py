@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.errors import gather
+from frictrack.errors import raise_faults
 from frictrack.records import Array, Mask
 from frictrack.search.coding import decode, encode, random_genes
 from frictrack.search.evaluator import CostEvaluator
@@ -97,4 +97,4 @@ def _check(population: int, gap: float, bits: int) -> None:
         faults.append(f"expected a generation gap above 0 and up to 1 but got {gap:g}")
     if not 1 <= bits <= MAX_BITS:
         faults.append(f"expected a code length of 1 to {MAX_BITS} bits but got {bits}")
-    gather(faults, "genetic search")
+    raise_faults(faults, "genetic search")

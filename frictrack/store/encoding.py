@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.results import plain
+from frictrack.results import to_builtins
 from frictrack.store.checksums import CHECKSUM
 from frictrack.store.size_checks import check_visited_once, members, read_array
 from frictrack.version import __version__
@@ -76,7 +76,7 @@ def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> 
     elif isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
         write_array(group, name, np.array(value))
     else:
-        group.attrs[name] = json.dumps(plain(value)) if isinstance(value, tuple | list) else value
+        group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
         if unit and isinstance(value, float):
             group.attrs[f"{name}_unit"] = unit
 

@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 
 from frictrack.errors import FrictrackError
-from frictrack.files import alone, replaced
+from frictrack.files import atomic_write, lock_folder
 from frictrack.store import encoding
 from frictrack.store.checksums import CHECKSUM, add_checksums, drop_checksums
 from frictrack.store.encoding import GroupContent, Provenance
@@ -263,7 +263,7 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
 
     It is built in memory, because HDF5 itself would crash on a full disk.
     """
-    with alone(path.parent), replaced(path) as part:
+    with lock_folder(path.parent), atomic_write(path) as part:
         with empty_file_in_memory() as file:
             if path.exists():
                 with _reading(path) as old:

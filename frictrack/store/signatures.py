@@ -15,7 +15,7 @@ from pathlib import Path
 from platformdirs import user_data_path
 
 from frictrack.errors import FrictrackError
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 from frictrack.store.file_header import file_state, read_signature, signed_bytes
 
 _BYTES = 32
@@ -52,7 +52,7 @@ def _secret() -> bytes:
     path = user_data_path("frictrack", appauthor=False) / "mark"
     with suppress(OSError, FrictrackError):
         if not path.exists() or path.stat().st_size != _BYTES:
-            with replaced(path, mode=0o600) as part:
+            with atomic_write(path, mode=0o600) as part:
                 part.write_bytes(secrets.token_bytes(_BYTES))
         return path.read_bytes()
     return b""

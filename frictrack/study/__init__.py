@@ -4,10 +4,10 @@
 were measured by something other than a camera.
 """
 
-from frictrack.study.editing import edited, with_effect, with_runs, without_run, written
-from frictrack.study.loading import Study, load, parse, read_toml, results_of
-from frictrack.study.reading_tables import TableData, read_clocked, read_table
-from frictrack.study.schema import EffectTable, RunTable, nearest
+from frictrack.study.editing import read_key, with_effect, with_key, with_runs, without_run
+from frictrack.study.loading import Study, load, parse, read_toml, results_folder
+from frictrack.study.reading_tables import TableData, read_sensor_table, read_table
+from frictrack.study.schema import EffectTable, RunTable, suggest
 from frictrack.study.writing import TABLES, find_recordings, write_study
 
 __all__ = [
@@ -16,18 +16,18 @@ __all__ = [
     "RunTable",
     "Study",
     "TableData",
-    "edited",
     "find_recordings",
     "load",
-    "nearest",
     "parse",
-    "read_clocked",
+    "read_key",
+    "read_sensor_table",
     "read_table",
     "read_toml",
-    "results_of",
+    "results_folder",
+    "suggest",
     "with_effect",
+    "with_key",
     "with_runs",
     "without_run",
     "write_study",
-    "written",
 ]

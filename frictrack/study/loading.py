@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from frictrack.errors import FrictrackError
-from frictrack.files import LONGEST_NAME, is_file_name
-from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, nearest, needs_film
+from frictrack.files import MAX_NAME_LENGTH, is_file_name
+from frictrack.study.schema import CameraTable, EffectTable, Keys, RunTable, StudyTable, Value, needs_film, suggest
 
 TABLES: dict[str, type[Keys]] = {
     "study": StudyTable,
@@ -21,11 +21,11 @@ TABLES: dict[str, type[Keys]] = {
     "run": RunTable,
     "effect": EffectTable,
 }
-ALLOWED = "FRICTRACK_OUTPUTS"  # folders, as in PATH, into which study files from elsewhere may write
-MANY = ("run", "effect")  # written with two brackets
-TAKEN = "study"  # the results of all runs together are called so
-LARGEST = 1 << 19  # bytes of a study file; one of a thousand runs has 100 kB
-DEEPEST = 50  # dots of a line outside of texts and numbers: a dotted key takes a time that goes with their square
+ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # folders, as in PATH, into which study files from elsewhere may write
+ARRAY_TABLES = ("run", "effect")  # written with two brackets
+RESERVED_NAME = "study"  # the results of all runs together are called so
+MAX_STUDY_BYTES = 1 << 19  # bytes of a study file; one of a thousand runs has 100 kB
+MAX_DOTS_PER_LINE = 50  # outside of texts and numbers; the time to parse a dotted key grows with the square of them
 _NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 
@@ -69,7 +69,7 @@ def parse(path: Path, text: str, *, bare: bool = False) -> Study:
     return study
 
 
-def results_of(path: Path) -> Path:
+def results_folder(path: Path) -> Path:
     """The folder of the results of a study file, also where the recordings that it names are gone.
 
     Raises `FrictrackError` (usage) where the file cannot be read.
@@ -85,7 +85,7 @@ def _output(path: Path, output: str) -> Path:
 def read_toml(name: str, text: str) -> dict[str, Any]:
     """The tables of a text; raises `FrictrackError` (usage) where it is no TOML, or one that takes for ever."""
     for number, line in enumerate(text.splitlines(), 1):
-        if line.count(".") > DEEPEST and _NO_KEY.sub("", line).count(".") > DEEPEST:
+        if line.count(".") > MAX_DOTS_PER_LINE and _NO_KEY.sub("", line).count(".") > MAX_DOTS_PER_LINE:
             raise FrictrackError(f"{name} is not valid TOML: line {number} has too many dots", usage=True)
     try:
         return tomllib.loads(text)
@@ -100,8 +100,8 @@ def _read(path: Path) -> str:
     try:
         if path.exists() and not path.is_file():
             raise FrictrackError(f"expected a study file but {path} is none", usage=True)
-        if (size := path.stat().st_size) > LARGEST:
-            most = f"expected a study file of at most {LARGEST >> 10} kB"
+        if (size := path.stat().st_size) > MAX_STUDY_BYTES:
+            most = f"expected a study file of at most {MAX_STUDY_BYTES >> 10} kB"
             raise FrictrackError(f"{path.name}: {most} but got {size / 1e3:.0f} kB", usage=True)
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as e:
@@ -110,7 +110,7 @@ def _read(path: Path) -> str:
         ) from e
     except OSError as e:
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        hint = nearest(path.name, there) if there else f"`frictrack init {path.parent}` writes one"
+        hint = suggest(path.name, there) if there else f"`frictrack init {path.parent}` writes one"
         raise FrictrackError(f"expected a study file {path} but cannot read it; {hint}", usage=True) from e
 
 
@@ -139,11 +139,11 @@ class _Reader:
             return None
         merged = tuple(self._merged(i, run, head, camera) for i, run in enumerate(runs))
         output = _output(path, head.output)
-        if not _may_write(output, path.parent):
+        if not _is_allowed(output, path.parent):
             self.faults.append(
                 f"[study], {self._line('study', 0, 'output')}: expected an output inside the study's folder but got "
                 f'"{head.output or output.name}", which leads out of it; name another one, or allow that folder '
-                f"yourself: {ALLOWED}=FOLDER frictrack ..."
+                f"yourself: {ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
             )
         self._check_names(merged)
         return Study(
@@ -160,9 +160,9 @@ class _Reader:
 
     def _check_table(self, name: str, value: Any) -> None:
         if name not in TABLES:
-            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {nearest(name, TABLES)}')
-        elif not isinstance(value, list if name in MANY else dict):
-            brackets = f"[[{name}]]" if name in MANY else f"[{name}]"
+            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {suggest(name, TABLES)}')
+        elif not isinstance(value, list if name in ARRAY_TABLES else dict):
+            brackets = f"[[{name}]]" if name in ARRAY_TABLES else f"[{name}]"
             self.faults.append(f'expected "{name}" as a table {brackets} ({self._line(name, 0, "")})')
 
     def _table(self, table: str, index: int, raw: Any) -> Any:
@@ -182,7 +182,7 @@ class _Reader:
         where = f"{_title(table, index, raw)}, {self._line(table, index, key)}"
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
-            hint = f"it belongs in [{home}]" if home else nearest(key, TABLES[table].model_fields)
+            hint = f"it belongs in [{home}]" if home else suggest(key, TABLES[table].model_fields)
             return f'{where}: unknown key "{key}"; {hint}'
         if fault["type"] == "value_error":
             said = str(fault["ctx"]["error"])
@@ -231,11 +231,11 @@ class _Reader:
         return f"line {at or 1}"
 
 
-def _may_write(output: Path, folder: Path) -> bool:
+def _is_allowed(output: Path, folder: Path) -> bool:
     """Whether a folder of results lies in the study's own, symbolic links followed, or in one that the user allowed."""
-    told = [part for part in os.environ.get(ALLOWED, "").split(os.pathsep) if part]
+    allowed = [part for part in os.environ.get(ALLOWED_FOLDERS_VARIABLE, "").split(os.pathsep) if part]
     try:
-        return any(output.resolve().is_relative_to(home.resolve()) for home in (folder, *map(Path, told)))
+        return any(output.resolve().is_relative_to(home.resolve()) for home in (folder, *map(Path, allowed)))
     except (ValueError, OSError, RuntimeError):  # a NUL, a name that is too long, links in a circle
         return False
 
@@ -246,7 +246,7 @@ def _tables(raw: dict[str, Any], name: str) -> list[Any]:
 
 
 def _title(table: str, index: int, raw: Any) -> str:
-    if table not in MANY:
+    if table not in ARRAY_TABLES:
         return f"[{table}]"
     name = (raw.get("name") or raw.get("effect")) if isinstance(raw, dict) else None
     return f'[[{table}]] "{name}"' if name else f"[[{table}]] number {index + 1}"
@@ -255,10 +255,10 @@ def _title(table: str, index: int, raw: Any) -> str:
 def _run_faults(run: RunTable) -> list[str]:
     """What the keys of one run must be to each other."""
     faults = []
-    if not is_file_name(run.name) or run.name.casefold() == TAKEN:
+    if not is_file_name(run.name) or run.name.casefold() == RESERVED_NAME:
         faults.append(
             "expected a name that can be a file name on every system (letters, digits, spaces, .-_; "
-            f'at most {LONGEST_NAME} characters) but got "{run.name[:LONGEST_NAME]}"'
+            f'at most {MAX_NAME_LENGTH} characters) but got "{run.name[:MAX_NAME_LENGTH]}"'
         )
     if run.video and run.scale is None:
         faults.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')

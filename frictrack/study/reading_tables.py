@@ -12,21 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError, gather
+from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import GRAVITY, Array
-from frictrack.study.schema import CLOCKED, COLUMNS, nearest
-from frictrack.units import quantity
+from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, suggest
+from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]]\s*$")  # "pos (mm)", "Position [mm]"
 FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number that shows its decimal sign
-MOST_UNPACKED = 256 << 20  # bytes of a workbook
-MOST = 1e12  # SI units: beyond anything that slides
-SHORTEST = 1e-9  # s between rows
-REPEATED, MANY = 0.9, 16  # share of time stamps that may repeat the one before, in a table of so many rows
-MOST_COLUMNS, MOST_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
+MAX_UNPACKED_BYTES = 256 << 20  # bytes of a workbook
+MAX_VALUE = 1e12  # SI units: beyond anything that slides
+MIN_INTERVAL_S = 1e-9  # s between rows
+MAX_REPEATED_SHARE, MIN_ROWS_FOR_REPEATS = (
+    0.9,
+    16,
+)  # share of time stamps that may repeat the one before, in a table of so many rows
+MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 NO_COLUMNS: Mapping[str, str] = {}
 
 
@@ -54,15 +57,15 @@ def read_table(path: Path, columns: Mapping[str, str] = NO_COLUMNS) -> TableData
     return TableData(**_read(path, columns, ("t", "x"), COLUMNS))
 
 
-def read_clocked(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
+def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, str] = NO_COLUMNS) -> TableData:
     """Read a sensor with its own clock: t_s and at least one of the `wanted` columns.
 
     `columns` names other headers as for `read_table`, with "pressure" (pressure_Pa) beside; an acceleration may be in
     units of gravity, "a (g)". An empty cell is a sample that was not taken: NaN.
     """
-    values = _read(path, columns, ("t",), {key: CLOCKED[key] for key in ("t", *wanted)})
+    values = _read(path, columns, ("t",), {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)})
     if len(values) == 1:
-        headers = " or ".join(CLOCKED[name][0] for name in wanted)
+        headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
             f"{path.name}: expected a column {headers} beside t_s but got none; "
             f'name it with {{table = "{path.name}", columns = {{{wanted[0]} = "..."}}}}'
@@ -93,12 +96,12 @@ def _read(
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
-    gather(faults, path.name)
+    raise_faults(faults, path.name)
     return values
 
 
 def _hint(header: str, present: list[str]) -> str:
-    return f'{nearest(header, present)} Map it with columns = {{t = "Time (ms)", x = "pos (mm)"}}'
+    return f'{suggest(header, present)} Map it with columns = {{t = "Time (ms)", x = "pos (mm)"}}'
 
 
 def _header(written: str, present: list[str]) -> tuple[str, float]:
@@ -113,7 +116,7 @@ def _factor(header: str, standard: str, unit: str) -> float:
     named = UNIT.search(header)
     if named and header != standard and (named[1], unit) == ("g", "m/s^2"):
         return GRAVITY
-    return quantity(f"1 {named[1]}", unit, header)[0] if named and header != standard else 1.0
+    return parse_quantity(f"1 {named[1]}", unit, header)[0] if named and header != standard else 1.0
 
 
 def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tuple[Array, list[str]]:
@@ -125,12 +128,12 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
         except OverflowError:  # a whole number of more than 308 digits; written as text it is infinite
             numbers = pd.to_numeric(series.astype(str), errors="coerce")
         values = factor * np.asarray(numbers, dtype=float)
-    bad = np.flatnonzero(~(np.abs(values) < MOST) & ~(series.isna().to_numpy() & gaps))
+    bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE) & ~(series.isna().to_numpy() & gaps))
     if len(bad) == 0:
         return values, []
     came = series.iloc[int(bad[0])]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
-    said = f"expected numbers below {MOST:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
+    said = f"expected numbers below {MAX_VALUE:g} (SI)" if np.isfinite(values[bad[0]]) else "expected numbers"
     return values, [f'{said} in "{series.name}" but got {str(came)[:40]} in row {bad[0] + 1}{more}']
 
 
@@ -138,13 +141,15 @@ def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
     steps = np.diff(t)
-    repeated = np.sum(steps == 0) <= REPEATED * len(steps)  # a clock that is read too seldom; rows go on all the same
-    back = np.flatnonzero((steps < 0) if repeated and len(t) >= MANY else (steps <= 0))
+    repeated = np.sum(steps == 0) <= MAX_REPEATED_SHARE * len(
+        steps
+    )  # a clock that is read too seldom; rows go on all the same
+    back = np.flatnonzero((steps < 0) if repeated and len(t) >= MIN_ROWS_FOR_REPEATS else (steps <= 0))
     if len(back):
         i = int(back[0])
         return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
-    if (step := float(np.median(steps[steps > 0]))) < SHORTEST:
-        return [f"expected rows {SHORTEST:g} s apart or more but got {step:g} s; check the unit of the time"]
+    if (step := float(np.median(steps[steps > 0]))) < MIN_INTERVAL_S:
+        return [f"expected rows {MIN_INTERVAL_S:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []
 
 
@@ -170,7 +175,7 @@ def _sheet(path: Path) -> pd.DataFrame:
     try:
         with zipfile.ZipFile(path) as packed:
             unpacked = sum(part.file_size for part in packed.infolist())
-        if unpacked > MOST_UNPACKED:
+        if unpacked > MAX_UNPACKED_BYTES:
             raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
         with path.open("rb") as file:
             rows = list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
@@ -186,9 +191,9 @@ def _sheet(path: Path) -> pd.DataFrame:
 def _filled(sheet: Any) -> Iterator[tuple[Any, ...]]:
     """Rows in which something stands; the sheet itself may claim any number of them."""
     sheet.reset_dimensions()
-    for i, row in enumerate(sheet.iter_rows(max_col=MOST_COLUMNS, values_only=True)):
-        if i == MOST_ROWS:
-            raise ValueError(f"more than {MOST_ROWS} rows")
+    for i, row in enumerate(sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True)):
+        if i == MAX_ROWS:
+            raise ValueError(f"more than {MAX_ROWS} rows")
         if any(cell is not None for cell in row):
             yield row
 

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 from frictrack.polygons import Polygon, polygon, polygons
-from frictrack.remote import Remote, is_remote
-from frictrack.units import quantity
+from frictrack.remote import RemoteFile, is_remote
+from frictrack.units import parse_quantity
 
 Value = tuple[float, float]  # SI, with its standard deviation
 Pair = tuple[float, float]
@@ -29,19 +29,19 @@ COLUMNS = {
     "a": ("a_m_s2", "m/s^2"),
     "friction": ("friction_N", "N"),
 }  # short name in `columns` -> header and unit in the table
-CLOCKED = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} | {"pressure": ("pressure_Pa", "Pa")}
+SENSOR_COLUMNS = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} | {"pressure": ("pressure_Pa", "Pa")}
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def suggest(word: str, known: Iterable[str]) -> str:
     """What to try instead of a wrong word: the nearest right one, or all of them."""
     known = list(known)
     near = difflib.get_close_matches(word, known, 1)
     return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
 
 
-def si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = math.inf) -> Value:
+def to_si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = math.inf) -> Value:
     """A number in `unit`, or a text with a unit and perhaps an uncertainty, as (value, std)."""
-    value, std = quantity(raw, unit, what)
+    value, std = parse_quantity(raw, unit, what)
     if not above < value < below:
         span = f"above {above:g} {unit}" if below == math.inf else f"between {above:.3g} and {below:.3g} {unit}"
         raise ValueError(f"expected {what} {span} but got {raw!r}")
@@ -50,7 +50,7 @@ def si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = 
 
 def _number(unit: str, **limits: float) -> BeforeValidator:
     """A physical value without its standard deviation."""
-    return BeforeValidator(lambda raw, info: si(raw, unit, str(info.field_name), **limits)[0])
+    return BeforeValidator(lambda raw, info: to_si(raw, unit, str(info.field_name), **limits)[0])
 
 
 def _span(unit: str) -> BeforeValidator:
@@ -59,7 +59,7 @@ def _span(unit: str) -> BeforeValidator:
     def check(raw: Any, info: ValidationInfo) -> Pair:
         if not isinstance(raw, list) or len(raw) != 2:
             raise ValueError(f"expected [start, end] in {unit} but got {raw!r}")
-        start, end = (si(part, unit, str(info.field_name))[0] for part in raw)
+        start, end = (to_si(part, unit, str(info.field_name))[0] for part in raw)
         if start >= end:
             raise ValueError(f"expected an end after the start but got {raw!r}")
         return start, end
@@ -73,19 +73,19 @@ def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
     if not isinstance(raw, str):
         raise ValueError(f'expected a text with a unit, as in {name} = "0.004 N" or {name} = "5 um", but got {raw!r}')
     try:
-        return si(raw, "N", name, above=0.0)[0], "N"
+        return to_si(raw, "N", name, above=0.0)[0], "N"
     except ValueError:
-        return si(raw, "m", name, above=0.0)[0], "m"
+        return to_si(raw, "m", name, above=0.0)[0], "m"
 
 
 def _mass(raw: Any) -> Any:
-    return raw if raw == "fit" else si(raw, "kg", "mass", above=0.0)
+    return raw if raw == "fit" else to_si(raw, "kg", "mass", above=0.0)
 
 
 def _angle(raw: Any, info: ValidationInfo) -> float:
     """An angle below a right one; a number is in rad."""
     try:
-        return si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
+        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
     except ValueError as e:
         degrees = isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < 90
         hint = f'; a number is in rad: write "{raw:g} deg" for degrees' if degrees else ""
@@ -97,15 +97,15 @@ def _path(raw: Any, info: ValidationInfo) -> Path:
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
     path = _folder(info) / raw
-    if not _is_there(path):
-        there = [p.name for p in path.parent.iterdir()] if _is_there(path.parent / "..") else []
+    if not _exists(path):
+        there = [p.name for p in path.parent.iterdir()] if _exists(path.parent / "..") else []
         near = difflib.get_close_matches(path.name, there, 1)
         hint = f'; did you mean "{near[0]}"?' if near else "; paths are relative to the study file"
         raise ValueError(f'expected a file "{raw}" but there is none{hint}')
     return path
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     """Whether it is a file or a folder: of a pipe or a device nobody knows where it ends."""
     try:
         return path.is_file() or path.is_dir()
@@ -113,15 +113,17 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-def _source(raw: Any, info: ValidationInfo) -> Path | Remote:
+def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
     """A recording or a table of this machine, or an address; whether that answers is seen when it is needed."""
-    return Remote(raw) if isinstance(raw, str) and is_remote(raw) else _path(raw, info)
+    return RemoteFile(raw) if isinstance(raw, str) and is_remote(raw) else _path(raw, info)
 
 
-def _numbers(raw: Any, count: int) -> bool:
+def _are_numbers(raw: Any, count: int) -> bool:
     """Whether these are so many numbers, none beyond any picture."""
     return (
-        isinstance(raw, list) and len(raw) == count and all(type(v) in (int, float) and abs(v) < MOST_PX for v in raw)
+        isinstance(raw, list)
+        and len(raw) == count
+        and all(type(v) in (int, float) and abs(v) < MAX_COORDINATE_PX for v in raw)
     )
 
 
@@ -129,7 +131,7 @@ def _target(raw: Any, info: ValidationInfo) -> Any:
     """A rectangle, a click or a picture; whether it fits the film is told by `tracking`."""
     if isinstance(raw, str) and raw:
         return _path(raw, info)
-    if _numbers(raw, 2) or (_numbers(raw, 4) and min(raw[2:]) > 0):
+    if _are_numbers(raw, 2) or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
         return tuple(raw)
     if isinstance(raw, list) and raw and all(isinstance(corner, list) for corner in raw):
         return polygon(raw)
@@ -141,14 +143,14 @@ def _targets(raw: Any, info: ValidationInfo) -> Any:
     if not isinstance(raw, dict):
         raise ValueError(f"expected further targets as {{name = [x, y, width, height]}} but got {raw!r}")
     for name in raw:
-        if name in TAKEN or not NAME.fullmatch(name):
-            taken = ", ".join(TAKEN)
+        if name in RESERVED_TRACKS or not NAME.fullmatch(name):
+            taken = ", ".join(RESERVED_TRACKS)
             raise ValueError(f'expected names of letters, digits, - and _ other than {taken} but got "{name}"')
     return {name: _target(one, info) for name, one in raw.items()}
 
 
 def _reference(raw: Any) -> Any:
-    if raw in ("auto", "none") or (_numbers(raw, 4) and min(raw[2:]) > 0):
+    if raw in ("auto", "none") or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
         return raw if isinstance(raw, str) else tuple(raw)
     raise ValueError(f'expected "auto", "none" or a rectangle [x, y, width, height] in px but got {raw!r}')
 
@@ -156,7 +158,7 @@ def _reference(raw: Any) -> Any:
 def _columns(raw: Any) -> Any:
     for key in raw if isinstance(raw, dict) else ():
         if key not in COLUMNS:
-            raise ValueError(f'expected one of {", ".join(COLUMNS)} but got "{key}"; {nearest(key, COLUMNS)}')
+            raise ValueError(f'expected one of {", ".join(COLUMNS)} but got "{key}"; {suggest(key, COLUMNS)}')
     return raw
 
 
@@ -165,10 +167,10 @@ def _drive(raw: Any, info: ValidationInfo) -> Any:
     if raw == "none":
         return None
     if isinstance(raw, dict):
-        return _clocked(raw, info, DRIVE, ("pressure",) if "area" in raw else ("drive",))
-    force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not _is_there(_folder(info) / raw)
+        return _sensor_table(raw, info, DRIVE, ("pressure",) if "area" in raw else ("drive",))
+    force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not _exists(_folder(info) / raw)
     if force or (isinstance(raw, int | float) and not isinstance(raw, bool)):
-        return si(raw, "N", "drive")[0]
+        return to_si(raw, "N", "drive")[0]
     if isinstance(raw, str) and raw:
         return _path(raw, info)
     raise ValueError(
@@ -180,7 +182,7 @@ def _drive(raw: Any, info: ValidationInfo) -> Any:
 def _sensor(raw: Any, info: ValidationInfo) -> Any:
     """A table with its own clock."""
     if isinstance(raw, dict):
-        return _clocked(raw, info, SENSOR, ("a", "friction"))
+        return _sensor_table(raw, info, SENSOR, ("a", "friction"))
     if isinstance(raw, str) and raw:
         return _path(raw, info)
     raise ValueError(
@@ -189,11 +191,11 @@ def _sensor(raw: Any, info: ValidationInfo) -> Any:
     )
 
 
-def _clocked(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], wanted: tuple[str, ...]) -> Any:
+def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], wanted: tuple[str, ...]) -> Any:
     """A sensor's table with what is to be known of it: every value checked, files looked up."""
     for key in raw:
         if key not in keys:
-            raise ValueError(f'expected one of {", ".join(keys)} but got "{key}"; {nearest(key, keys)}')
+            raise ValueError(f'expected one of {", ".join(keys)} but got "{key}"; {suggest(key, keys)}')
     if ("table" in raw) == ("force" in raw):
         came = "both" if "table" in raw else "neither"
         both = 'table = "drive.csv" or force = "2.5 N"' if "force" in keys else 'table = "acc.csv"'
@@ -202,8 +204,8 @@ def _clocked(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], w
         raise ValueError(f"expected no {extra[0]} beside a constant force: it belongs to a table")
     read = {
         "table": lambda value: _path(value, info),
-        "force": lambda value: si(value, "N", "force")[0],
-        "area": lambda value: si(value, "m^2", "area", above=0.0)[0],
+        "force": lambda value: to_si(value, "N", "force")[0],
+        "area": lambda value: to_si(value, "m^2", "area", above=0.0)[0],
         "columns": lambda value: _headers(value, ("t", *wanted)),
         "until": lambda value: value if value == "release" else _time(value, '"release"', "until"),
         "offset": lambda value: value if value == "auto" else _time(value, '"auto"', "offset"),
@@ -213,7 +215,7 @@ def _clocked(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], w
 
 def _time(raw: Any, word: str, what: str) -> float:
     try:
-        return si(raw, "s", what)[0]
+        return to_si(raw, "s", what)[0]
     except ValueError as e:
         raise ValueError(f'expected {what} as {word} or a time like "1.2 ms" but got {raw!r}') from e
 
@@ -224,7 +226,7 @@ def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
         raise ValueError(f'expected columns = {{t = "Time (ms)", {keys[1]} = "..."}} but got {raw!r}')
     for key in raw:
         if key not in keys:
-            raise ValueError(f'expected one of {", ".join(keys)} in columns but got "{key}"; {nearest(key, keys)}')
+            raise ValueError(f'expected one of {", ".join(keys)} in columns but got "{key}"; {suggest(key, keys)}')
     return raw
 
 
@@ -251,7 +253,7 @@ def _scale(raw: Any, info: ValidationInfo) -> Any:
         raise ValueError(f"expected {wanted} but got {raw!r}")
     for key in raw:
         if key not in SCALE:
-            raise ValueError(f'expected one of {", ".join(SCALE)} but got "{key}"; {nearest(key, SCALE)}')
+            raise ValueError(f'expected one of {", ".join(SCALE)} but got "{key}"; {suggest(key, SCALE)}')
     if "board" not in raw:
         return raw
     board = raw["board"]
@@ -278,9 +280,9 @@ SCALE = (
 DRIVE = ("table", "force", "area", "columns", "until", "offset")  # keys of a drive's table in the study file
 SENSOR = ("table", "columns", "offset")
 TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a click [x, y] or a picture's path"
-TAKEN = ("target", "reference", "backward")  # tracks that every film has
+RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film has
 NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
-MOST_PX = 1e6  # beyond any picture
+MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
 Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
@@ -289,7 +291,7 @@ Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
-Source = Annotated[Path | Remote, BeforeValidator(_source)]
+Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
 Sensor = Annotated[Any, BeforeValidator(_sensor)]
 Frequency = Annotated[float, _number("Hz", above=0.0)]
@@ -363,7 +365,7 @@ class RunTable(Keys):
     plausible: Literal["checked"] | None = None  # its numbers are right, whatever they look like
 
     @property
-    def source(self) -> Path | Remote:
+    def source(self) -> Path | RemoteFile:
         """The film or the table."""
         path = self.video or self.table
         assert path is not None  # `load` has seen to it

@@ -99,11 +99,13 @@ def write_study(
     document = tomlkit.document()
     for line in INTRO.format(name=path.name).splitlines() if commented else ():
         document.add(tomlkit.comment(line))
-    document["study"] = _section({"name": path.resolve().parent.name} | known, ("name", *STUDY), STUDY, commented)
-    document["camera"] = _section(known, tuple(CAMERA), CAMERA, commented)
+    document["study"] = _commented_table(
+        {"name": path.resolve().parent.name} | known, ("name", *STUDY), STUDY, commented
+    )
+    document["camera"] = _commented_table(known, tuple(CAMERA), CAMERA, commented)
     document["run"] = tomlkit.aot()
     for run in run_tables(recordings, path.parent):
-        document["run"].append(apart(tomlkit.item(run)))
+        document["run"].append(with_blank_line(tomlkit.item(run)))
     text = tomlkit.dumps(document)
     for words in (RUN, EFFECT) if commented else ():
         text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
@@ -130,7 +132,7 @@ def _many_pages(path: Path) -> bool:
         return True  # what is wrong with it is said when it is opened
 
 
-def _section(
+def _commented_table(
     known: Mapping[str, Any], keys: Sequence[str], words: Mapping[str, tuple[Any, str]], commented: bool
 ) -> Any:
     table = tomlkit.table()
@@ -161,7 +163,7 @@ def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = 
     ]
 
 
-def apart(table: Any) -> Any:
+def with_blank_line(table: Any) -> Any:
     """A table with an empty line before it."""
     table.trivia.indent = "\n"
     return table

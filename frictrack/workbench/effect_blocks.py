@@ -15,7 +15,7 @@ import panel as pn
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_number, format_unit
 from frictrack.report.markup import mark_equation
-from frictrack.units import quantity
+from frictrack.units import parse_quantity
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, html
 
@@ -146,7 +146,7 @@ class _Parameter:
     def _fixed(self, text: str) -> float | bool | None:
         if text == FREE:
             return False
-        return quantity(text, self.unit, f"{self.name} fixed")[0] if text else None
+        return parse_quantity(text, self.unit, f"{self.name} fixed")[0] if text else None
 
     def _bound(self, typed: str) -> tuple[float, float] | None:
         """Both bounds together; one that is left empty is the library's."""
@@ -155,7 +155,8 @@ class _Parameter:
             return None
         wide = self.bounds or [None, None]
         low, high = (
-            quantity(text, self.unit, f"a bound of {self.name}")[0] if text else wide[i] for i, text in enumerate(texts)
+            parse_quantity(text, self.unit, f"a bound of {self.name}")[0] if text else wide[i]
+            for i, text in enumerate(texts)
         )
         if low is None or high is None:
             raise FrictrackError(f"expected both bounds of {self.name}, which has none of its own on that side")
@@ -164,7 +165,7 @@ class _Parameter:
     def _prior(self, text: str) -> tuple[float, float] | None:
         if not text:
             return None
-        mean, std = quantity(text, self.unit, f"a prior of {self.name}")
+        mean, std = parse_quantity(text, self.unit, f"a prior of {self.name}")
         if std == 0.0:
             raise FrictrackError(
                 f'expected a prior of {self.name} as mean ± standard deviation, like "60 ± 2", but got "{text}"'

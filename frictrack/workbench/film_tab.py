@@ -10,7 +10,7 @@ from typing import Any
 import panel as pn
 
 from frictrack.errors import FrictrackError
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 from frictrack.flow import contact_sheet_path
 from frictrack.report.tables import table
 from frictrack.workbench import plot_data
@@ -194,7 +194,7 @@ def stored_upload(folder: Path, name: str, content: bytes | str) -> str:
     data = content.encode() if isinstance(content, str) else content
     if path.exists() and path.read_bytes() != data:
         raise FrictrackError(f"{last} is there already with another content; rename one of them")
-    with replaced(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(data)
     return last
 

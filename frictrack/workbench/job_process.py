@@ -59,7 +59,7 @@ def _end_when_asked(cancel: Path) -> None:
 
 def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     from frictrack.flow import Session, open_study  # noqa: PLC0415 - whoever cancels need not wait for the science
-    from frictrack.results import plain  # noqa: PLC0415
+    from frictrack.results import to_builtins  # noqa: PLC0415
 
     session = Session(
         open_study(spec["study"]),
@@ -67,7 +67,9 @@ def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
         author=spec["who"],
         expected_revision=spec["seen"],
     )
-    done: dict[str, Any] = plain(ACTIONS.get(spec["do"], _apply_change)(session, spec["do"], folder, **spec["told"]))
+    done: dict[str, Any] = to_builtins(
+        ACTIONS.get(spec["do"], _apply_change)(session, spec["do"], folder, **spec["told"])
+    )
     return {"done": done}
 
 

@@ -21,7 +21,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from frictrack.errors import FrictrackError
-from frictrack.files import alone, inner, replace_text
+from frictrack.files import lock_folder, make_subfolder, replace_text
 from frictrack.study import Study
 
 MAX_START_SECONDS = 20.0  # s that a process may take until it holds its lock
@@ -90,8 +90,8 @@ def start(study: Study, do: str, *, seen: int | None = None, who: str = "page", 
 
     Raises `FrictrackError` where another one of this study is still running.
     """
-    with alone(study.output):
-        folder = inner(study.output, "jobs")
+    with lock_folder(study.output):
+        folder = make_subfolder(study.output, "jobs")
         earlier = list_jobs(study)
         busy = next((job for job in earlier if job.state == RUNNING), None)
         if busy is not None:

@@ -16,7 +16,7 @@ import param
 from frictrack.errors import FrictrackError
 from frictrack.flow import CommandHistory, Findings, Session, open_study, read_results, start_study
 from frictrack.results import ModelResults, Results, RunResults
-from frictrack.study import RunTable, Study, find_recordings, written
+from frictrack.study import RunTable, Study, find_recordings, read_key
 from frictrack.workbench import jobs
 from frictrack.workbench.jobs import Job
 
@@ -99,7 +99,7 @@ class PageState(param.Parameterized):
     def written(self, table: str, key: str, which: str | None = None) -> Any:
         """What the study file itself says under a key, None where it says nothing."""
         try:
-            return written(self.path.read_text(encoding="utf-8"), table, key, which)
+            return read_key(self.path.read_text(encoding="utf-8"), table, key, which)
         except (OSError, FrictrackError):  # while somebody rewrites it by hand
             return None
 

@@ -18,7 +18,7 @@ import tifffile
 
 from frictrack import store
 from frictrack.records import Displacement, Track
-from frictrack.results import Film
+from frictrack.results import RecordingInfo
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = ROOT / "tests" / "data" / "cameras"
@@ -113,7 +113,7 @@ def results() -> bytes:
     x, ok = np.linspace(10, 20, 5), np.ones(5, dtype=bool)
     reason = np.array(["", "", "left the picture", "", ""])
     groups = {
-        "recording": Film(t, path="a.avi", fps=4000.0, n_frames=5, hash="ab", picture=film()[0]),
+        "recording": RecordingInfo(t, path="a.avi", fps=4000.0, n_frames=5, hash="ab", picture=film()[0]),
         "track": Track(t, x, x, x, x, x, x, reason, name="target", target=(1.0, 2.0, 3.0, 4.0), notes=("one",)),
         "displacement": Displacement(t, x, x, x, x, x, ok, pixel_pitch=1e-3),
         "models/1_tustin": {"current": True, "summary": "{}", "state": {"theta": x, "names": ["a", "b"], "tau": None}},

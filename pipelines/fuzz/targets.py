@@ -28,8 +28,8 @@ from frictrack.recording import open_recording, random_access
 from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
 from frictrack.store.file_header import with_header
-from frictrack.study import edited, load, parse, read_clocked, read_table
-from frictrack.units import coherent, quantity
+from frictrack.study import load, parse, read_sensor_table, read_table, with_key
+from frictrack.units import is_coherent, parse_quantity
 from frictrack.version import __version__
 
 MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
@@ -129,7 +129,7 @@ def study(data: bytes, folder: Path) -> None:
     for run in told.runs:
         assert (told.output / f"{run.name}.h5").resolve().parent == told.output.resolve()
     text = path.read_text(encoding="utf-8")
-    parse(path, edited(text, "run", "note", "seen", told.runs[0].name))
+    parse(path, with_key(text, "run", "note", "seen", told.runs[0].name))
 
 
 def scene(data: bytes, folder: Path) -> None:
@@ -153,8 +153,8 @@ def formula(data: bytes, folder: Path) -> None:
 def unit(data: bytes, folder: Path) -> None:
     """A value with its unit and uncertainty."""
     text = data.decode("utf-8", "replace")
-    coherent(text)
-    value, std = quantity(text, "kg", "mass")
+    is_coherent(text)
+    value, std = parse_quantity(text, "kg", "mass")
     assert np.isfinite([value, std]).all()
     assert std >= 0
 
@@ -196,7 +196,7 @@ def sensor(data: bytes, folder: Path) -> None:
     """A sensor's table and its curve."""
     path = folder / "sensor.csv"
     path.write_bytes(data)
-    read = read_clocked(path, ("a", "friction"))
+    read = read_sensor_table(path, ("a", "friction"))
     values = read.a if read.a is not None else read.friction
     with np.errstate(all="ignore"):
         series = SensorRecord(read.t, values)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from frictrack.errors import gather
+from frictrack.errors import raise_faults
 from frictrack.records import Array
 
 WHITE_LEVEL = 0.8  # share of the full well that a white surface fills
@@ -108,7 +108,7 @@ class Camera:
             faults.append(f"expected a read noise of at least 0 e- but got {self.read_noise:g} e-")
         if not 0 <= self.black < self.full_scale:
             faults.append(f"expected a black level within 0 to {self.full_scale} but got {self.black:g}")
-        gather(faults, "camera")
+        raise_faults(faults, "camera")
 
     @property
     def full_scale(self) -> int:

@@ -15,7 +15,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 
 Frame = NDArray[Any]
 WriteFrame = Callable[[Frame], object]
@@ -103,7 +103,7 @@ def _atomic_file(path: Path) -> Iterator[Path]:
         path.mkdir(exist_ok=True)
         yield path
         return
-    with replaced(path) as part:
+    with atomic_write(path) as part:
         yield part
 
 

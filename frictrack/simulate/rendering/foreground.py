@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from frictrack.errors import gather
+from frictrack.errors import raise_faults
 from frictrack.records import Array
 
 
@@ -34,7 +34,7 @@ class Rod:
         faults = [] if self.width > 0 else [f"expected a width above 0 px but got {self.width:g} px"]
         if not self.reflectance >= 0:
             faults.append(f"expected a reflectance of at least 0 but got {self.reflectance:g}")
-        gather(faults, "rod")
+        raise_faults(faults, "rod")
 
     def cover(self, x_edges: Array) -> Array:
         """Share of each pixel that the rod hides, (..., n), for pixel borders x_edges (..., n + 1)."""
@@ -65,7 +65,7 @@ class Highlight:
         faults = [] if self.radius > 0 else [f"expected a radius above 0 px but got {self.radius:g} px"]
         if not self.amplitude >= 0:
             faults.append(f"expected an amplitude of at least 0 but got {self.amplitude:g}")
-        gather(faults, "highlight")
+        raise_faults(faults, "highlight")
 
     def light(self, x_edges: Array, y_edges: Array) -> Array:
         """Added light (ny, nx), averaged over each pixel, for pixel borders x_edges (nx + 1,) and y_edges (ny + 1,)."""

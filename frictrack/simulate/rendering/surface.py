@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from frictrack.errors import gather
+from frictrack.errors import raise_faults
 from frictrack.records import Array
 
 Complex = NDArray[np.complex128]
@@ -117,7 +117,7 @@ class Surface:
             faults.append(f"expected a size of at least 2 px but got {self.size:g} px; the camera cannot see less")
         if not 0 <= self.contrast <= self.level:
             faults.append(f"expected a contrast between 0 and the level {self.level:g} but got {self.contrast:g}")
-        gather(faults, "surface")
+        raise_faults(faults, "surface")
 
     def series(self, width: float, height: float) -> FourierSurface:
         """Fourier series of the surface, which does not repeat within width x height px."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 from frictrack.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
@@ -43,7 +43,7 @@ def overlay_video(
     tracks = (track, *others)
     stride = max(1, -(-recording.n_frames // max(frames, 1)))
     zoom = max(1, -(-MIN_WIDTH_PX // recording.shape[1]))
-    with replaced(path) as part:
+    with atomic_write(path) as part:
         _write_video(part, recording.frames(step=stride), (zoom, stride), tracks)
     return path
 

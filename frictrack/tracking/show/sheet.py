@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from frictrack.files import replaced
+from frictrack.files import atomic_write
 from frictrack.recording import Frame, Recording
 from frictrack.records import Track
 from frictrack.tracking.show.overlay import box, corners, drawn_areas
@@ -62,7 +62,7 @@ def contact_sheet(recording: Recording, track: Track, path: str | Path, others: 
     figure.suptitle(_headline(recording, track), fontsize=14)
     line = target_line(track).replace("\n", "      ")
     figure.supxlabel(line, fontsize=min(18.0, LINE_FONT_SCALE / len(line)), family="monospace")
-    with replaced(Path(path)) as part:
+    with atomic_write(Path(path)) as part:
         FigureCanvasAgg(figure).print_png(str(part))
     return Path(path)
 

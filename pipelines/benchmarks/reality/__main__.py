@@ -37,7 +37,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from machine import described  # noqa: E402
 
 from frictrack.files import replace_text  # noqa: E402
-from frictrack.results import plain  # noqa: E402
+from frictrack.results import to_builtins  # noqa: E402
 from frictrack.threads import processors  # noqa: E402
 from frictrack.version import __version__  # noqa: E402
 from frictrack.workers import run_parallel  # noqa: E402
@@ -67,7 +67,7 @@ def main() -> None:
     print("\n".join(table(counts)))
     if not args.only:
         about = described("numpy", "scipy", "opencv-python-headless") | {"cores": processors()}
-        text = json.dumps(plain({"machine": about, "seed": args.seed} | counts), indent=1, ensure_ascii=False)
+        text = json.dumps(to_builtins({"machine": about, "seed": args.seed} | counts), indent=1, ensure_ascii=False)
         replace_text(args.json, text + "\n")
         print(f"results: {args.json}")
 
@@ -96,7 +96,7 @@ def one(folder: Path, name: str, plan: Plan, limit: float) -> Outcome:
     shutil.rmtree(study, ignore_errors=True)
     row = judge(draw_case(name, *plan), study, limit)
     shutil.rmtree(study / "study_results", ignore_errors=True)
-    held = {"plan": list(plan), "limit": limit, "outcome": plain(row.to_dict())}
+    held = {"plan": list(plan), "limit": limit, "outcome": to_builtins(row.to_dict())}
     replace_text(folder / f"{name}.json", json.dumps(held, indent=1, ensure_ascii=False))
     return row
 
