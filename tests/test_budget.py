@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from film import RecordingInfo as Pictures
+from film import Film as Pictures
 from runs import BASE, Slider, integrate
 
 from frictrack import plots

@@ -12,10 +12,7 @@ from tomlkit.exceptions import TOMLKitError
 from frictrack.errors import FrictrackError
 from frictrack.study.writing import run_tables, with_blank_line
 
-ARRAY_TABLES = {
-    "run": "name",
-    "effect": "effect",
-}  # tables of which there are several, and the key that tells them apart
+ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 
 
 def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:

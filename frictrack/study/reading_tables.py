@@ -25,10 +25,8 @@ FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number th
 MAX_UNPACKED_BYTES = 256 << 20  # bytes of a workbook
 MAX_VALUE = 1e12  # SI units: beyond anything that slides
 MIN_INTERVAL_S = 1e-9  # s between rows
-MAX_REPEATED_SHARE, MIN_ROWS_FOR_REPEATS = (
-    0.9,
-    16,
-)  # share of time stamps that may repeat the one before, in a table of so many rows
+MAX_REPEATED_SHARE = 0.9  # of the time stamps that may repeat the one before
+MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
 NO_COLUMNS: Mapping[str, str] = {}
 
