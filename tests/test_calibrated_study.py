@@ -16,7 +16,7 @@ from test_plots import results
 from frictrack import report
 from frictrack.errors import FrictrackError
 from frictrack.flow.stages import run_pipeline
-from frictrack.report import provenance, tables, verdict_text
+from frictrack.report import fit_text, provenance, tables
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -130,14 +130,15 @@ def with_scale(relative, pitch=1e-4):
 def test_the_report_says_what_the_scale_does_to_forces(monkeypatch):
     monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
     known = with_scale(0.004)
-    assert "The scale is known to 0.40 %, and so is every force told from acceleration" in verdict_text.scale_line(
-        known
+    assert (
+        "The scale has a standard deviation of 0.40 %, and so has every force computed from acceleration"
+        in fit_text.scale_line(known)
     )
-    assert "common to all runs of one camera" in verdict_text.scale_line(known)
+    assert "common to all runs of one camera" in fit_text.scale_line(known)
     text = report.render(known)
     assert "± of the scale" in text
-    assert "The scale is known to 0.40 %" in text
-    assert "How well the scale is known was not given" in verdict_text.scale_line(with_scale(0.0))
+    assert "The scale has a standard deviation of 0.40 %" in text
+    assert "The error of the scale is not given" in fit_text.scale_line(with_scale(0.0))
     assert "± of the scale" not in report.render(with_scale(0.0))
 
 
@@ -149,14 +150,14 @@ def test_parameters_that_go_with_the_scale():
         "stribeck.delta": {"value": 1.0, "std": 0.0, "unit": "1", "reason": "fixed"},
     }
     model = replace(results().models[0], summary={"parameters": found})
-    rows = tables.parameters(model, 0.004).rows
+    rows = tables.parameter_table(model, 0.004).rows
     assert [row[2] for row in rows] == ["32 mN", "", ""]
 
 
 def test_measured_friction_does_not_go_with_the_scale():
     known = with_scale(0.004)
     sensors = type("S", (), {"drive": None, "friction_N": np.ones(3)})()
-    assert verdict_text.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
+    assert fit_text.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -172,7 +173,7 @@ def test_measured_friction_does_not_go_with_the_scale():
 def test_the_record_says_how_the_scale_was_given(scale, said):
     found = results(film=True)
     runs = tuple(replace(r, settings=r.settings | {"scale": scale}) for r in found.runs)
-    assert said in [str(cell) for row in provenance.settings(replace(found, runs=runs)).rows for cell in row]
+    assert said in [str(cell) for row in provenance.settings_table(replace(found, runs=runs)).rows for cell in row]
 
 
 # ---- the whole way

@@ -370,9 +370,9 @@ def test_a_model_stored_without_motion_is_said():
 
 def test_report_tells_the_impulse_and_no_peak_force():
     model, _ = results_of(fitted(COLLISION, pulse=True))
-    told = " ".join(report.verdict_text.model_motion_sentences(model))
-    assert "own acceleration is known to 0.1" in told
-    assert re.search(r"impulse \((19\.[89]|20\.[01])\d* ± 0\.07\) mN s, known to 0\.3\d %", told)
+    told = " ".join(report.fit_text.model_motion_sentences(model))
+    assert "acceleration of the model 0.1" in told
+    assert re.search(r"impulse \((19\.[89]|20\.[01])\d* ± 0\.07\) mN s, relative error 0\.3\d %", told)
     assert "a peak force they do not" in told
-    rows = {str(row[0]): row for row in report.tables.parameters(model).rows}
-    assert rows["<code>collision.width</code>"][-1] == "not resolved: the impulse is known, a peak force is not"
+    rows = {str(row[0]): row for row in report.tables.parameter_table(model).rows}
+    assert rows["<code>collision.width</code>"][-1] == "not resolved: the impulse is known, the peak force is not"

@@ -36,7 +36,7 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.fit import fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.records import GRAVITY
-from frictrack.report import next_experiments
+from frictrack.report import tables
 from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
@@ -278,12 +278,12 @@ def test_terminal_and_report_say_the_same():
     assert "2. No candidate run separates slope and spring" in said
     assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}
-    rows = next_experiments.experiment_table(next_experiments.separating_experiments(found)).rows
+    rows = tables.experiment_table(tables.separating_experiments(found)).rows
     assert rows == (
         ("1.", "Film a run with half the mass: why", "vibration from camera_shake or load_modulation", "41"),
     )
-    assert next_experiments.inseparable(found) == [STEPS[1]["what"]]
-    assert next_experiments.separating_experiments(None) == []
-    drawn = plots.svg(plots.next_experiments(next_experiments.separating_experiments(found)))
+    assert tables.inseparable(found) == [STEPS[1]["what"]]
+    assert tables.separating_experiments(None) == []
+    drawn = plots.svg(plots.next_experiments(tables.separating_experiments(found)))
     assert "1. half mass" in drawn
     assert "if camera_shake is true" in drawn

@@ -83,19 +83,16 @@ def test_every_section_is_there(page):
 
 
 def test_verdict_comes_first_and_tells_the_story(page):
-    assert "Complete with texture" in page.words
+    assert "Texture explains the misfit; nothing else is detectable" in page.words
     assert "Two runs were fitted with Coulomb friction, viscous friction and texture." in page.words
-    assert (
-        "Tustin failed; it lacked texture (what texture is; p = 0.001 for the whole search, delta BIC +812)"
-        in page.words
-    )
+    assert "Tustin lacked texture (what texture is; p = 0.001 for the whole search, delta BIC +812)" in page.words
     assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
-    assert "the residual is 10.0 µm where the noise is 10.0 µm, lack of fit has p = 0.30" in page.words
-    assert page.words.index("Complete with texture") < page.words.index("Film and track")
+    assert "the residual is 10.0 µm, the noise 10.0 µm, lack of fit has p = 0.30" in page.words
+    assert page.words.index("Texture explains the misfit") < page.words.index("Film and track")
 
 
 def test_one_line_says_what_no_fit_can_show(page):
-    assert "Forces go with the mass and the scale, and with the square of the frame rate" in page.words
+    assert "Forces are proportional to the mass, the scale and the square of the frame rate" in page.words
 
 
 def test_parameters_are_rounded_and_explained(page):
@@ -103,10 +100,8 @@ def test_parameters_are_rounded_and_explained(page):
     assert "not determined" in page.words
     assert "the slowest speed seen is 2 m/s: film a run that stops" in page.words
     assert "at its bound" in page.words
-    assert (
-        "hardly told apart (correlation −0.970): one up and the other down changes the prediction little" in page.words
-    )
-    assert "scatters from run to run by 2.1 ± 0.8 %" in page.words
+    assert "strongly correlated (−0.970): if one increases and the other decreases, the prediction" in page.words
+    assert "scatters between runs by 2.1 ± 0.8 %" in page.words
 
 
 def test_findings_hashes_and_versions_are_kept(page):
@@ -130,11 +125,11 @@ def with_diagnosis(found):
 
 def test_missing_says_what_it_is_and_how_to_confirm():
     found = diagnosis("missing", [candidate("texture", 0.001, 812.0)], ["texture"])
-    verdict = verdict_text.verdict(with_diagnosis(found))
+    verdict = verdict_text.study_verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
     assert verdict.headline == "Tustin lacks texture"
-    assert "Missing is <b>texture</b> (what texture is; p = 0.001" in told
-    assert "adding it brings the held-out error from 21.2 to 10.2 µm" in told
+    assert "Missing effect: <b>texture</b> (what texture is; p = 0.001" in told
+    assert "with it the held-out error changes from 21.2 to 10.2 µm" in told
     assert "To confirm <b>texture</b>: give a <code>reference</code>." in told
 
 
@@ -142,9 +137,9 @@ def test_ambiguous_names_the_group_and_what_would_settle_it(quick):
     best = candidate("vibration", 0.001, 300.0, ["camera_shake"])
     found = diagnosis("ambiguous", [best, candidate("camera_shake", 0.001, 299.0, ["vibration"])], ["vibration"])
     found["next_experiment"] = [{"what": "Film a fixed mark.", "separates": ["vibration", "camera_shake"]}]
-    verdict = verdict_text.verdict(with_diagnosis(found))
+    verdict = verdict_text.study_verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
-    assert verdict.headline == "Tustin lacks vibration or camera_shake: these runs cannot tell which"
+    assert verdict.headline == "Tustin lacks vibration or camera_shake: these runs cannot distinguish them"
     assert "<b>camera_shake</b> would predict the same data" in told
     assert "To settle it: Film a fixed mark." in told
     page = Page(report.render(with_diagnosis(found)))
@@ -155,13 +150,13 @@ def test_unexplained_shows_where_it_repeats(quick):
     curve = {"axis": "x", "curve": [[0.0, 1.0], [0.1, -1.0]], "formulas": []}
     found = diagnosis("unexplained", [candidate("lens", 0.4, -3.0)], unexplained=curve)
     page = Page(report.render(with_diagnosis(found)))
-    assert "Tustin fails, and not all of it is explained" in page.words
-    assert "What is left repeats best along place." in page.words
+    assert "Tustin fails, and part of the misfit is unexplained" in page.words
+    assert "The remaining misfit repeats best with place." in page.words
     assert "does not pass" in page.words
 
 
 def test_complete_at_once():
-    verdict = verdict_text.verdict(with_diagnosis(diagnosis("complete")))
+    verdict = verdict_text.study_verdict(with_diagnosis(diagnosis("complete")))
     assert verdict.headline == "Tustin is complete for these runs"
     assert "detection limits" in " ".join(verdict.sentences)
 
@@ -204,8 +199,8 @@ def test_parameters_of_single_runs_stand_with_their_run():
     m = r.models[-1]
     own = {f"vibration.phase[{run.name}]": parameter(k + 0.5, 0.1, "rad") for k, run in enumerate(r.runs)}
     m = replace(m, summary=m.summary | {"parameters": m.summary["parameters"] | own})
-    assert "vibration.phase" not in " ".join(str(row[0]) for row in tables.parameters(m).rows)
-    shown = tables.runs(m)
+    assert "vibration.phase" not in " ".join(str(row[0]) for row in tables.parameter_table(m).rows)
+    shown = tables.run_table(m)
     assert shown.heads[-1] == "vibration.phase"
     assert [row[-1] for row in shown.rows] == ["0.50 ± 0.10 rad", "1.50 ± 0.10 rad"]
 
@@ -220,7 +215,7 @@ def test_write_replaces_the_report_whole(tmp_path, quick):
 def test_it_is_printed_to_a_pdf_of_several_pages(text, tmp_path):
     page = tmp_path / "a report.html"
     page.write_text(text, encoding="utf-8")
-    sheet = report.printed(page)
+    sheet = report.print_pdf(page)
     assert sheet == tmp_path / "a report.pdf"
     content = sheet.read_bytes()
     assert content.startswith(b"%PDF-")
@@ -231,7 +226,7 @@ def test_it_is_printed_to_a_pdf_of_several_pages(text, tmp_path):
 def test_without_a_browser_the_way_to_a_pdf_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(FrictrackError, match=r"expected Chromium, Chrome or Edge.*open .*report\.html in any browser"):
-        report.printed(tmp_path / "report.html")
+        report.print_pdf(tmp_path / "report.html")
 
 
 def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, monkeypatch):
@@ -281,11 +276,10 @@ def measured(**changes):
 def test_a_good_measurement_is_said_in_two_sentences():
     told = of_measurement.measurement(measured().runs)
     assert [str(s) for s in told] == [
-        "One frame tells the position to 0.0020 px (1.0 µm); something fixed in the same pictures is seen to rest "
-        "within 0.010 px.",
-        "No film speaks against its own measurement.",
+        "Position standard deviation per frame: 0.0020 px (1.0 µm); standard deviation of a fixed reference: 0.010 px.",
+        "All measurement self-checks passed.",
     ]
-    made = tables.measurement(measured().runs)
+    made = tables.measurement_table(measured().runs)
     assert made.heads[-2:] == ("exposure / µs", "blur / px")
     assert made.rows[0][-3:] == ("none", "50.0", "0.30")
     assert of_measurement.measurement(results().runs) == []
@@ -294,11 +288,11 @@ def test_a_good_measurement_is_said_in_two_sentences():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"found": 188}, "the target is lost in 12 of 200 frames"),
-        ({"shake_px": 0.41, "shake_Hz": 87.0}, "the camera shook by 0.41 px at 87.0 Hz, subtracted"),
-        ({"peak_locking_px": 0.002}, "positions are drawn toward a place between the pixels by 0.0020 px"),
-        ({"forward_backward_sigmas": 2.0}, "tracked backward, positions differ by"),
-        ({"blur_px": 1.4}, "it moves 1.4 px while a frame is exposed"),
+        ({"found": 188}, "the target was lost in 12 of 200 frames"),
+        ({"shake_px": 0.41, "shake_Hz": 87.0}, "camera shake of 0.41 px at 87.0 Hz was subtracted"),
+        ({"peak_locking_px": 0.002}, "peak locking shifts positions by 0.0020 px"),
+        ({"forward_backward_sigmas": 2.0}, "positions tracked backward differ by"),
+        ({"blur_px": 1.4}, "the target moves 1.4 px during the exposure of a frame"),
         (
             {"timebase": [{"what": "frame rate, header", "value": "30 fps", "verdict": "disagrees"}]},
             "frame rate, header: 30 fps, disagrees",
@@ -315,4 +309,4 @@ def test_the_worst_of_a_measurement_is_said(changes, said, monkeypatch):
 def test_nothing_fixed_in_the_picture_is_said():
     found = measured()
     runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
-    assert "no picture shows something fixed" in of_measurement.measurement(runs)[0]
+    assert "no fixed reference was found" in of_measurement.measurement(runs)[0]

@@ -24,7 +24,7 @@ from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.fit.uncertainty.fixed_quantity import FixedQuantityProblem
 from frictrack.fit.uncertainty.profile_likelihood import ProfileSearch
 from frictrack.fit.uncertainty.reported_values import parse_quantity
-from frictrack.report import tables, verdict_text
+from frictrack.report import fit_text, tables
 from frictrack.results import ModelResults
 
 Z = 1.959964
@@ -426,11 +426,11 @@ def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles == list(TRUTH)
     assert re.fullmatch(r"[\d.]+ to [\d.]+ N", figure.axes[0].get_xlabel())
-    table = tables.uncertainty(model)
+    table = tables.interval_table(model)
     assert table.heads == ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws")
     assert [str(row[0]) for row in table.rows] == [f"<code>{name}</code>" for name in TRUTH]
-    assert verdict_text.bootstrap_sentence(model) == "Bootstrap of 20 draws from the fitted model, with white noise."
-    said = verdict_text.mark_addresses("coulomb.F_c and viscous.F_v trade places")
+    assert fit_text.bootstrap_sentence(model) == "Bootstrap of 20 draws from the fitted model, with white noise."
+    said = fit_text.mark_addresses("coulomb.F_c and viscous.F_v trade places")
     assert said == "<code>coulomb.F_c</code> and <code>viscous.F_v</code> trade places"
 
 

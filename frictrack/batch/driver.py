@@ -16,7 +16,7 @@ from frictrack.batch.scheduler import BatchState, Scheduler
 from frictrack.batch.study_search import find_studies
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends
-from frictrack.report import campaign as page
+from frictrack.report import write_campaign
 from frictrack.results import to_builtins
 from frictrack.workers import cluster_workers, local_workers
 
@@ -91,7 +91,7 @@ class _BatchOutput:
             }
         )
         drawn = [trend.drawn() for trend in found]
-        output = page.write(result, drawn, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
+        output = write_campaign(result, drawn, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
         return result | {"output": str(output)}
 
     def _rows(self) -> list[dict[str, Any]]:

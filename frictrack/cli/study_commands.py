@@ -185,9 +185,9 @@ def report(
         path = session.report()
     files = {"report": str(path)}
     if pdf:
-        from frictrack.report import printed  # noqa: PLC0415
+        from frictrack.report import print_pdf  # noqa: PLC0415
 
-        path = printed(path)
+        path = print_pdf(path)
         files["pdf"] = str(path)
     print_result({**files, "output": str(session.study.output)}, as_json, "", path)
 

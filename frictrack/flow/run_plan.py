@@ -21,12 +21,12 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
 
     Raises FrictrackError where mass, frame rate or scale are not known, or the folder cannot be written.
     """
-    from frictrack.report import plan_page  # noqa: PLC0415 - loads matplotlib
+    from frictrack.report import write_plan  # noqa: PLC0415 - loads matplotlib
 
     setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
     run_plan = planning.choose_runs(setup, progress)
     told = to_builtins({**planning.summarise_plan(run_plan), "name": study.name})
-    page = plan_page.write(told, study.output / "plan.html")
+    page = write_plan(told, study.output / "plan.html")
     return {**told, "page": str(page), "output": str(study.output)}
 
 

@@ -1,4 +1,4 @@
-"""The error budget of every run in words and as a table."""
+"""Describe the error budget of every run in sentences and as a table."""
 
 from __future__ import annotations
 
@@ -8,24 +8,27 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.number_format import format_number, format_unit
-from frictrack.report.tables import Cell, TextTable, table
+from frictrack.report.tables import Cell, TextTable, make_table
 from frictrack.results import RunResults
 
-HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "a frame / N", "common to")
+HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one frame / N", "common to")
 
 
 def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
-    """What each run's force is worth, because of what, and what would halve the error."""
+    """Describe each run's error of the force, its largest source, and what would halve it."""
     return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
 
 
 def source_table(runs: Sequence[RunResults]) -> TextTable:
-    """All sources of all runs."""
+    """Table of all error sources of all runs.
+
+    Standard deviations are those of the mean force and of one frame, N.
+    """
     rows: list[Sequence[Cell]] = []
     for run in runs:
         for k, row in enumerate(run.budget.get("rows", ())):
             rows.append((run.name if k == 0 else "", *_cells(row)))
-    return table(HEADS, rows, (4, 5, 6))
+    return make_table(HEADS, rows, (4, 5, 6))
 
 
 def _cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:

@@ -1,4 +1,4 @@
-"""Where a model fails: its figures, its spans, and whether the failure repeats."""
+"""Collect what the report shows of a model's failures: figures, spans, and whether the misfit repeats."""
 
 from __future__ import annotations
 
@@ -13,57 +13,85 @@ from frictrack import plots
 from frictrack.axes import AXES
 from frictrack.number_format import format_change, format_number
 from frictrack.plots.style import run_styles
-from frictrack.report.tables import TextTable, spans, table
+from frictrack.report.tables import TextTable, failing_span_table, make_table
 from frictrack.results import ModelResults, Results
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One model that fails, and where."""
+    """Where one model fails.
+
+    Attributes
+    ----------
+    headline : str
+        The model and its verdict.
+    lack_of_fit : str
+        The misfit compared with the noise, in one sentence.
+    residual, force : Markup
+        Figures of the residual and of the missing force; the second may be empty.
+    repeatability : str
+        With what the misfit repeats, in one sentence.
+    repeats, spans : TextTable
+        The repeatability tests, and the spans where the model fails.
+
+    """
 
     headline: str
-    fit: str  # how far its misfit is beyond the noise
+    lack_of_fit: str
     residual: Markup
     force: Markup
-    words: str
+    repeatability: str
     repeats: TextTable
     spans: TextTable
 
 
 def failure(model: ModelResults, results: Results, draw: Callable[[Figure], Markup], headline: str) -> Failure:
-    """Where one model fails, as its diagnosis says."""
+    """Collect where one model fails.
+
+    Parameters
+    ----------
+    model : ModelResults
+        A model with a diagnosis.
+    results : Results
+        The study.
+    draw : callable
+        Converts a figure to SVG.
+    headline : str
+        Heading of the section.
+
+    """
     diagnosis = model.diagnosis or {}
     better = results.current if results.current is not model else None
     found, repeated = diagnosis.get("fails_at", []), diagnosis.get("repeats", [])
     fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
-    styles = {name: look for name, look in run_styles(results.runs).items() if name in fitted}
-    pictured = (
+    styles = {name: style for name, style in run_styles(results.runs).items() if name in fitted}
+    force_figure = (
         plots.missing_force(model.figures, found, styles, repeated) if plots.has_missing_force(model.figures) else None
     )
     return Failure(
         headline=headline,
-        fit=_fit(diagnosis),
+        lack_of_fit=_lack_of_fit(diagnosis),
         residual=draw(plots.failing(model, results.runs, found, better)),
-        force=Markup("") if pictured is None else draw(pictured),
-        words=diagnosis.get("repeats_words", ""),
-        repeats=_repeats(repeated),
-        spans=spans(found),
+        force=Markup("") if force_figure is None else draw(force_figure),
+        repeatability=diagnosis.get("repeats_words", ""),
+        repeats=_repeatability_table(repeated),
+        spans=failing_span_table(found),
     )
 
 
-def _fit(diagnosis: Mapping[str, Any]) -> str:
+def _lack_of_fit(diagnosis: Mapping[str, Any]) -> str:
     """The lack of fit in one sentence."""
     chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
     if chi2 is None or p is None:
         return ""
-    often = "in none of 999 draws" if p <= 0.001 else f"in {format_number(100 * p, 2)} % of all draws"
+    often = "in none of 999 draws" if p <= 0.001 else f"in {format_number(100 * p, 2)} % of the draws"
     return (
-        f"What the model leaves is {format_number(float(chi2) ** 0.5, 3)} times the known noise (reduced chi-squared "
-        f"{format_number(chi2, 3)}); noise alone styles as bad {often}."
+        f"The residual is {format_number(float(chi2) ** 0.5, 3)} times the noise (reduced chi-squared "
+        f"{format_number(chi2, 3)}). Noise alone gives such a residual {often}."
     )
 
 
-def _repeats(found: Sequence[Mapping[str, Any]]) -> TextTable:
+def _repeatability_table(found: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [
         (
             AXES[r["axis"]].name + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
@@ -74,5 +102,5 @@ def _repeats(found: Sequence[Mapping[str, Any]]) -> TextTable:
         )
         for r in found
     ]
-    headings = ("does it repeat with", "misfit that the other runs foretell", "runs", "evidence", "repeats")
-    return table(headings, rows, (1, 2, 3))
+    headings = ("over", "misfit that the other runs predict", "runs", "evidence", "repeats")
+    return make_table(headings, rows, (1, 2, 3))

@@ -1,4 +1,4 @@
-"""What the measurement says of itself, in words: films, time bases, smoothing."""
+"""Describe the quality of the measurement in sentences: films, time bases, smoothing."""
 
 from __future__ import annotations
 
@@ -11,66 +11,80 @@ from markupsafe import Markup
 from frictrack.number_format import format_number, format_range
 from frictrack.results import Results, RunResults
 
-MIN_LOCKING_SIGMAS, MIN_BACKWARD_SIGMAS, MIN_BLUR_PX = (
-    0.2,
-    0.5,
-    1.0,
-)  # of sigma, of sigma, px: below that nothing is said
+MIN_LOCKING_SIGMAS = 0.2  # peak locking over the noise of a frame; less is not reported
+MIN_BACKWARD_SIGMAS = 0.5  # difference of backward tracking over the noise of a frame; less is not reported
+MIN_BLUR_PX = 1.0  # less is not reported
+GOOD_VERDICTS = ("used", "agrees", "none", "speed of showing")
 
 
 def measurement(runs: Sequence[RunResults]) -> list[Markup]:
-    """How well the films were measured, and the worst that they say of it, in sentences."""
-    known = [run for run in runs if run.quality]
-    if not known:
+    """Describe the noise of the films and the failed self-checks of their measurement.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study.
+
+    Returns
+    -------
+    list of Markup
+        Sentences; none if no run has a film.
+
+    """
+    filmed = [run for run in runs if run.quality]
+    if not filmed:
         return []
-    sentences = [
-        Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in known if (found := _self_checks(run))
+    failed = [
+        Markup("<b>{}</b>: {}.").format(run.name, "; ".join(found)) for run in filmed if (found := _failed_checks(run))
     ]
-    calm = Markup("No film speaks against its own measurement.")
-    return [_precision([run.quality for run in known]), *(sentences or [calm])]
+    passed = Markup("All measurement self-checks passed.")
+    return [_precision([run.quality for run in filmed]), *(failed or [passed])]
 
 
 def _precision(found: Sequence[Mapping[str, Any]]) -> Markup:
-    """Noise of the target and of something fixed, over all films."""
+    """Describe the noise of the target and of a fixed reference, over all films."""
     px, um, floor = ([q[k] for q in found if q[k] is not None] for k in ("sigma_px", "sigma_um", "noise_floor_px"))
     sentence = (
-        Markup("One frame tells the position to {} px").format(format_range(px))
+        Markup("Position standard deviation per frame: {} px").format(format_range(px))
         if px
-        else Markup("No position is known")
+        else Markup("The position standard deviation is not known")
     )
     sentence += Markup(" ({} µm)").format(format_range(um)) if um else Markup("")
     sentence += (
-        Markup("; something fixed in the same pictures is seen to rest within {} px").format(format_range(floor))
-        if (floor)
-        else Markup("; no picture shows something fixed to compare with")
+        Markup("; standard deviation of a fixed reference: {} px").format(format_range(floor))
+        if floor
+        else Markup("; no fixed reference was found in the pictures")
     )
     return sentence + Markup(".")
 
 
-def _self_checks(run: RunResults) -> list[str]:
-    """What one film has against its own measurement."""
+def _failed_checks(run: RunResults) -> list[str]:
+    """Describe the self-checks that one film fails."""
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
-    judged = (
-        (lost, f"the target is lost in {lost} of {q['frames']} frames"),
-        (q["shake_px"], f"the camera shook by {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz, subtracted"),
+    checks = (
+        (lost, f"the target was lost in {lost} of {q['frames']} frames"),
+        (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
         (
             locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,
-            f"positions are drawn toward a place between the pixels by {_px(locking)}",
+            f"peak locking shifts positions by {_px(locking)}",
         ),
         (
             q["forward_backward_sigmas"] and q["forward_backward_sigmas"] > MIN_BACKWARD_SIGMAS,
-            f"tracked backward, positions differ by {_px(q['forward_backward_px'])}",
+            f"positions tracked backward differ by {_px(q['forward_backward_px'])}",
         ),
-        (q["blur_px"] and q["blur_px"] > MIN_BLUR_PX, f"it moves {_px(q['blur_px'])} while a frame is exposed"),
+        (
+            q["blur_px"] and q["blur_px"] > MIN_BLUR_PX,
+            f"the target moves {_px(q['blur_px'])} during the exposure of a frame",
+        ),
     )
     timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not _is_good(r["verdict"])]
-    sentence = [note for note in run.displacement.notes if "told by the motion" in note]
-    return [sentences for wrong, sentences in judged if wrong] + timing + sentence
+    scale = [note for note in run.displacement.notes if "by the motion" in note or "from the motion" in note]
+    return [text for failed, text in checks if failed] + timing + scale
 
 
 def _is_good(verdict: str) -> bool:
-    return verdict in ("used", "agrees", "none", "speed of showing") or "of the frame interval" in verdict
+    return verdict in GOOD_VERDICTS or "of the frame interval" in verdict
 
 
 def _px(value: float | None) -> str:
@@ -78,7 +92,7 @@ def _px(value: float | None) -> str:
 
 
 def smoothing(results: Results) -> list[Markup]:
-    """How each displacement was smoothed, what lies above a plain cut-off, and the noise that rests show."""
+    """Describe how each displacement was smoothed, signals above the cut-off, and the noise at rest."""
     sentences = [Markup("{}: {}.").format(run.name, run.filtered.reason) for run in results.runs]
     for run in results.runs:
         warnings = run.cutoff.warnings if run.cutoff else ()
@@ -86,15 +100,15 @@ def smoothing(results: Results) -> list[Markup]:
             sentences.append(Markup("{}: {}; {}.").format(run.name, "; ".join(warnings), _consequence(run)))
         if run.happenings.noise_at_rest > 0:
             rest, moving = 1e6 * run.happenings.noise_at_rest, 1e6 * _noise(run)
-            sentence = "{}: at rest the displacement scatters by {} µm, over the whole record by {} µm."
+            sentence = "{}: noise of the displacement {} µm at rest, {} µm over the whole record."
             sentences.append(Markup(sentence).format(run.name, format_number(rest, 2), format_number(moving, 2)))
     return sentences
 
 
 def _consequence(run: RunResults) -> str:
     if run.filtered.asked:
-        return "leave the cut-off out and it is followed"
-    return "it is followed apart, only the force domain has to do without it"
+        return "remove the cut-off from the study file to keep this signal"
+    return "the displacement domain keeps this signal, the force domain does not"
 
 
 def _noise(run: RunResults) -> float:

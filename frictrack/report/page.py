@@ -1,17 +1,14 @@
-"""Results -> one HTML page that needs nothing else: figures as SVG, film frames as PNG, all inside it."""
+"""Write the report of a study: one HTML page that contains all its figures."""
 
 from __future__ import annotations
 
 import base64
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.files import replace_text
@@ -20,53 +17,85 @@ from frictrack.records import Array
 from frictrack.report import (
     budgets,
     failures,
+    fit_text,
     measurement_quality,
-    next_experiments,
     provenance,
     tables,
     unexplained,
     verdict_text,
 )
 from frictrack.report.markup import mark_equation
-from frictrack.report.templates import now, template
+from frictrack.report.templates import SvgEmbedder, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 
-MAX_FILMS = 6  # whose first frame is shown
-MAX_RUNS = 12  # whose motion is drawn; of more, the first ones
-ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')
+MAX_FILMS = 6  # films of which the first frame is shown
+MAX_RUNS = 12  # runs of which the motion is drawn
+MIN_CORRELATION = 0.95  # of two parameters; less is not reported
 
 
 @dataclass(frozen=True)
 class RejectedModel:
-    """A model that failed, and the evidence on what it lacks."""
+    """A model that failed, and the evidence for what it lacks; figures may be empty."""
 
     headline: str
     diagnosis: Mapping[str, Any]
     evidence: Markup
-    cards: list[tables.Card]
+    cards: list[tables.CandidateCard]
     scan: Markup
     unexplained: dict[str, Any] | None
-    in_step: list[dict[str, Any]]
+    correlated_signals: list[dict[str, Any]]
     importance: tables.TextTable
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
-    """Write the report to `path`, whole or not at all, and return the path. `key` tells what it was made from.
+    """Write the report of a study as HTML, completely or not at all.
 
-    Raises `FrictrackError` when the folder cannot be written.
+    Parameters
+    ----------
+    results : Results
+        The study.
+    path : Path
+        File to write.
+    key : str
+        Hash of the inputs of the report, written into its head.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
     """
     return replace_text(path, render(results, key))
 
 
 def render(results: Results, key: str = "") -> str:
-    """The report as HTML."""
-    page = template("page.html.j2")
+    """Render the report of a study.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+    key : str
+        Hash of the inputs of the report, written into its head.
+
+    Returns
+    -------
+    str
+        HTML that contains all figures and refers to no other file.
+
+    """
+    page = page_template("page.html.j2")
     draw = SvgEmbedder()
-    steps = next_experiments.separating_experiments(results.diagnosis)
+    steps = tables.separating_experiments(results.diagnosis)
     return page.render(
         results=results,
         key=key,
-        verdict=verdict_text.verdict(results),
+        verdict=verdict_text.study_verdict(results),
         model=results.current,
         written=now(),
         films=_first_frames(results),
@@ -75,51 +104,42 @@ def render(results: Results, key: str = "") -> str:
         smoothing=measurement_quality.smoothing(results),
         friction=draw(plots.friction(results.runs)) if _has_force(results) else None,
         budgets=[draw(plots.budget(run.name, run.budget)) for run in results.runs[:MAX_RUNS] if run.budget],
-        worth=budgets.budget_sentences(results.runs),
-        sources=budgets.source_table(results.runs),
+        budget_sentences=budgets.budget_sentences(results.runs),
+        budget_table=budgets.source_table(results.runs),
         fits=[draw(plots.fit(m, results.runs)) for m in _current_model(results)],
         loops=_loops(results, draw),
-        by_cell=verdict_text.measured_friction(results),
-        own=_model_motion(results, draw),
-        told=verdict_text.model_motion_sentences(results.current) if results.current else [],
+        has_measured_friction=fit_text.has_measured_friction(results),
+        model_motion=_model_motion(results, draw),
+        model_motion_sentences=fit_text.model_motion_sentences(results.current) if results.current else [],
         failures=[failures.failure(m, results, draw, _headline(m)) for m in _rejected(results)],
-        trials=[_rejected_model(m, draw) for m in _rejected(results)],
-        next_experiments=next_experiments,
+        rejected=[_rejected_model(m, draw) for m in _rejected(results)],
         steps=steps,
-        hopeless=next_experiments.inseparable(results.diagnosis),
-        settling=draw(plots.next_experiments(next_experiments.drawable(steps)))
-        if next_experiments.drawable(steps)
-        else Markup(""),
+        inseparable=tables.inseparable(results.diagnosis),
+        steps_figure=_experiments(steps, draw),
         history=draw(plots.history(results.models)) if len(results.models) > 1 else None,
         limits=_limits(results, draw),
         routes=_routes(results, draw),
         remarks=_remarks(results.current),
         profiles=_profiles(results.current, draw),
-        drawn=verdict_text.bootstrap_sentence(results.current) if results.current else "",
+        bootstrap=fit_text.bootstrap_sentence(results.current) if results.current else "",
         tables=tables,
         provenance=provenance,
         mark_equation=mark_equation,
         format_quantity=format_quantity,
-        measured=measurement_quality.measurement(results.runs),
-        scale_line=verdict_text.scale_line(results),
-        scale_error=verdict_text.scale_error(results),
+        measurement=measurement_quality.measurement(results.runs),
+        scale_line=fit_text.scale_line(results),
+        scale_error=fit_text.scale_error(results),
     )
 
 
-class SvgEmbedder:
-    """Figures as inline SVG; each gets ids of its own, since all share one page."""
-
-    def __init__(self) -> None:
-        self._numbers: Iterator[int] = count(1)
-
-    def __call__(self, figure: Figure) -> Markup:
-        """The figure as SVG."""
-        mark = f"f{next(self._numbers)}-"
-        return Markup(ID_ATTRIBUTES.sub(rf"\g<1>{mark}", plots.svg(figure)))
+def _experiments(steps: Sequence[Mapping[str, Any]], draw: SvgEmbedder) -> Markup:
+    """Draw the evidence that the proposed experiments are expected to give."""
+    known = tables.with_expected_evidence(steps)
+    return draw(plots.next_experiments(known)) if known else Markup("")
 
 
 def _first_frames(results: Results) -> list[Markup]:
-    """The first frames of the first films, a single one over the whole page."""
+    """Draw the first frames of the first films; a single one takes the whole width."""
     filmed = [run for run in results.runs if run.film is not None and run.track is not None]
     return [_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]]
 
@@ -130,7 +150,7 @@ def _first_frame(run: RunResults, *, wide: bool) -> Markup:
 
 
 def _cutoffs(results: Results, draw: SvgEmbedder) -> list[Markup]:
-    """Where a plain low-pass would cut off, run by run."""
+    """Draw the choice of the cut-off frequency of each run."""
     shown = [run for run in results.runs[:MAX_RUNS] if run.cutoff is not None]
     return [draw(plots.cutoff(run.name, run.cutoff, run.mass)) for run in shown if run.cutoff is not None]
 
@@ -140,18 +160,18 @@ def _has_force(results: Results) -> bool:
 
 
 def _rejected(results: Results) -> list[ModelResults]:
-    """Models whose diagnosis found them wanting; the current one where there is none, for its candidates."""
-    asked = [m for m in results.models if m.diagnosis is not None]
-    return [m for m in asked if m.diagnosis and m.diagnosis["verdict"] != "complete"] or asked[-1:]
+    """Models that their diagnosis did not find complete; if there is none, the last model that was diagnosed."""
+    diagnosed = [m for m in results.models if m.diagnosis is not None]
+    return [m for m in diagnosed if m.diagnosis and m.diagnosis["verdict"] != "complete"] or diagnosed[-1:]
 
 
 def _current_model(results: Results) -> list[ModelResults]:
-    """The model in force."""
+    """The current model, if there is one."""
     return [results.current] if results.current is not None else []
 
 
 def _loops(results: Results, draw: SvgEmbedder) -> Markup:
-    """Loops of the friction force, where it was measured and is what the model in force was fitted to."""
+    """Draw the loops of the friction force, if the current model was fitted to measured friction."""
     model = results.current
     if model is None or model.summary["errors"].get("rms_N") is None:
         return Markup("")
@@ -159,7 +179,7 @@ def _loops(results: Results, draw: SvgEmbedder) -> Markup:
 
 
 def _model_motion(results: Results, draw: SvgEmbedder) -> Markup:
-    """The motion that the model in force tells, on the smoothed one."""
+    """Draw the motion of the current model over the smoothed motion."""
     model = results.current
     return draw(plots.modelled(model, results.runs)) if model is not None and model.motion else Markup("")
 
@@ -176,11 +196,11 @@ def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> RejectedModel:
         headline=_headline(model),
         diagnosis=diagnosis,
         evidence=draw(plots.candidates(diagnosis)) if diagnosis["candidates"] else Markup(""),
-        cards=tables.cards(diagnosis),
+        cards=tables.candidate_cards(diagnosis),
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
-        unexplained=unexplained.unexplained(diagnosis, draw),
-        in_step=unexplained.first_evidence(diagnosis, model.figures, draw),
-        importance=tables.importance(diagnosis),
+        unexplained=unexplained.unexplained_force(diagnosis, draw),
+        correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),
+        importance=tables.importance_table(diagnosis),
     )
 
 
@@ -192,7 +212,7 @@ def _limits(results: Results, draw: SvgEmbedder) -> Markup:
 
 
 def _routes(results: Results, draw: SvgEmbedder) -> Markup:
-    """The papers' route beside the default, on the first run that both have fitted."""
+    """Draw the default and the papers' route for the first run that both have fitted."""
     if results.papers is None or results.current is None:
         return Markup("")
     fitted = {curve.run for curve in results.papers.curves} & {curve.run for curve in results.current.curves}
@@ -201,14 +221,16 @@ def _routes(results: Results, draw: SvgEmbedder) -> Markup:
 
 
 def _remarks(model: ModelResults | None) -> list[Markup]:
-    """What is to be said of the parameters together; of a model stored before there were remarks, its correlations."""
+    """Remarks on the parameters; for a model that was stored without remarks, its correlations."""
     if model is None:
         return []
     if "remarks" in model.summary:
-        return [verdict_text.mark_addresses(line) for line in model.summary["remarks"]]
-    return [verdict_text.correlation(a, b, r) for a, b, r in model.summary["correlations"] if abs(r) > 0.95]
+        return [fit_text.mark_addresses(line) for line in model.summary["remarks"]]
+    return [
+        fit_text.correlation_sentence(a, b, r) for a, b, r in model.summary["correlations"] if abs(r) > MIN_CORRELATION
+    ]
 
 
 def _profiles(model: ModelResults | None, draw: SvgEmbedder) -> Markup:
-    """The profiles of the model in force, where they were asked for."""
+    """Draw the profiles of the current model, if they were computed."""
     return draw(plots.profiles(model.summary)) if model is not None and model.summary.get("profiles") else Markup("")

@@ -1,4 +1,4 @@
-"""The report on paper: the page printed to PDF by a browser of this machine, so that both look the same."""
+"""Print an HTML page to PDF with a browser of this machine, so that both look the same."""
 
 from __future__ import annotations
 
@@ -19,13 +19,27 @@ BROWSERS = (
     r"C:\Program Files (x86)\Microsoft\Edge\Application\msedge.exe",
 )
 OFFLINE = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
-PATIENCE = 120.0  # s that a browser may take; it takes two
+MAX_PRINT_SECONDS = 120.0  # a browser usually takes two seconds
 
 
-def printed(page: Path) -> Path:
-    """The PDF beside an HTML page, written whole or not at all.
+def print_pdf(page: Path) -> Path:
+    """Print an HTML page to a PDF file of the same name, completely or not at all.
 
-    Raises `FrictrackError` where no Chromium, Chrome or Edge is installed, or where it fails.
+    Parameters
+    ----------
+    page : Path
+        The HTML file.
+
+    Returns
+    -------
+    Path
+        The PDF file.
+
+    Raises
+    ------
+    FrictrackError
+        If no Chromium, Chrome or Edge is installed, or if it fails.
+
     """
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
@@ -33,9 +47,9 @@ def printed(page: Path) -> Path:
             f"expected Chromium, Chrome or Edge on this machine to print a PDF but found none; open {page} in any "
             "browser and print it from there"
         )
-    sheet = page.with_suffix(".pdf")
-    with atomic_write(sheet) as part, tempfile.TemporaryDirectory() as profile:
-        words = [
+    target = page.with_suffix(".pdf")
+    with atomic_write(target) as part, tempfile.TemporaryDirectory() as profile:
+        command = [
             browser,
             "--headless",
             "--disable-gpu",
@@ -44,13 +58,15 @@ def printed(page: Path) -> Path:
             "--no-pdf-header-footer",
         ]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
-            words.append("--no-sandbox")  # there is none for root; the page is our own
-        words += [f"--print-to-pdf={part}", page.resolve().as_uri()]
+            command.append("--no-sandbox")  # Chromium has no sandbox for root; the page is our own
+        command += [f"--print-to-pdf={part}", page.resolve().as_uri()]
         try:
-            done = subprocess.run(words, capture_output=True, timeout=PATIENCE, check=False)
+            done = subprocess.run(command, capture_output=True, timeout=MAX_PRINT_SECONDS, check=False)
         except subprocess.TimeoutExpired as e:
-            raise FrictrackError(f"{browser} did not print {page.name} within {PATIENCE:g} s") from e
+            raise FrictrackError(f"{browser} did not print {page.name} within {MAX_PRINT_SECONDS:g} s") from e
         if done.returncode or not part.exists() or part.stat().st_size == 0:
-            said = done.stderr.decode(errors="replace").strip().splitlines()
-            raise FrictrackError(f"{browser} could not print {page.name}: {said[-1] if said else 'it gave no reason'}")
-    return sheet
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
+            raise FrictrackError(
+                f"{browser} could not print {page.name}: {lines[-1] if lines else 'it gave no reason'}"
+            )
+    return target

@@ -1,4 +1,4 @@
-"""The page of a plan: which runs to film, what each adds, what stays open and what settles it."""
+"""Write the page of a plan: which runs to film, and which effects each run distinguishes."""
 
 from __future__ import annotations
 
@@ -10,22 +10,37 @@ from frictrack import plots
 from frictrack.files import replace_text
 from frictrack.number_format import format_size
 from frictrack.report.markup import mark_code
-from frictrack.report.page import SvgEmbedder
-from frictrack.report.tables import TextTable, code, table
-from frictrack.report.templates import now, template
+from frictrack.report.tables import TextTable, code_cell, make_table
+from frictrack.report.templates import SvgEmbedder, now, page_template
 
 
-def write(plan: Mapping[str, Any], path: Path) -> Path:
-    """Write the page to `path`, whole or not at all, and return the path.
+def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
+    """Write the page of a plan as HTML, completely or not at all.
 
-    Raises `FrictrackError` when the folder cannot be written.
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of `frictrack plan`.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
     """
-    return replace_text(path, render(plan))
+    return replace_text(path, _render(plan))
 
 
-def render(plan: Mapping[str, Any]) -> str:
+def _render(plan: Mapping[str, Any]) -> str:
     """The page as HTML."""
-    page = template("plan.html.j2")
+    page = page_template("plan.html.j2")
     draw = SvgEmbedder()
     return page.render(
         plan=plan,
@@ -42,14 +57,18 @@ def render(plan: Mapping[str, Any]) -> str:
 
 
 def headline(plan: Mapping[str, Any]) -> str:
-    """The plan in one sentence."""
+    """Describe the plan in one sentence."""
     runs = plan["runs"]
     if not runs:
-        return "No further run tells more effects apart" if plan["done"] else "No run of the menu tells effects apart"
+        return (
+            "No further run distinguishes more effects" if plan["done"] else "No run of the menu distinguishes effects"
+        )
     after = runs[-1]["pairs_left"]
     more = " more" if plan["done"] else ""
     count = sum(run["speed"] is not None for run in runs)
-    return f"{count}{more} run{'s' if count > 1 else ''}: {plan['pairs'] - after} of {plan['pairs']} pairs told apart"
+    return (
+        f"{count}{more} run{'s' if count > 1 else ''}: {plan['pairs'] - after} of {plan['pairs']} pairs distinguished"
+    )
 
 
 def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -59,37 +78,37 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
             mark_code(run["what"]),
             str(run["adds"]),
             str(run["pairs_left"]),
-            _some(run["separates"]),
+            _examples(run["separates"]),
             ", ".join(run["shows"]),
         )
         for k, run in enumerate(runs, 1)
     ]
-    return table(("", "run", "pairs parted", "pairs left", "for example", "now seen"), rows, (2, 3))
+    return make_table(("", "run", "pairs separated", "pairs left", "for example", "now detectable"), rows, (2, 3))
 
 
-def _some(pairs: Sequence[Sequence[str]], most: int = 3) -> str:
-    """A few pairs, spread over the list."""
-    step = max(1, len(pairs) // most)
-    return "; ".join(" from ".join(pair) for pair in pairs[::step][:most])
+def _examples(pairs: Sequence[Sequence[str]], count: int = 3) -> str:
+    """Some pairs, spread over the list."""
+    step = max(1, len(pairs) // count)
+    return "; ".join(" from ".join(pair) for pair in pairs[::step][:count])
 
 
 def _left(left: Sequence[Mapping[str, Any]]) -> TextTable:
     rows = [(" and ".join(one["effects"]), one["why"], mark_code(one["settle"])) for one in left]
-    return table(("pair", "why", "what settles it"), rows)
+    return make_table(("pair", "why", "what settles it"), rows)
 
 
 def _unseen(unseen: Sequence[Mapping[str, Any]]) -> TextTable:
-    rows = [(code(one["effect"]), one["why"], mark_code(one["settle"])) for one in unseen]
-    return table(("effect", "why", "what shows it"), rows)
+    rows = [(code_cell(one["effect"]), one["why"], mark_code(one["settle"])) for one in unseen]
+    return make_table(("effect", "why", "what makes it detectable"), rows)
 
 
 def _limits(limits: Mapping[str, Mapping[str, Any]]) -> TextTable:
     rows = [
         (
-            code(name),
+            code_cell(name),
             format_size(limit["value"], limit["unit"]) if limit["value"] is not None else limit["reason"],
             limit["at_words"],
         )
         for name, limit in limits.items()
     ]
-    return table(("effect", "smallest size seen", "at"), rows, (1,))
+    return make_table(("effect", "smallest detectable size", "at"), rows, (1,))

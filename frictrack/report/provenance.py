@@ -1,4 +1,4 @@
-"""The record of a study: settings, findings, hashes and versions, as tables."""
+"""Build the tables of a study's provenance: settings, findings, hashes and software versions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from markupsafe import Markup
 
 from frictrack.number_format import format_quantity
-from frictrack.report.tables import Cell, TextTable, table
+from frictrack.report.tables import Cell, TextTable, make_table
 from frictrack.results import Results
 
 LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "h5py", "opencv-python-headless")
-SHOWN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")  # keys with a column of their own
+KEYS_WITH_COLUMN = ("name", "video", "table", "mass", "fps", "scale", "role", "x_offset")
 
 
-def settings(results: Results) -> TextTable:
-    """What each run was made with."""
+def settings_table(results: Results) -> TextTable:
+    """Table of the settings of each run."""
     rows = []
     for run in results.runs:
         s = run.settings
@@ -32,31 +32,33 @@ def settings(results: Results) -> TextTable:
                 f"{s['fps']:g} Hz" if "fps" in s else "",
                 _scale(s.get("scale", "")),
                 f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
-                "; ".join(f"{k} = {v}" for k, v in s.items() if k not in SHOWN and (k, v) != ("reference", "auto")),
+                "; ".join(
+                    f"{k} = {v}" for k, v in s.items() if k not in KEYS_WITH_COLUMN and (k, v) != ("reference", "auto")
+                ),
             )
         )
-    return table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
+    return make_table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
 
 
 def _scale(written: Any) -> str:
-    """A scale as the study file gives it, in a few words."""
+    """Describe a scale as the study file gives it."""
     if isinstance(written, list):
         return ", checked against ".join(_scale(one) for one in written)
     if not isinstance(written, dict):
         return str(written)
     if "board" in written:
         names = written["board"] if isinstance(written["board"], list) else [written["board"]]
-        along, across = written["squares"]
-        return f"board in {', '.join(map(str, names))}: {along} x {across} squares of {written['square']}"
+        columns, rows = written["squares"]
+        return f"board in {', '.join(map(str, names))}: {columns} x {rows} squares of {written['square']}"
     if "target" in written:
         return f"the target's size, {written['target']}"
     if "plane" in written:
-        return f"{len(written['points'])} points of known place"
+        return f"{len(written['points'])} points at known positions"
     return f"ruler of {written['length']}"
 
 
-def findings(results: Results) -> TextTable:
-    """What was decided and found on the way, run by run."""
+def findings_table(results: Results) -> TextTable:
+    """Table of the findings and automatic decisions, run by run."""
     rows: list[Sequence[Cell]] = []
     for run in results.runs:
         rows.append((run.name, f"low-pass: {run.filtered.reason}"))
@@ -65,11 +67,11 @@ def findings(results: Results) -> TextTable:
         rows += [("", note) for note in run.notes]
     rows += [("study", note) for note in results.notes]
     rows += [("diagnosis", note) for note in (results.diagnosis or {}).get("remarks", [])]
-    return table(("", "finding"), rows)
+    return make_table(("", "finding"), rows)
 
 
-def hashes(results: Results) -> TextTable:
-    """Films and stages, each by the first digits of its hash."""
+def hash_table(results: Results) -> TextTable:
+    """Table of the first digits of the hash of each film and stage."""
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
     rows = [
         (
@@ -79,15 +81,15 @@ def hashes(results: Results) -> TextTable:
         )
         for run in results.runs
     ]
-    return table(("run", "film (sha256)", *stages), rows)
+    return make_table(("run", "film (sha256)", *stages), rows)
 
 
 def _hash(full: str) -> Cell:
     return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
 
 
-def versions(results: Results) -> str:
-    """The software that was used."""
+def software_versions(results: Results) -> str:
+    """List the versions of frictrack, Python and the main libraries."""
     found = [f"frictrack {results.version}", f"Python {python_version()}"]
     for name in LIBRARIES:
         try:

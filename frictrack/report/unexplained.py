@@ -1,4 +1,4 @@
-"""What the report says of first evidence and of structure that no effect explains."""
+"""Collect what the report shows of correlated signals and of force that no effect explains."""
 
 from __future__ import annotations
 
@@ -15,20 +15,28 @@ from frictrack.records import Array
 Embed = Callable[[Figure], Markup]
 
 
-def first_evidence(
+def correlated_signals(
     diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]], draw: Embed
 ) -> list[dict[str, Any]]:
-    """What moved in step with the residual, first evidence first: words, and a picture where there is a curve."""
+    """Describe the measured signals that correlate with the residual; with a figure where the curve is stored."""
     out = []
-    for place, one in enumerate(diagnosis.get("evidence") or []):
-        curve = figures.get(f"evidence_{place}")
+    for k, one in enumerate(diagnosis.get("evidence") or []):
+        curve = figures.get(f"evidence_{k}")
         words = one["words"][:1].upper() + one["words"][1:]
         out.append({"words": words, "picture": draw(plots.correlated_signal(one, curve)) if curve else None})
     return out
 
 
-def unexplained(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, Any] | None:
-    """The curve, the formulas as rows of a table, and the snippet of the first; None where nothing is unexplained."""
+def unexplained_force(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, Any] | None:
+    """Collect the force that no effect explains.
+
+    Returns
+    -------
+    dict or None
+        `picture`, `title`, `words`, `formulas` (rows of a table) and `toml` of the first formula. None if nothing is
+        unexplained.
+
+    """
     left = diagnosis.get("unexplained")
     if not left:
         return None
@@ -48,6 +56,6 @@ def unexplained(diagnosis: Mapping[str, Any], draw: Embed) -> dict[str, Any] | N
         "picture": draw(plots.unexplained(left)),
         "formulas": rows,
         "toml": toml,
-        "title": "A force of one variable" if words else "What no effect explains",
+        "title": "A force of one variable" if words else "Unexplained force",
         "words": words[:1].upper() + words[1:],
     }

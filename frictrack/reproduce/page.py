@@ -6,18 +6,15 @@ import csv
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_number
-from frictrack.report.page import ID_ATTRIBUTES
-from frictrack.report.templates import template
+from frictrack.report import SvgEmbedder, page_template
 from frictrack.reproduce.parts import FAILS, HOLDS, OPEN, Cell, Claim, Part, Table
 
 KINDS = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
@@ -78,13 +75,8 @@ def write(done: Reproduction, folder: Path) -> dict[str, Any]:
 
 def render(done: Reproduction) -> str:
     """The page as HTML."""
-    marks = count(1)
-
-    def draw(figure: Figure) -> Markup:
-        """A figure within the page, with ids of its own."""
-        return Markup(ID_ATTRIBUTES.sub(rf"\g<1>f{next(marks)}-", plots.svg(figure)))
-
-    return template("page.html.j2", "reproduce").render(
+    draw = SvgEmbedder()
+    return page_template("page.html.j2", "reproduce").render(
         parts=done.parts,
         claims=done.claims,
         counts=done.counts,

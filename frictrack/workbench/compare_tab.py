@@ -7,7 +7,7 @@ from typing import Any
 import panel as pn
 
 from frictrack import plots
-from frictrack.report.tables import spans
+from frictrack.report.tables import failing_span_table
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots
@@ -73,4 +73,4 @@ class CompareTab:
 def _failing_table(diagnosis: dict[str, Any]) -> str:
     """Where the model fails, as a table."""
     found = [s for s in diagnosis.get("fails_at", []) if s.get("t")]
-    return grid(spans(found)) if found else note("No single stretch stands out by itself.")
+    return grid(failing_span_table(found)) if found else note("No single stretch stands out by itself.")

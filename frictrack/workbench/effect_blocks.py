@@ -14,7 +14,7 @@ import panel as pn
 
 from frictrack.errors import FrictrackError
 from frictrack.number_format import format_number, format_unit
-from frictrack.report.markup import mark_equation
+from frictrack.report import mark_equation
 from frictrack.units import parse_quantity
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, html

@@ -12,7 +12,7 @@ import panel as pn
 from frictrack.errors import FrictrackError
 from frictrack.files import atomic_write
 from frictrack.flow import contact_sheet_path
-from frictrack.report.tables import table
+from frictrack.report.tables import make_table
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots
@@ -175,7 +175,7 @@ class FilmTab:
         rows = [("frame rate while filming", f"{run.film.fps:g} /s", "forces go with its square"), *run.film.audit]
         notes = "".join(f"<li>{escape(words)}</li>" for words in run.notes)
         return (
-            heading("Time base") + grid(table(("what was looked at", "value", "verdict"), rows))
+            heading("Time base") + grid(make_table(("what was looked at", "value", "verdict"), rows))
             + (heading("Noticed") + f"<ul>{notes}</ul>" if notes else "")
         )  # fmt: skip
 

@@ -15,8 +15,8 @@ from frictrack import plots
 from frictrack.errors import FrictrackError
 from frictrack.export import write
 from frictrack.flow import replay_script
-from frictrack.report import printed
-from frictrack.report.tables import history
+from frictrack.report import print_pdf
+from frictrack.report.tables import history_table
 from frictrack.results import Results
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.widgets import button, grid, html, note
@@ -92,7 +92,7 @@ class HistoryTab:
             self.models.object = note("No model was fitted yet.")
             self.choice.options = {}
             return
-        self.models.object = grid(history(models))
+        self.models.object = grid(history_table(models))
         self.choice.options = {plots.numbered_name(m.name): m.name for m in models}
         self.choice.value = next((m.name for m in models if m.current), models[-1].name)
 
@@ -116,7 +116,7 @@ class HistoryTab:
         return self._report_path().read_bytes()
 
     def _report_pdf(self) -> bytes:
-        return printed(self._report_path()).read_bytes()
+        return print_pdf(self._report_path()).read_bytes()
 
     def _tables(self) -> bytes:
         return zip_files({path.name: path.read_bytes() for path in write(self._need_results(), "csv")})

@@ -11,9 +11,14 @@ from markupsafe import Markup, escape
 
 from frictrack import plots
 from frictrack.number_format import format_change, format_number
-from frictrack.report import next_experiments
-from frictrack.report.markup import mark_code
-from frictrack.report.tables import Card, cards
+from frictrack.report import mark_code
+from frictrack.report.tables import (
+    CandidateCard,
+    candidate_cards,
+    experiment_table,
+    inseparable,
+    separating_experiments,
+)
 from frictrack.verdicts import describe_verdict
 from frictrack.workbench import plot_data
 from frictrack.workbench.page_state import PageState
@@ -67,7 +72,9 @@ class MissingTab:
         self.head.object = _verdict_html(diagnosis)
         if new:  # cards stay while they hold: nobody's click meets one that is being replaced
             figures = results.figures
-            self.cards.objects = [self._card(card, figures.get(card.name, {})) for card in cards(diagnosis)[:MAX_CARDS]]
+            self.cards.objects = [
+                self._card(card, figures.get(card.name, {})) for card in candidate_cards(diagnosis)[:MAX_CARDS]
+            ]
             self.left.objects = self._formula_rows(diagnosis.get("unexplained") or {})
             self.next.object = _next_experiment_html(diagnosis)
         self.plots_with_film.draw(plot_data.residual(results, model, self.state.ghost))
@@ -78,7 +85,7 @@ class MissingTab:
             return []
         parts: list[Any] = [figure(plots.unexplained(left))]
         for formula in left["formulas"][:MAX_FORMULAS]:
-            share = f"{100 * formula['share']:.1f} % of what is left, evidence {format_change(formula['delta_bic'])}"
+            share = f"{100 * formula['share']:.1f} % of the misfit, evidence {format_change(formula['delta_bic'])}"
             also_needed = formula.get("beside", [])
             after = note(f"beside {', '.join(also_needed)}: add that first") if also_needed else ""
             take = button("Take it into the law", partial(self._take, formula["toml"]), disabled=bool(also_needed))
@@ -95,13 +102,13 @@ class MissingTab:
         if self.state.do("define", effect=effect):
             self.state.start("add", effect=effect["effect"])
 
-    def _card(self, card: Card, curves: dict[str, Any]) -> pn.Column:
+    def _card(self, card: CandidateCard, curves: dict[str, Any]) -> pn.Column:
         """A candidate: how sure, what it is, where it shows, how to confirm it."""
         about = {
             "Looks like": card.words["looks_like"],
             "Here": card.words["here"],
             "To confirm": card.words["confirm"],
-            "Not told apart from": ", ".join(card.rivals) if card.passes else "",
+            "Not distinguished from": ", ".join(card.rivals) if card.passes else "",
         }
         lines = [
             Markup("<b>{}</b>").format(card.rank),
@@ -137,8 +144,8 @@ def _verdict_html(diagnosis: dict[str, Any]) -> str:
 def _next_experiment_html(diagnosis: dict[str, Any]) -> str:
     """The runs that would settle what these cannot, and what no run can."""
     steps, words = (
-        next_experiments.separating_experiments(diagnosis),
-        "".join(note(mark_code(line)) for line in next_experiments.inseparable(diagnosis)),
+        separating_experiments(diagnosis),
+        "".join(note(mark_code(line)) for line in inseparable(diagnosis)),
     )
-    menu = grid(next_experiments.experiment_table(steps)) if steps else ""
+    menu = grid(experiment_table(steps)) if steps else ""
     return heading("The next experiment") + menu + words if menu or words else ""

@@ -11,7 +11,7 @@ import panel as pn
 from frictrack.effects import catalogue
 from frictrack.flow import user_effects
 from frictrack.plots.style import BLUE
-from frictrack.report.markup import mark_equation
+from frictrack.report import mark_equation
 from frictrack.workbench.effect_blocks import EffectBlocks
 from frictrack.workbench.page_state import PageState
 from frictrack.workbench.panel_plots import PanelPlots

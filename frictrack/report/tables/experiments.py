@@ -1,4 +1,4 @@
-"""What would settle it: the experiments that a diagnosis proposes, as a table and a figure."""
+"""Select the experiments that a diagnosis proposes, and build their table."""
 
 from __future__ import annotations
 
@@ -7,39 +7,43 @@ from typing import Any
 
 from frictrack.number_format import format_number
 from frictrack.report.markup import mark_code
-from frictrack.report.tables import TextTable, table
+from frictrack.report.tables.text_table import TextTable, make_table
 
 DEFAULTS: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
 
 
 def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
-    """Experiments that would part something, best first; none before a diagnosis.
+    """Select the proposed experiments that would distinguish effects, best first.
 
-    One that was stored with less than is told today is filled up.
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        A diagnosis; None before one was made.
+
+    Returns
+    -------
+    list of mappings
+        The experiments. Keys that an older file lacks have default values.
+
     """
     steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
     return [DEFAULTS | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
 
 
-def drawable(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Those whose evidence can be drawn."""
+def with_expected_evidence(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Select the experiments whose expected evidence is known, so that it can be drawn."""
     return [step for step in steps if step["expected_if_true"]]
 
 
 def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
-    """What no run can part, and what else does, in words."""
+    """Texts about the effects that no run can distinguish, and about what else can."""
     return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
 
 
 def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
-    """One row per experiment, best first."""
+    """Table of the proposed experiments, best first."""
     rows = [
-        (
-            f"{k}.",
-            mark_code(step["what"]),
-            step["tells"],
-            f"{format_number(step['expected_delta_bic'], 2)}",
-        )
+        (f"{k}.", mark_code(step["what"]), step["tells"], format_number(step["expected_delta_bic"], 2))
         for k, step in enumerate(steps, 1)
     ]
-    return table(("", "what to do", "tells", "expected delta BIC, at least"), rows, (3,))
+    return make_table(("", "what to do", "distinguishes", "expected delta BIC, at least"), rows, (3,))

@@ -1,0 +1,69 @@
+"""Describe candidate effects: the evidence for them and the change of the held-out error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from frictrack.number_format import format_change, format_number
+
+
+def join_words(words: Sequence[str], last: str = "and") -> str:
+    """Join words as in a sentence.
+
+    Examples
+    --------
+    >>> join_words(["a", "b", "c"]), join_words(["a", "b"], "or"), join_words([])
+    ('a, b and c', 'a or b', '')
+
+    """
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
+
+
+def lower_first(sentence: str) -> str:
+    """Turn a sentence into a clause: lower-case first letter, no full stop.
+
+    Examples
+    --------
+    >>> lower_first("Film a fixed mark.")
+    'film a fixed mark'
+
+    """
+    return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def find_candidate(diagnosis: Mapping[str, Any] | None, effect: str) -> Mapping[str, Any] | None:
+    """Find the candidate of a diagnosis by its name; None if it is not there."""
+    return next((c for c in (diagnosis or {}).get("candidates", []) if c["effect"] == effect), None)
+
+
+def evidence_text(candidate: Mapping[str, Any]) -> Markup:
+    """Describe the evidence for a candidate: p for the whole search and delta BIC."""
+    return Markup("p = {} for the whole search, delta BIC {}").format(
+        format_number(candidate["p"], 1), format_change(candidate["delta_bic"])
+    )
+
+
+def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
+    """Select the held-out error and its unit: um of displacement, or N if forces were measured."""
+    if errors.get("heldout_rms_um") is not None:
+        return errors["heldout_rms_um"], "µm"
+    return errors.get("heldout_rms_N"), "N"
+
+
+def held_out_change(candidate: Mapping[str, Any]) -> str:
+    """Describe the held-out error without and with a candidate; "" if nothing was held out.
+
+    Examples
+    --------
+    >>> held_out_change({"heldout_rms_before_um": 21.2, "heldout_rms_after_um": 10.2})
+    '21.2 to 10.2 µm'
+
+    """
+    for key, unit in (("um", "µm"), ("N", "N")):
+        before, after = (candidate.get(f"heldout_rms_{when}_{key}") for when in ("before", "after"))
+        if before is not None and after is not None:
+            return f"{format_number(before)} to {format_number(after)} {unit}"
+    return ""

@@ -1,0 +1,131 @@
+"""Build the cards and tables of a diagnosis: candidate effects, their importance, detection limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from frictrack.number_format import DASH, format_number, format_quantity, format_size, format_unit
+from frictrack.plots import passes
+from frictrack.report.candidate_text import held_out_change
+from frictrack.report.markup import mark_code
+from frictrack.report.tables.parameters import PER_RUN_NAME
+from frictrack.report.tables.text_table import Cell, TextTable, code_cell, make_table
+
+TEXT_KEYS = ("what", "looks_like", "here", "confirm")
+ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
+
+
+@dataclass(frozen=True)
+class CandidateCard:
+    """The texts about one candidate effect.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect.
+    passes : bool
+        Whether it is significant, improves the BIC, and is plausible.
+    acts_on : str
+        Whether it is a force or an error of the measurement.
+    rank : str
+        Its place among the candidates.
+    words : mapping
+        What it is, what it looks like, where it shows here, how to confirm it.
+    numbers : tuple
+        Its parameters and the evidence.
+    rivals : tuple of str
+        Effects that these runs cannot distinguish from it.
+
+    """
+
+    name: str
+    passes: bool
+    acts_on: str
+    rank: str
+    words: Mapping[str, Markup]
+    numbers: tuple[Cell, ...]
+    rivals: tuple[str, ...]
+
+
+def candidate_cards(diagnosis: Mapping[str, Any]) -> list[CandidateCard]:
+    """Describe the candidates of a diagnosis, best first."""
+    return [
+        CandidateCard(
+            name=c["effect"],
+            passes=passes(c),
+            acts_on=ACTS_ON.get(c["acts_on"], ""),
+            rank=_rank(c, diagnosis["candidates"][0]),
+            words={key: mark_code(c["words"].get(key, "")) for key in TEXT_KEYS},
+            numbers=tuple(_numbers(c)),
+            rivals=tuple(c["indistinguishable_from"]),
+        )
+        for c in diagnosis["candidates"]
+    ]
+
+
+def _rank(c: Mapping[str, Any], best: Mapping[str, Any]) -> str:
+    """Place of a candidate relative to the best one."""
+    if c.get("implausible"):
+        return f"fits, but is not plausible: {c['implausible']}"
+    if not passes(c):
+        return "does not pass"
+    if c is best:
+        return "passes, the best"
+    if c["effect"] in best["indistinguishable_from"]:
+        return "passes, as good as the best"
+    return f"passes, but {format_number(best['delta_bic'] - c['delta_bic'])} behind the best"
+
+
+def _numbers(c: Mapping[str, Any]) -> list[Cell]:
+    """Shared parameters, then the evidence."""
+    shared = {name: p for name, p in c["parameters"].items() if not PER_RUN_NAME.match(name)}
+    per_run = sorted({m["name"] for name in c["parameters"] if (m := PER_RUN_NAME.match(name))})
+    out: list[Cell] = [f"{name} {format_quantity(p['value'], p['std'], p['unit'])}" for name, p in shared.items()]
+    if per_run:
+        out.append(f"one {' and one '.join(per_run)} per run")
+    out.append(f"p = {format_number(c['p'], 1)}, delta BIC {format_number(c['delta_bic'])}")
+    change = held_out_change(c)
+    if change:
+        out.append(f"held-out error {change} ({'whole runs' if c['heldout'] == 'run' else 'every other frame'})")
+    return out
+
+
+def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the misfit that each effect explains alone and after the effects above it."""
+    rows = []
+    for row in diagnosis.get("importance") or []:
+        shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
+        unit = "um" if "heldout_rms_after_um" in row else "N"
+        error = row[f"heldout_rms_after_{unit}"]
+        after = "" if error is None else f"{format_number(error)} {format_unit(unit)}"
+        rows.append((code_cell(row["effect"]), *shares, after, "stop here" if row["stop"] else ""))
+    return make_table(("effect", "explains alone", "adds in sequence", "held-out error after it", ""), rows, (1, 2, 3))
+
+
+def _share_of_misfit(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
+
+
+def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the smallest size of each effect that 95 of 100 repeats would detect."""
+    rows = [
+        (code_cell(name), _limit(limit), limit.get("reason") or _worst_setting(name, limit))
+        for name, limit in diagnosis["detection_limits"].items()
+    ]
+    return make_table(("effect", "detectable from", "at the least favourable"), rows, (1,))
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    return DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
+
+
+def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
+    from frictrack import effects  # noqa: PLC0415 - only for the units
+
+    kind = effects.LIBRARY.get(effect.split(":", maxsplit=1)[0])
+    units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
+    return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
