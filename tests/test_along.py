@@ -50,7 +50,7 @@ def along(model, data, sigma=1.0):
 
 
 def numbers(made, state):
-    p = made.law(state.numbers, state.coefficients)
+    p = made.law(state.nonlinear_values, state.coefficients)
     return dict(zip(made.layout.names, p, strict=True))
 
 
@@ -141,7 +141,7 @@ class TestSearch:
         law = models.Model(tuple(e.adjusted(**changes.get(e.name, {})) for e in law.effects))
         made = along(law, data)
         state = VariableProjection(made)()
-        p = made.law(state.numbers, state.coefficients)
+        p = made.law(state.nonlinear_values, state.coefficients)
         values, _ = made.layout.values(p, 0)
         assert values["viscous"]["F_v"] == 1.0
         assert values["vibration:2"]["frequency"] == pytest.approx(2 * values["vibration"]["frequency"])
@@ -184,7 +184,7 @@ class TestTied:
             data = printed(truth) + rng.normal(0, 1, N)
             state = search(data)
             assert state.misfit <= 1.001 * best(printed, data, truth)
-            values, _ = made.layout.values(made.law(state.numbers, state.coefficients), 0)
+            values, _ = made.layout.values(made.law(state.nonlinear_values, state.coefficients), 0)
             assert state.misfit == pytest.approx(np.sum((data - made.layout.model.force(PATH, values)) ** 2), rel=1e-6)
 
     @pytest.mark.parametrize("order", [1, 3])
@@ -202,7 +202,7 @@ class TestTied:
         law = models.Model((effects.atm2(2).adjusted(**changes),))
         made = along(law, data)
         state = variable_projection(made)()
-        values = made.layout.values(made.law(state.numbers, state.coefficients), 0)[0]["atm2:2"]
+        values = made.layout.values(made.law(state.nonlinear_values, state.coefficients), 0)[0]["atm2:2"]
         assert values["v_s"] == 0.5
         assert 20 <= values["viscous_frequency_2"] <= 60
 
@@ -282,7 +282,7 @@ class TestRefinement:
         state = problem.at(np.where(np.isin(np.arange(len(made.layout.slots)), made.free), 50.0, 1.0))
         free = made.free[:2]
         low = problem.low[free]
-        state.numbers[free] = low + np.array([0.1, 5.0])
+        state.nonlinear_values[free] = low + np.array([0.1, 5.0])
         normal, gradient = np.array([[1.0, -0.99], [-0.99, 1.0]]), np.array([-1.0, 0.5])
         step, promised = problem._step(state, (normal, gradient), free, 0.0)
         assert step == pytest.approx([-0.1, 0.5 - 0.099])  # the first goes to its side, the second's best beside that

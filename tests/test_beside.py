@@ -82,7 +82,7 @@ class TestTraced:
         assert baseline_misfit(law) == pytest.approx(lacks_texture.objective, rel=0.01)
         series, texture = measured_series(law), effects.get("texture")
         scans = [scan_candidate(law, f, series) for f in candidate_grids(law, texture)]
-        trial = try_effect(law, texture, scans, series.own[:, 0])
+        trial = try_effect(law, texture, scans, series.coordinates[:, 0])
         grown = simulate_trial(law, trial)
         assert lacks_texture.objective > 3 * grown.objective
         assert trial.misfit == pytest.approx(grown.objective, abs=2.0)
@@ -97,7 +97,7 @@ class TestScan:
         law = linearise(complete)
         family = candidate_grids(law, effects.get(name))[0]
         found = scan_candidate(law, family, measured_series(law))
-        g = len(found.rises) // 3
+        g = len(found.gains) // 3
         rows = np.zeros((len(law.basis.u), family.size))
         for i, block in zip(family.members, family.block, strict=True):
             strip = law.pieces[i]
@@ -110,7 +110,7 @@ class TestScan:
         shrink = law.basis.shrink(law.solution.tau)
         metric = np.eye(len(u)) - u @ shrink @ u.T  # what the law, its levels held, leaves of data
         gain = data @ metric @ rows @ np.linalg.pinv(rows.T @ metric @ rows, rcond=1e-9) @ rows.T @ metric @ data
-        assert found.rises[g] == pytest.approx(gain, rel=0.02, abs=0.02)
+        assert found.gains[g] == pytest.approx(gain, rel=0.02, abs=0.02)
 
 
 class TestHeldOut:
@@ -122,7 +122,7 @@ class TestHeldOut:
             for p in problem.pieces:
                 hidden = np.arange(len(p.t)) % 2 == 1
                 pieces.append(replace(p, sigma=np.where(hidden, HIDDEN_SIGMA_FACTOR, 1.0) * p.sigma))
-            refitted = refine(problem.over(problem.layout, pieces), solution.p, solution.starts, tau=solution.tau)
+            refitted = refine(problem.rebuild(problem.layout, pieces), solution.p, solution.starts, tau=solution.tau)
             odd = np.concatenate([(r.piece.y - r.model_y)[1::2] for r in refitted.responses])
             assert heldout_rms(solution, "frames")[0] == pytest.approx(np.sqrt(np.mean(odd**2)), rel=accuracy)
 
@@ -162,7 +162,10 @@ class TestShortfall:
         for name in ("texture", "patch"):
             effect = effects.get(name)
             made[name] = try_effect(
-                law, effect, [scan_candidate(law, f, series) for f in candidate_grids(law, effect)], series.own[:, 0]
+                law,
+                effect,
+                [scan_candidate(law, f, series) for f in candidate_grids(law, effect)],
+                series.coordinates[:, 0],
             )
         own = misfit_left_by_other(law, made["texture"], made["texture"])
         other = misfit_left_by_other(law, made["texture"], made["patch"])
@@ -215,6 +218,6 @@ def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
     beside_law = linearise(fit(["coulomb", "drag"], runs).solution)
     collision, series = effects.get("collision"), measured_series(beside_law)
     scans = [scan_candidate(beside_law, family, series) for family in candidate_grids(beside_law, collision)]
-    (found,) = deepen_trials(beside_law, [try_effect(beside_law, collision, scans, series.own[:, 0])])
+    (found,) = deepen_trials(beside_law, [try_effect(beside_law, collision, scans, series.coordinates[:, 0])])
     times = {n[len("collision.time") :]: p for n, p in zip(found.layout.names, found.p, strict=True) if ".time" in n}
     assert times == {f"[r{i}]": pytest.approx(b[1], abs=4e-3) for i, b in enumerate(BLOWS.values()) if b}

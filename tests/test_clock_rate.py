@@ -143,11 +143,11 @@ def test_the_simulator_moves_the_mass_in_true_time():
 def test_a_piece_has_one_clock_at_a_time():
     (run, *_) = recorded({})
     (piece,) = pieces_of(run, 0, free_section(run)[0], reference_of([run]))
-    twice = piece.timed(1.5).timed(1.2)
+    twice = piece.with_clock(1.5).with_clock(1.2)
     np.testing.assert_allclose(twice.t, 1.2 * piece.t)
     np.testing.assert_allclose(twice.a_hat, piece.a_hat / 1.44)
-    np.testing.assert_allclose(twice.timed(1.0).path.t, piece.path.t)
-    assert piece.timed(1.0) is piece
+    np.testing.assert_allclose(twice.with_clock(1.0).path.t, piece.path.t)
+    assert piece.with_clock(1.0) is piece
 
 
 def test_a_clock_off_by_more_than_a_step_of_frame_rates_is_not_plausible():

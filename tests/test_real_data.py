@@ -47,7 +47,7 @@ def test_the_noise_of_the_tribometer_is_what_differs_from_stroke_to_stroke(strok
     solution = fit("coulomb,viscous", [strokes]).solution
     counted, noise = weight_by_noise(solution)
     left = np.concatenate([r.r * r.piece.sigma for r in solution.responses])
-    assert noise.strokes >= 6
+    assert noise.stroke_count >= 6
     assert noise.rms < 0.1 * float(np.std(left))  # the law's misfit is the same in every stroke, and no noise
     assert counted.chi2 > 10 * counted.problem.n_frames
 
@@ -62,7 +62,7 @@ def test_white_noise_of_a_cell_stays_what_its_differences_say():
     run = Run(seen, differentiate(low_pass(seen, method="kalman")), friction_N=force)
     _, noise = weight_by_noise(fit("coulomb,viscous", [run]).solution)
     assert noise.rms == pytest.approx(0.05, rel=0.1)
-    assert noise.alike == 1.0
+    assert noise.correlation_frames == 1.0
 
 
 @pytest.fixture(scope="module")

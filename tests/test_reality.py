@@ -44,7 +44,7 @@ def test_a_slow_misfit_of_one_record_is_no_noise():
     fitted = fit(["coulomb"], [ramp(lambda t, v: tustin_force(v))])
     noise = friction_noise(fitted.solution)
     assert noise.rms == pytest.approx(0.02, rel=0.05)
-    assert (noise.alike, noise.strokes) == (1.0, 0)
+    assert (noise.correlation_frames, noise.stroke_count) == (1.0, 0)
     found = diagnose(fitted)
     assert found.verdict != "complete"
     assert found.noise_N == pytest.approx(0.02, rel=0.05)
@@ -63,9 +63,9 @@ def test_what_differs_from_stroke_to_stroke_is_noise():
     shape = 0.5 * np.sin(40 * 0.1 * np.sin(w * t)) * np.sign(v)  # and a force that every stroke repeats
     force = 8.0 * np.sign(v) + shape + drift - drift.mean() + 0.02 * rng.standard_normal(len(t))
     noise = friction_noise(fit(["coulomb"], [given(t, 0.1 * np.sin(w * t), v, force)]).solution)
-    assert noise.strokes >= 20
+    assert noise.stroke_count >= 20
     assert noise.rms == pytest.approx(np.std(drift), rel=0.5)  # not 0.35, which the shape alone leaves
-    assert noise.alike > 100
+    assert noise.correlation_frames > 100
 
 
 def test_strokes_are_told_from_the_noise_of_a_coordinate():

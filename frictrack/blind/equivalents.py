@@ -14,7 +14,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.fit.linearised import LinearisedModel, candidate_grids, linearise, measured_series, scan_candidate
 from frictrack.fit.parameters import ParameterLayout, penalty_residual
-from frictrack.fit.stepwise import effect_for_scan, remove_effect, simulate_trial, try_effect, with_layout
+from frictrack.fit.stepwise import effect_for_scan, rebuild_problem, remove_effect, simulate_trial, try_effect
 from frictrack.records import Array
 
 MAX_CHI2_EXCESS = 10.0  # expected chi-squared below which two causes are one for these runs
@@ -58,7 +58,7 @@ def _chi2_excess(linearised: LinearisedModel, effect: Effect, full: Solution, ch
         return np.inf
     data = measured_series(linearised)
     trial = try_effect(
-        linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.own[:, 0]
+        linearised, effect, [scan_candidate(linearised, family, data) for family in grids], data.coordinates[:, 0]
     )
     if trial.misfit > NEAR[0] * chi2_rise + NEAR[1] + _level_penalty(full):
         return np.inf
@@ -83,7 +83,7 @@ def solution_at_truth(truth: Truth, base: Solution) -> Solution:
         model = model + effect_named(name)
     absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
     layout = replace(base_layout, model=model, absent=absent)
-    problem = with_layout(base.problem.over(base_layout, pieces), layout)
+    problem = rebuild_problem(base.problem.rebuild(base_layout, pieces), layout)
     starts = [
         np.array([np.interp(p.t[0], s.t - _release_time(p.t, s.t[p.frames]), q) for q in (s.x, s.v)])
         for p, s in ((p, slides[p.run]) for p in pieces)

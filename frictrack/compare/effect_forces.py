@@ -49,7 +49,7 @@ def effect_force_at_nodes(solution: Solution, response: PieceResponse, name: str
     elif problem.model.memory:
         motion = response.motion
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
-        path = piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
+        path = piece.path_since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
     else:
         path = piece.path_at_nodes(response.motion.x, response.motion.v, level)
     force = problem.model.force(path, values) - without.force(path, values)

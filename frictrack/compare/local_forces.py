@@ -165,7 +165,7 @@ def _refit(found: LocalForces, bare: LeastSquaresProblem) -> LocalForces:
     for i, (piece, at) in enumerate(zip(bare.pieces, found.nodes, strict=True)):
         force = np.sum([b.size * at.force(b) for b in found.bumps if b.piece in (None, i)], axis=0)
         pieces.append(replace(piece, known=piece.known - force / piece.mass))
-    problem = bare.over(bare.layout, pieces)
+    problem = bare.rebuild(bare.layout, pieces)
     try:
         law = model_projection(
             refine(problem, solution.p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_REFIT_STEPS)

@@ -32,7 +32,7 @@ def detection_limit(
     whole search; phases and further coefficients at their worst.
     """
     found = scanned.scans[0]
-    family = found.family
+    family = found.grid
     threshold = scanned.quantile + critical
     if len(scanned.scans) > 1:
         threshold += 2 * np.log(len(draws.series.data))
@@ -53,10 +53,10 @@ def detection_limit(
 def _unit_gain(found: CandidateScan, left: Array) -> Array:
     """Expected likelihood ratio of every form at size one, the rest at its least favourable, (G,)."""
     schur, full = found.schur(left), found.full()
-    of_block = _of_phase if _is_wave(found.family.effect) else _of_first
+    of_block = _of_phase if _is_wave(found.grid.effect) else _of_first
     gains = []
-    for i in range(0, schur.shape[1], found.family.k):
-        mine = slice(i, i + found.family.k)
+    for i in range(0, schur.shape[1], found.grid.k):
+        mine = slice(i, i + found.grid.k)
         least, whole = of_block(schur[:, mine, mine], full[:, mine])
         gains.append(np.where(least > MIN_UNEXPLAINED_SHARE * whole, least, 0.0))  # less is rounding
     return np.asarray(np.sum(gains, axis=0))

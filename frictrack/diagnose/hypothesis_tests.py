@@ -118,7 +118,7 @@ def _scan(solution: Solution, draws: Ensemble, effect: Effect) -> ScannedCandida
     if not made:
         return None
     scans = [scan_candidate(draws.law, family, draws.series) for family in made]
-    tops = np.stack([s.tops for s in scans])
+    tops = np.stack([s.max_gains for s in scans])
     if len(made) > 1:  # events of single runs: each must pay its price
         price = EVENT_PENALTY * np.log(solution.problem.n_frames)
         statistic = np.maximum(np.sum(np.maximum(tops - price, 0.0), axis=0), tops.max(axis=0) - price)

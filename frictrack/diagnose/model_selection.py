@@ -20,7 +20,7 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     """Expected difference of the objective when `best` is true and `rival` is fitted to what it predicts."""
     ideal = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in best.responses}
     pieces = [replace(p, y=ideal[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
-    problem = rival.problem.over(rival.problem.layout, pieces)
+    problem = rival.problem.rebuild(rival.problem.layout, pieces)
     tau = max(best.tau, 1e-3)
     fitted = refine(problem, rival.p, rival.starts, tau=tau, max_steps=15)
     held = penalty_residual(best.problem.layout, best.p, tau)

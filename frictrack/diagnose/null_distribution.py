@@ -41,12 +41,12 @@ class Ensemble:
     def left(self) -> Array:
         """What the law leaves of coordinates at the data's own spread, (L, L)."""
         mine = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
-        return self.series.lefts[mine]
+        return self.series.residual_projectors[mine]
 
     def residuals(self) -> Float32Array:
         """What the refitted bare model leaves of the data and of every draw, (N, D)."""
         out = self.series.data.copy()
-        u, coordinates = self.law.basis.u.astype(np.float32), self.law.basis_coordinates.T @ self.series.own
+        u, coordinates = self.law.basis.u.astype(np.float32), self.law.basis_coordinates.T @ self.series.coordinates
         for columns, shrink in zip(self.series.groups, self.shrinks, strict=True):
             out[:, columns] -= u @ (shrink @ coordinates[:, columns]).astype(np.float32)
         return out

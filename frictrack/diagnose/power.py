@@ -79,7 +79,7 @@ def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> fl
 
     The middle is that of the logarithm of every scanned parameter: a line at a tenth of the highest frequency.
     """
-    family = scanned.scans[0].family
+    family = scanned.scans[0].grid
     g = _middle(family.values)
     raw = [_raw(s, family, g) for s in first.draws.law.pieces]
     unit = float(np.sqrt(np.mean(np.concatenate(raw) ** 2)))

@@ -99,7 +99,7 @@ def run_round(solution: Solution, own: Sequence[Effect], rng: np.random.Generato
     tell("trying every effect of the library")
     library, barred = list_candidates(solution, own)
     tests = run_tests(solution, draws, library)
-    data = draws.series.own[:, 0]
+    data = draws.series.coordinates[:, 0]
     tell("refining what stands out")
     trials = [try_effect(draws.law, s.effect, s.scans, data) for s in _standing(tests)]
     found = _simulated(draws.law, solution, deepen_trials(draws.law, trials), tests.p)
@@ -321,7 +321,7 @@ def _alternatives(
     """
     law = linearise(rest)
     series = measured_series(law)
-    data: Array = series.own[:, 0]
+    data: Array = series.coordinates[:, 0]
     trials = []
     for effect in filter(which, list_candidates(rest, own)[0]):
         e = old.effect if effect.kind == old.effect.kind else effect

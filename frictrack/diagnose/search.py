@@ -112,7 +112,7 @@ def diagnose(
             notify(MAX_ROUNDS, MAX_ROUNDS, "diagnosed")
             return replace(diagnosis, remarks=[*diagnosis.remarks, *filter(None, [remark])])
     # the tests work on the displacement, whatever domain or search the fit used
-    start = fit.solution if fit.route.plain else refine_to_end(fit.solution)
+    start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
     start, omitted = (measured_friction.weight_by_noise(start)[0], "") if fit.measured else subsample_pieces(start)
     start, remark = (start, "") if fit.measured else subsample_frames(start)
     found = _search(fit, start, (own, auxiliary), (np.random.default_rng(seed), notify))
@@ -415,7 +415,7 @@ def _limits(first: Round) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str
     for s in first.tests.scanned:
         limits[s.effect.name], curve = detection_limit(s, first.draws, first.tests.critical)
         if len(s.scans) == 1:
-            curve["rise"] = s.scans[0].rises
+            curve["rise"] = s.scans[0].gains
         curves[s.effect.name] = curve
     return limits, curves
 

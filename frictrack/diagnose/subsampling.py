@@ -24,7 +24,7 @@ def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
     if len(pieces) <= MAX_PIECES:
         return solution, ""
     kept = _spread(pieces)
-    problem = solution.problem.over(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
+    problem = solution.problem.rebuild(_coarser(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
     some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
     return some, (
@@ -44,7 +44,7 @@ def subsample_frames(solution: Solution) -> tuple[Solution, str]:
     pieces = [_every(p, every) for p in solution.problem.pieces]
     layout = solution.problem.layout
     coarse = replace(layout, spans=tuple(replace(s, fps=s.fps / every) for s in layout.spans))
-    problem = solution.problem.over(coarse, pieces)
+    problem = solution.problem.rebuild(coarse, pieces)
     held = np.zeros(len(solution.p), dtype=bool)
     some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
     return some, (

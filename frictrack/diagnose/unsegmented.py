@@ -23,7 +23,7 @@ def join_segments(fit: Fit) -> Solution | None:
     fine = max(e.fine for e in old.model.effects)
     sections = sections_of(fit.runs, fit.reference, through_reversals=old.model.turns)
     pieces = [p.refined(fine) for own in sections for p in own]
-    problem = old.over(old.layout, pieces)
+    problem = old.rebuild(old.layout, pieces)
     try:
         solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
     except FrictrackError:

@@ -181,7 +181,7 @@ def _standing(
 ) -> FitOutcome:
     """A law that is known, by whatever route it was found. `where` holds starts and the spread of the levels."""
     route, optima = how
-    if route.plain:
+    if route.is_default:
         return FitOutcome(refine(problem, p, where[0], tau=where[1], max_steps=1))
     return outcome_at(problem, p, where, runs, route, optima)
 

@@ -62,8 +62,8 @@ def _width(solution: Solution, covariance: Array, effect: Effect, run: int) -> t
 
 
 def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: tuple[int, str]) -> dict[str, Any]:
-    (index, run), known = where, estimates.parameters
-    impulse, time = known[f"{effect.name}.J[{run}]"], known[f"{effect.name}.time[{run}]"]
+    (index, run), parameters = where, estimates.parameters
+    impulse, time = parameters[f"{effect.name}.J[{run}]"], parameters[f"{effect.name}.time[{run}]"]
     width, std = _width(solution, estimates.covariance, effect, index)
     resolved = std <= MAX_RELATIVE_STD * width
     return {
@@ -78,13 +78,15 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, where: 
         "width_at_most_s": max_width(width, std),
         "resolved": resolved,
         "words": _width_remark(
-            width, std, faint=not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf)
+            width,
+            std,
+            insignificant=not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf),
         ),
     }
 
 
-def _width_remark(width: float, std: float, *, faint: bool) -> str:
-    if faint:
+def _width_remark(width: float, std: float, *, insignificant: bool) -> str:
+    if insignificant:
         return "no blow is told from none in this run"
     if std <= MAX_RELATIVE_STD * width:
         return "its width is resolved"

@@ -32,11 +32,11 @@ from frictrack.records import Array, Run
 class ForceResponse(PieceResponse):
     """A response seen through the chain; `plain` is the displacement's own."""
 
-    plain: PieceResponse
+    displacement: PieceResponse
 
     def start_step(self, step: Array) -> Array:
         """Change of (x0, v0) that the displacement asks for."""
-        return self.plain.start_step(step)
+        return self.displacement.start_step(step)
 
 
 class ForceProblem(LeastSquaresProblem):
@@ -48,10 +48,10 @@ class ForceProblem(LeastSquaresProblem):
         self.noise = acceleration_noise(chains)
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        plain = super()._respond(i, p, start)
-        both = plain.piece.coloured(np.column_stack([plain.jac, plain.r]))
-        filtered = self.chains[i].apply(both) / self.noise
-        known = {name: getattr(plain, name) for name in PieceResponse.__dataclass_fields__}
+        displacement = super()._respond(i, p, start)
+        columns = displacement.piece.coloured(np.column_stack([displacement.jac, displacement.r]))
+        filtered = self.chains[i].apply(columns) / self.noise
+        known = {name: getattr(displacement, name) for name in PieceResponse.__dataclass_fields__}
         return ForceResponse(
             **known
             | {
@@ -59,7 +59,7 @@ class ForceProblem(LeastSquaresProblem):
                 "r": filtered[:, -1],
                 "r_full": filtered[:, -1],
             },
-            plain=plain,
+            displacement=displacement,
         )
 
     def noise_in(self, responses: Sequence[PieceResponse], columns: Array) -> Array:

@@ -75,7 +75,7 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
     law = _BoundModel(without_mass(solution.problem.model), values, piece, _conditions(piece, run, level))
     try:
         start = law.first_state(level) if run.drive is not None else _fitted_start(solution, index, law, level)
-        return FreeRun(piece.t, piece.y, law.follow(start, len(piece.t)))
+        return FreeRun(piece.t, piece.y, law.simulate(start, len(piece.t)))
     except FrictrackError:
         return None
 
@@ -86,10 +86,10 @@ def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dic
     if not found or len(known) < len(found):
         rms = relative = None
     else:
-        left = np.concatenate([f.y - f.x for f in known])
+        residual = np.concatenate([f.y - f.x for f in known])
         moved = np.concatenate([f.y - np.mean(f.y) for f in known])
-        rms = 1e6 * float(np.sqrt(np.mean(left**2)))
-        relative = float(np.linalg.norm(left) / max(float(np.linalg.norm(moved)), 1e-30))
+        rms = 1e6 * float(np.sqrt(np.mean(residual**2)))
+        relative = float(np.linalg.norm(residual) / max(float(np.linalg.norm(moved)), 1e-30))
     out: dict[str, Any] = {"free_run_rms_um": rms, "free_run_relative": relative}
     return out if role is None else out | {"free_run": role if found else None}
 
@@ -103,13 +103,13 @@ class _BoundModel:
     piece: Piece
     conditions: Conditions
 
-    def follow(self, start: Start, frames: int) -> Array:
+    def simulate(self, start: Start, frames: int) -> Array:
         """Displacement (n,) at the first frames."""
         within = RELATIVE_TOLERANCE * float(np.std(self.piece.y))
         t = self.piece.t[:frames]
         return simulate_displacement(self.model, self.values, self.conditions, t, start, within)
 
-    def remembered(self, level: float) -> dict[str, Array]:
+    def initial_states(self, level: float) -> dict[str, Array]:
         """What the law remembers at the first frame, as far as the motion before tells."""
         if not self.model.memory:
             return {}
@@ -123,12 +123,12 @@ class _BoundModel:
         piece = self.piece
         frames = int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES))
         frames = min(frames, len(piece.t))
-        begun = piece.first(frames)
-        rests = piece.path.s[0] == 0
-        states = {} if rests else self.remembered(level)
+        first_frames = piece.first(frames)
+        starts_at_rest = piece.path.s[0] == 0
+        states = {} if starts_at_rest else self.initial_states(level)
         names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
-        first = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *(states[n][0, k] for n, k in names)])
-        free = np.arange(len(first)) != 1 if rests else np.ones(len(first), dtype=bool)
+        first = np.array([piece.y[0], 0.0 if starts_at_rest else piece.v_hat[0], *(states[n][0, k] for n, k in names)])
+        free = np.arange(len(first)) != 1 if starts_at_rest else np.ones(len(first), dtype=bool)
 
         def start(theta: Array) -> Start:
             own = {name: state.copy() for name, state in states.items()}
@@ -136,29 +136,29 @@ class _BoundModel:
                 own[name][0, k] = value
             return Start(float(theta[0]), float(theta[1]), own)
 
-        def left(theta: Array) -> Array:
-            return begun.whitened(begun.y - self.follow(start(theta), frames))
+        def residual(theta: Array) -> Array:
+            return first_frames.whitened(first_frames.y - self.simulate(start(theta), frames))
 
-        return start(_least_squares(left, first, free, _scales(piece, states, frames)))
+        return start(_gauss_newton(residual, first, free, _scales(piece, states, frames)))
 
 
 def _scales(piece: Piece, states: dict[str, Array], frames: int) -> Array:
     """Sizes of the numbers of a first state, for differences."""
-    place, speed = (float(np.ptp(q[: 3 * frames * piece.per_frame])) for q in (piece.x_hat, piece.v_hat))
-    kept = [max(abs(float(q)), 1e-3 * place) for state in states.values() for q in state[0]]
-    return np.array([place, max(speed, abs(float(piece.v_hat[0]))), *kept]) + 1e-12
+    travel, speed = (float(np.ptp(q[: 3 * frames * piece.per_frame])) for q in (piece.x_hat, piece.v_hat))
+    state_scales = [max(abs(float(q)), 1e-3 * travel) for state in states.values() for q in state[0]]
+    return np.array([travel, max(speed, abs(float(piece.v_hat[0]))), *state_scales]) + 1e-12
 
 
-def _least_squares(left: Callable[[Array], Array], first: Array, free: Array, scales: Array) -> Array:
+def _gauss_newton(residual: Callable[[Array], Array], first: Array, free: Array, scales: Array) -> Array:
     """Gauss-Newton from a first guess (k,) for the numbers that are free; a step that does not help is halved."""
-    theta, r = first, left(first)
-    moving = np.flatnonzero(free).tolist()
+    theta, r = first, residual(first)
+    free_indices = np.flatnonzero(free).tolist()
     for _ in range(MAX_STEPS):
-        jac = np.stack([(left(_shifted(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in moving], axis=1)
+        jac = np.stack([(residual(_shifted(theta, i, 1e-4 * scales[i])) - r) / 1e-4 for i in free_indices], axis=1)
         step = np.zeros(len(theta))
-        step[moving] = -np.linalg.lstsq(jac, r, rcond=MIN_SINGULAR_VALUE)[0] * scales[moving]
+        step[free_indices] = -np.linalg.lstsq(jac, r, rcond=MIN_SINGULAR_VALUE)[0] * scales[free_indices]
         for _ in range(MAX_STEPS):
-            trial = left(theta + step)
+            trial = residual(theta + step)
             if trial @ trial <= r @ r:
                 break
             step /= 2
@@ -180,7 +180,7 @@ def _fitted_start(solution: Solution, index: int, law: _BoundModel, level: float
     """The state that was fitted at the first frame of a run without a drive."""
     pairs = zip(solution.problem.pieces, solution.starts, strict=True)
     x, v = next(start for piece, start in pairs if piece.run == index)
-    return Start(float(x), float(v), law.remembered(level))
+    return Start(float(x), float(v), law.initial_states(level))
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:

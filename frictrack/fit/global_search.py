@@ -57,7 +57,7 @@ def search_parameters(
     layout = misfit.layout
     names = [layout.names[i] for i in misfit.searched]
 
-    def told(generation: int, x: Array, cost: float) -> bool | None:
+    def report_best(generation: int, x: Array, cost: float) -> bool | None:
         return callback(generation, dict(zip(names, map(float, x), strict=True)), cost) if callback else None
 
     result = minimise(
@@ -66,14 +66,14 @@ def search_parameters(
         method=method,
         rng=rng,
         max_evaluations=MAX_EVALUATIONS,
-        callback=told if callback else None,
+        callback=report_best if callback else None,
         **(search_settings(method, len(misfit.searched)) if isinstance(misfit, ReducedPopulationMisfit) else {}),
     )
-    whole = PopulationMisfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
-    laws = misfit.law(result.optima)
-    costs, levels = whole.evaluate(laws[:, whole.searched])
+    full_misfit = PopulationMisfit(layout, misfit.blocks, tau=misfit.tau, unit=misfit.unit)
+    candidates = misfit.law(result.optima)
+    costs, levels = full_misfit.evaluate(candidates[:, full_misfit.searched])
     points = np.tile(known, (len(levels), 1))
-    points[:, whole.searched] = laws[:, whole.searched]
+    points[:, full_misfit.searched] = candidates[:, full_misfit.searched]
     for run, i in enumerate(layout.levels):
         points[:, i] = levels[:, run]
     order = np.argsort(costs, kind="stable")
@@ -122,10 +122,10 @@ def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
     what makes such a force along the measured motion; phases from -pi to pi; frequencies as far as they are scanned, in
     the force domain up to twice the cut-off.
     """
-    reach = _DataRange(misfit.layout, misfit.blocks)
+    data_range = _DataRange(misfit.layout, misfit.blocks)
     layout = misfit.layout
     effects = {e.name: e for e in layout.model.effects}
-    return np.array([reach.interval(effects[s.effect], s) for s in (layout.slots[i] for i in misfit.searched)])
+    return np.array([data_range.interval(effects[s.effect], s) for s in (layout.slots[i] for i in misfit.searched)])
 
 
 class _DataRange:
@@ -136,8 +136,8 @@ class _DataRange:
         self.highest = max(b.highest for b in blocks)
         force = np.concatenate([b.friction[len(b.friction) // 8 : -(len(b.friction) // 8)] for b in blocks])
         low, high = np.percentile(force, [1, 99])
-        self.top = FORCE_RANGE_FACTOR * max(abs(low), abs(high))
-        self.swing = float(high - low)
+        self.max_force = FORCE_RANGE_FACTOR * max(abs(low), abs(high))
+        self.force_range = float(high - low)
 
     def interval(self, effect: Effect, slot: Slot) -> tuple[float, float]:
         """Bounds of one unknown."""
@@ -156,13 +156,15 @@ class _DataRange:
         if not parameter.linear:
             return np.pi
         if effect.acts_on == "force" and parameter.unit == "N":
-            return self.swing if _is_wave(effect, parameter) else self.top
-        usual = {q.name: q.fixed or (float(np.median(q.scan(self.span))) if q.scan else 0.5) for q in effect.nonlinear}
+            return self.force_range if _is_wave(effect, parameter) else self.max_force
+        typical_values = {
+            q.name: q.fixed or (float(np.median(q.scan(self.span))) if q.scan else 0.5) for q in effect.nonlinear
+        }
         place = effect.linear.index(parameter)
-        column = np.concatenate([effect.columns(b.path, usual)[:, place] for b in self.blocks])
+        column = np.concatenate([effect.columns(b.path, typical_values)[:, place] for b in self.blocks])
         travel = max(float(np.ptp(b.path.x)) for b in self.blocks)
-        aim = self.top if effect.acts_on == "force" else MAX_SHIFT_SHARE * travel
-        return aim / max(float(np.sqrt(np.mean(column**2))), 1e-12)
+        target = self.max_force if effect.acts_on == "force" else MAX_SHIFT_SHARE * travel
+        return target / max(float(np.sqrt(np.mean(column**2))), 1e-12)
 
 
 def _is_wave(effect: Effect, parameter: Parameter) -> bool:

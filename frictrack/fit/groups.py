@@ -51,39 +51,41 @@ class GroupFits:
     @property
     def errors(self) -> dict[str, Any]:
         """Errors over all fitted runs; the held-out error is the root mean square over the frames of all groups."""
-        each = list(self.fits.values())
-        frames = np.array([f.solution.problem.n_frames for f in each], dtype=float)
+        group_fits = list(self.fits.values())
+        frames = np.array([f.solution.problem.n_frames for f in group_fits], dtype=float)
         share = frames / frames.sum()
-        ways = {f.heldout[1] for f in each}
-        heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in each]) ** 2))
-        by_cell = each[0].measured
+        ways = {f.heldout[1] for f in group_fits}
+        heldout = float(np.sqrt(share @ np.array([f.heldout[0] for f in group_fits]) ** 2))
+        measured = group_fits[0].measured
         return self._errors() | {
-            "heldout_rms_um": None if by_cell else 1e6 * heldout,
-            "heldout_rms_N": heldout if by_cell else None,
+            "heldout_rms_um": None if measured else 1e6 * heldout,
+            "heldout_rms_N": heldout if measured else None,
             "heldout": "run" if ways == {"run"} else "frames",
-            "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in each])),
-            **free_errors([r for f in each for r in f.free_runs.values()], each[0].errors["free_run"]),
+            "reduced_chi2": float(share @ np.array([f.reduced_chi2 for f in group_fits])),
+            **free_errors([r for f in group_fits for r in f.free_runs.values()], group_fits[0].errors["free_run"]),
         }
 
     def _errors(self) -> dict[str, Any]:
-        each = list(self.fits.values())
-        if each[0].measured:
-            return measured_friction.errors_of([r for f in each for r in f.solution.responses])
+        group_fits = list(self.fits.values())
+        if group_fits[0].measured:
+            return measured_friction.errors_of([r for f in group_fits for r in f.solution.responses])
         return errors_of([c for c in self.curves if c.role == "fit"], self.weighed)
 
     def summary(self) -> dict[str, Any]:
         """The JSON of `frictrack fit --per group`: the same keys, parameters as `coulomb.F_c[low]`."""
-        each = {name: f.summary() for name, f in self.fits.items()}
-        first = next(iter(each.values()))
+        group_fits = {name: f.summary() for name, f in self.fits.items()}
+        first = next(iter(group_fits.values()))
         return {key: first[key] for key in ("model", "domain", "search")} | {
             "per": "group",
-            "parameters": {f"{k}[{g}]": v for g, s in each.items() for k, v in s["parameters"].items()},
-            "friction_scatter": {g: s["friction_scatter"] for g, s in each.items()},
-            "correlations": [[f"{a}[{g}]", f"{b}[{g}]", r] for g, s in each.items() for a, b, r in s["correlations"]],
-            "remarks": [f"{g}: {line}" for g, s in each.items() for line in s["remarks"]],
+            "parameters": {f"{k}[{g}]": v for g, s in group_fits.items() for k, v in s["parameters"].items()},
+            "friction_scatter": {g: s["friction_scatter"] for g, s in group_fits.items()},
+            "correlations": [
+                [f"{a}[{g}]", f"{b}[{g}]", r] for g, s in group_fits.items() for a, b, r in s["correlations"]
+            ],
+            "remarks": [f"{g}: {line}" for g, s in group_fits.items() for line in s["remarks"]],
             "errors": self.errors,
-            "per_run": [row | {"group": g} for g, s in each.items() for row in s["per_run"]],
-            "collisions": [told | {"group": g} for g, s in each.items() for told in s["collisions"]],
+            "per_run": [row | {"group": g} for g, s in group_fits.items() for row in s["per_run"]],
+            "collisions": [collision | {"group": g} for g, s in group_fits.items() for collision in s["collisions"]],
         }
 
 
@@ -92,10 +94,10 @@ def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
     Raises FrictrackError (usage) when a run has none.
     """
-    lost = [r.name for r in runs if not r.group]
-    if lost:
+    ungrouped = [r.name for r in runs if not r.group]
+    if ungrouped:
         raise FrictrackError(
-            f"per group: expected every run to have a group but {', '.join(lost)} has none; give it "
+            f"per group: expected every run to have a group but {', '.join(ungrouped)} has none; give it "
             'group = "low", for example',
             usage=True,
         )

@@ -57,9 +57,14 @@ def modelled_motion(
         Motion and bands of every run, validation runs last.
 
     """
-    motions = [_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
-    for own, run in validation:
-        motions.append(replace(_motion(own, _predicted(solution, covariance, own), 0, run), role="validation"))
+    motions = [_run_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
+    for inverse_upper, run in validation:
+        motions.append(
+            replace(
+                _run_motion(inverse_upper, _predicted_covariance(solution, covariance, inverse_upper), 0, run),
+                role="validation",
+            )
+        )
     return tuple(motions)
 
 
@@ -73,49 +78,56 @@ def covariance_at_fitted_scatter(solution: Solution) -> Array:
     return inverse_normal_matrix(np.vstack([solution.jac, held]))[0]
 
 
-def _predicted(fitted: Solution, covariance: Array, solution: Solution) -> Array:
+def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solution) -> Array:
     """Covariance of the unknowns under which a validation run is predicted: shared ones from the fit, its own free."""
     theirs, mine = fitted.problem.layout.slots, solution.problem.layout.slots
     shared = {(s.effect, s.parameter): i for i, s in enumerate(theirs) if s.run is None}
     common = [i for i, s in enumerate(mine) if s.run is None]
-    own = [i for i, s in enumerate(mine) if s.run is not None]
+    inverse_upper = [i for i, s in enumerate(mine) if s.run is not None]
     at = [shared[mine[i].effect, mine[i].parameter] for i in common]
     known, jac = covariance[np.ix_(at, at)], solution.jac
     free = np.zeros((len(mine), len(mine)))
     free[np.ix_(common, common)] = known
-    if own:
-        own_covariance, _ = inverse_normal_matrix(jac[:, own])
-        follow = -own_covariance @ jac[:, own].T @ jac[:, common]
-        free[np.ix_(own, common)] = follow @ known
-        free[np.ix_(common, own)] = free[np.ix_(own, common)].T
-        free[np.ix_(own, own)] = own_covariance + follow @ known @ follow.T
+    if inverse_upper:
+        own_covariance, _ = inverse_normal_matrix(jac[:, inverse_upper])
+        follow = -own_covariance @ jac[:, inverse_upper].T @ jac[:, common]
+        free[np.ix_(inverse_upper, common)] = follow @ known
+        free[np.ix_(common, inverse_upper)] = free[np.ix_(inverse_upper, common)].T
+        free[np.ix_(inverse_upper, inverse_upper)] = own_covariance + follow @ known @ follow.T
     return free
 
 
-def _motion(solution: Solution, covariance: Array, index: int, run: Run) -> ModelledMotion:
+def _run_motion(solution: Solution, covariance: Array, index: int, run: Run) -> ModelledMotion:
     """One run under a law whose unknowns have a covariance (P, P); its stretches one after the other."""
     mine = [r for r in solution.responses if r.piece.run == index]
-    lacks = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
-    parts = [_stretch(solution, covariance, r, lack) for r, lack in zip(mine, lacks, strict=True)]
+    unmodelled_parts = [unmodelled_motion(r, run, ALPHA_UNMODELLED / len(mine)) for r in mine]
+    parts = [
+        _segment_motion(solution, covariance, r, unmodelled)
+        for r, unmodelled in zip(mine, unmodelled_parts, strict=True)
+    ]
     parts = [replace(part, segment=part.segment + i) for i, part in enumerate(parts)]
     columns = [f.name for f in fields(ModelledMotion) if f.metadata.get("column")]
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-    once = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
+    unique_frames = np.unique(whole["t"], return_index=True)[1]  # segments meet in a frame
     whole["t"] = run.displacement.t[np.concatenate([r.piece.frames for r in mine])]
     return ModelledMotion(
-        **{name: column[once] for name, column in whole.items()}, run=run.name, notes=_unmodelled_notes(lacks)
+        **{name: column[unique_frames] for name, column in whole.items()},
+        run=run.name,
+        notes=_unmodelled_notes(unmodelled_parts),
     )
 
 
-def _stretch(solution: Solution, covariance: Array, response: PieceResponse, lack: UnmodelledMotion) -> ModelledMotion:
+def _segment_motion(
+    solution: Solution, covariance: Array, response: PieceResponse, unmodelled: UnmodelledMotion
+) -> ModelledMotion:
     piece = response.piece
     x, v = response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
     force, a = _motion_function(solution, response)(solution.p, x, v)
     sigma = np.array(
         [np.sqrt(np.sum(m**2, axis=1)) for m in _independent_changes(solution, covariance, response, x, v)]
     )
-    gone = np.array([*lack.rms, lack.rms[2] * piece.mass])
-    sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(lack.factor * sigma, gone[:, None])
+    unmodelled_rms = np.array([*unmodelled.rms, unmodelled.rms[2] * piece.mass])
+    sigma_x, sigma_v, sigma_a, sigma_F = np.hypot(unmodelled.factor * sigma, unmodelled_rms[:, None])
     return ModelledMotion(
         t=piece.t,
         x=x,
@@ -140,13 +152,13 @@ def _motion_function(solution: Solution, response: PieceResponse) -> MotionFunct
     known = make_interp_spline(piece.panels.t, piece.known, k=1)(piece.t)  # the first frame lies before the first node
     friction = without_mass(problem.model)
 
-    def told(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
+    def force_and_acceleration(p: Array, x: Array, v: Array) -> tuple[Array, Array]:
         values, level = problem.layout.values(p, piece.run)
         path = piece.at_frames(x, v, level)
         force = friction.force(path, values) / mass_ratio(problem.layout, p)
         return force, known - problem.model.force(path, values) / piece.mass
 
-    return told
+    return force_and_acceleration
 
 
 def _independent_changes(
@@ -158,17 +170,19 @@ def _independent_changes(
     """
     piece, active, p = response.piece, response.active, solution.p
     n = len(active)
-    own = np.linalg.inv(response.upper)
-    half = _square_root(covariance[np.ix_(active, active)])
-    moves = np.block([[half, np.zeros((n, 2))], [-own @ response.on_start @ half, own]])
-    moved = solution.problem.moved(piece, p, response.motion, response.linear)
-    dx, dv = (moved @ moves).transpose(1, 0, 2)
+    inverse_upper = np.linalg.inv(response.upper)
+    root = _square_root(covariance[np.ix_(active, active)])
+    parameter_moves = np.block([[root, np.zeros((n, 2))], [-inverse_upper @ response.on_start @ root, inverse_upper]])
+    moved = solution.problem.motion_sensitivities(piece, p, response.motion, response.linear)
+    dx, dv = (moved @ parameter_moves).transpose(1, 0, 2)
     unknown = np.zeros((len(p), n + 2))
-    unknown[active] = moves[:n]
-    told = _motion_function(solution, response)
+    unknown[active] = parameter_moves[:n]
+    force_and_acceleration = _motion_function(solution, response)
     changes = []
     for u, ex, ev in zip(unknown.T, dx.T, dv.T, strict=True):
-        after, before = (told(p + h * u, x + h * ex, v + h * ev) for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP))
+        after, before = (
+            force_and_acceleration(p + h * u, x + h * ex, v + h * ev) for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP)
+        )
         changes.append((np.array(after) - np.array(before)) / (2 * DIFFERENCE_STEP))
     force, a = np.array(changes).transpose(1, 2, 0)
     return [dx, dv, a, force]
@@ -176,9 +190,9 @@ def _independent_changes(
 
 def _square_root(covariance: Array) -> Array:
     """A square root (n, n) of a covariance whose unknowns may differ in size by many powers of ten."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    value, vector = np.linalg.eigh(covariance / size[:, None] / size)
-    return np.asarray(size[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
+    power_beyond_noise = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    value, vector = np.linalg.eigh(covariance / power_beyond_noise[:, None] / power_beyond_noise)
+    return np.asarray(power_beyond_noise[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -199,28 +213,28 @@ def unmodelled_motion(response: PieceResponse, run: Run, alarms: float = ALPHA_U
     piece = response.piece
     n = len(piece.t)
     z = dct(piece.whitened(piece.y - response.model_y), norm="ortho")
-    seen = np.abs(z) > ndtri(1 - alarms / (2 * n))
+    significant = np.abs(z) > ndtri(1 - alarms / (2 * n))
     power = float(np.mean(z**2))
     level = noise_level(run.displacement.x, run.displacement.valid)[1]
-    clear = power > 1 + EXCESS_STD * float(np.sqrt(2 / n + (2 * level) ** 2))
-    if not (clear or np.any(seen)):
+    excessive = power > 1 + EXCESS_STD * float(np.sqrt(2 / n + (2 * level) ** 2))
+    if not (excessive or np.any(significant)):
         return UnmodelledMotion()
     omega = np.pi * np.arange(n) / (piece.t[-1] - piece.t[0]) * (n - 1) / n
-    size = np.where(seen, z**2 - 1, 0.0) / n * np.mean(piece.noise**2)
-    x, v, a = (float(np.sqrt(size @ omega**k)) for k in (0, 2, 4))
-    most = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
-    rest = float(np.mean(z[~seen] ** 2)) if clear and not np.all(seen) else 1.0
-    return UnmodelledMotion((x, v, a), max(1.0, float(np.sqrt(rest))), most)
+    power_beyond_noise = np.where(significant, z**2 - 1, 0.0) / n * np.mean(piece.noise**2)
+    x, v, a = (float(np.sqrt(power_beyond_noise @ omega**k)) for k in (0, 2, 4))
+    peak_frequency = omega[int(np.argmax(np.abs(z)))] / (2 * np.pi)
+    remaining = float(np.mean(z[~significant] ** 2)) if excessive and not np.all(significant) else 1.0
+    return UnmodelledMotion((x, v, a), max(1.0, float(np.sqrt(remaining))), peak_frequency)
 
 
-def _unmodelled_notes(lacks: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
+def _unmodelled_notes(unmodelled_parts: Sequence[UnmodelledMotion]) -> tuple[str, ...]:
     """In words what a run's stretches miss: that of the worst one."""
-    found = [lack for lack in lacks if lack.hertz is not None]
+    found = [unmodelled for unmodelled in unmodelled_parts if unmodelled.hertz is not None]
     if not found:
         return ()
-    x, _, a = max(found, key=lambda lack: lack.rms[2]).rms
-    hertz = max(found, key=lambda lack: lack.rms[2]).hertz
-    where = f" in {len(found)} of {len(lacks)} segments" if len(lacks) > 1 else ""
+    x, _, a = max(found, key=lambda unmodelled: unmodelled.rms[2]).rms
+    hertz = max(found, key=lambda unmodelled: unmodelled.rms[2]).hertz
+    where = f" in {len(found)} of {len(unmodelled_parts)} segments" if len(unmodelled_parts) > 1 else ""
     return (
         f"the model misses something{where}: its residual shows {1e6 * x:.2g} µm beyond the noise, most near "
         f"{hertz:.0f} Hz, which is {a:.2g} m/s² rms; the bands hold only if nothing faster is missing, and at single "

@@ -30,10 +30,10 @@ def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
     p = _start_unknowns(solution, layout)
     free = np.array([s.run is not None for s in layout.slots], dtype=bool)
     if is_measured_friction(old):
-        problem = old.over(layout, friction_pieces([run], reference.load))
-        return refine(problem, _in_phase(problem, p), problem.first_starts(), free=free)
+        problem = old.rebuild(layout, friction_pieces([run], reference.load))
+        return refine(problem, _with_best_phases(problem, p), problem.first_starts(), free=free)
     problem = LeastSquaresProblem(old.model, layout, _pieces(solution, run, reference))
-    return refit_until_stop(refine(problem, _in_phase(problem, p), problem.first_starts(), free=free), free)
+    return refit_until_stop(refine(problem, _with_best_phases(problem, p), problem.first_starts(), free=free), free)
 
 
 def _is_event(effect: Effect) -> bool:
@@ -56,11 +56,11 @@ def _start_unknowns(solution: Solution, layout: ParameterLayout) -> Array:
     return np.array([np.mean(values[s.effect, s.parameter]) for s in layout.slots])
 
 
-def _in_phase(problem: LeastSquaresProblem, p: Array) -> Array:
+def _with_best_phases(problem: LeastSquaresProblem, p: Array) -> Array:
     """Unknowns (P,) with every phase of the run's own at the quarter turn that suits the run best."""
     for i in np.flatnonzero(_phases(problem.layout)):
-        tried = [np.where(np.arange(len(p)) == i, turn, p) for turn in TRIED_PHASES]
-        p = tried[int(np.argmin([_misfit(problem, q) for q in tried]))]
+        candidates = [np.where(np.arange(len(p)) == i, phase, p) for phase in TRIED_PHASES]
+        p = candidates[int(np.argmin([_misfit(problem, q) for q in candidates]))]
     return p
 
 

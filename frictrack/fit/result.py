@@ -59,7 +59,7 @@ class Fit:
     @property
     def is_default_route(self) -> bool:
         """Whether variable projection fitted the displacement."""
-        return self.route.plain
+        return self.route.is_default
 
     @property
     def domain(self) -> str:
@@ -105,7 +105,7 @@ class Fit:
     @cached_property
     def misfit(self) -> Misfit | None:
         """The force that the law misses, as far as it bears on the parameters; None where noise explains all."""
-        if not (self.route.plain or self.measured):
+        if not (self.route.is_default or self.measured):
             return None
         return misfit_of(self.solution)
 
@@ -115,7 +115,7 @@ class Fit:
             return linear_estimates(self.solution, measured_friction.block_covariance(self.solution))
         return (
             estimate_parameters(self.solution)
-            if self.route.plain
+            if self.route.is_default
             else linear_estimates(self.found.force or self.solution)
         )
 
@@ -134,7 +134,7 @@ class Fit:
         """Held-out root mean square, m (N where friction itself was measured), and how it was held out."""
         if self.measured:
             return measured_friction.heldout_rms(self.solution)
-        if self.route.plain:
+        if self.route.is_default:
             return heldout_rms(self.solution)
         return routes.heldout_rms(self.found, self.runs, self.route)
 

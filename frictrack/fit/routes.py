@@ -19,7 +19,7 @@ from frictrack.search import METHODS
 
 DOMAINS = ("displacement", "force")
 SEARCHES = ("varpro", *METHODS)
-OVER = ("all", "nonlinear")
+SEARCH_SPACES = ("all", "nonlinear")
 BLOCK_PERIODS = 2.0  # of the cut-off: length of the blocks that are held out within a run
 
 
@@ -33,7 +33,7 @@ class Route:
     over: str = "all"
 
     @property
-    def plain(self) -> bool:
+    def is_default(self) -> bool:
         """Variable projection of the displacement, the default."""
         return (self.domain, self.search) == ("displacement", "varpro")
 
@@ -54,17 +54,17 @@ class FitOutcome:
 
 def check_route(domain: str, search: str, per: str | None = None, over: str = "all") -> None:
     """Raise FrictrackError (usage) for an unknown domain, search, division or extent, with the nearest right one."""
-    asked_for = (
+    arguments = (
         ("domain", domain, DOMAINS),
         ("search", search, SEARCHES),
         ("per", per, ("group",)),
-        ("over", over, OVER),
+        ("over", over, SEARCH_SPACES),
     )
-    for what, asked, known in asked_for:
+    for what, asked, known in arguments:
         if asked is not None and asked not in known:
-            near = get_close_matches(asked.lower(), known, 1, 0.0)[0]
+            closest = get_close_matches(asked.lower(), known, 1, 0.0)[0]
             raise FrictrackError(
-                f'expected a {what} among {", ".join(known)} but got "{asked}"; did you mean {near}?', usage=True
+                f'expected a {what} among {", ".join(known)} but got "{asked}"; did you mean {closest}?', usage=True
             )
     if over != "all" and search == "varpro":
         raise FrictrackError(
@@ -97,13 +97,13 @@ def fit_in_force_domain(solution: Solution, runs: Sequence[Run]) -> FitOutcome:
 def outcome_at(
     problem: LeastSquaresProblem,
     p: Array,
-    where: tuple[Sequence[Array], float],
+    starts_and_scatter: tuple[Sequence[Array], float],
     runs: Sequence[Run],
     route: Route,
     optima: tuple[Array, Array],
 ) -> FitOutcome:
     """A law that is known: only its starts are fitted. `where` holds starts and spread of the levels."""
-    solution = fit_starts(problem, p, *where)
+    solution = fit_starts(problem, p, *starts_and_scatter)
     force = linearise_in_force_domain(solution, runs) if route.domain == "force" else None
     return FitOutcome(solution, force, *optima)
 
@@ -126,13 +126,13 @@ def heldout_rms(found: FitOutcome, runs: Sequence[Run], route: Route) -> tuple[f
 
 def _residuals_of_blocks(found: FitOutcome, runs: Sequence[Run], route: Route) -> Array:
     problem = found.solution.problem
-    hidden = [_other_blocks(p, runs[p.run]) for p in problem.pieces]
+    hidden = [_alternate_blocks(p, runs[p.run]) for p in problem.pieces]
     pieces = [_with_hidden_frames(p, h) for p, h in zip(problem.pieces, hidden, strict=True)]
     half = LeastSquaresProblem(problem.model, problem.layout, pieces)
     chains = None
     if route.domain == "force":
         chains = [c.only(~h) for c, h in zip(acceleration_chains(runs, problem.pieces), hidden, strict=True)]
-    p = _searched_again(half, chains, found, route, range(len(pieces)))
+    p = _search_again(half, chains, found, route, range(len(pieces)))
     held = fit_starts(half, p, found.solution.starts, found.solution.tau)
     return np.concatenate([(r.piece.y - r.model_y)[h] for r, h in zip(held.responses, hidden, strict=True)])
 
@@ -144,7 +144,7 @@ def _residuals_left_out(found: FitOutcome, runs: Sequence[Run], route: Route, fo
     rest = [i for i, p in enumerate(problem.pieces) if p.run not in fold]
     others = LeastSquaresProblem(problem.model, problem.layout, [problem.pieces[i] for i in rest])
     chains = acceleration_chains(runs, others.pieces) if route.domain == "force" else None
-    p = _searched_again(others, chains, found, route, rest)
+    p = _search_again(others, chains, found, route, rest)
     hidden = [np.arange(len(problem.pieces[i].t)) % 2 == 1 for i in mine]
     pieces = [_with_hidden_frames(problem.pieces[i], h) for i, h in zip(mine, hidden, strict=True)]
     alone = LeastSquaresProblem(problem.model, replace(problem.layout, levels_free=True), pieces)
@@ -153,7 +153,7 @@ def _residuals_left_out(found: FitOutcome, runs: Sequence[Run], route: Route, fo
     return np.concatenate([(r.piece.y - r.model_y)[h] for r, h in zip(held.responses, hidden, strict=True)])
 
 
-def _searched_again(
+def _search_again(
     problem: LeastSquaresProblem,
     chains: Sequence[AccelerationChain] | None,
     found: FitOutcome,
@@ -173,7 +173,7 @@ def _searched_again(
     return refine(ForceProblem(problem, chains), p, starts, tau=found.solution.tau or 0.03, free=free, max_steps=6).p
 
 
-def _other_blocks(piece: Piece, run: Run) -> Mask:
+def _alternate_blocks(piece: Piece, run: Run) -> Mask:
     """Every other block of frames, each longer than the filter."""
     length = max(round(BLOCK_PERIODS / (run.motion.cutoff * float(np.median(np.diff(piece.t))))), 1)
     length = min(length, max(len(piece.t) // 4, 1))

@@ -153,7 +153,7 @@ class ModelDiscrimination:
     def fitted_rival(self) -> Solution:
         """The rival fitted to what the truth predicts of the present runs."""
         rival = self.rival.solution
-        problem = rival.problem.over(rival.problem.layout, self.noise_free_pieces)
+        problem = rival.problem.rebuild(rival.problem.layout, self.noise_free_pieces)
         return refine(problem, rival.p, rival.starts, tau=max(self.truth.conservative.tau, 1e-3), max_steps=MAX_STEPS)
 
     @property
@@ -191,7 +191,7 @@ class ModelDiscrimination:
         found = refine(_LinearisedRuns(self.fitted_rival, layout, piece), p, starts, tau=tau, max_steps=MAX_STEPS)
         if found.objective > MAX_CHI2_LINEAR:
             found = refine(
-                rival.problem.over(layout, [*self.noise_free_pieces, piece]), p, starts, tau=tau, max_steps=MAX_STEPS
+                rival.problem.rebuild(layout, [*self.noise_free_pieces, piece]), p, starts, tau=tau, max_steps=MAX_STEPS
             )
         truth_layout, q = extend_layout(truth, span, design.phase)
         constraint, count = penalty_residual(truth_layout, q, tau), count_unknowns(truth_layout)
@@ -257,7 +257,7 @@ def _with_amplitude_per_run(tied: Solution, effect: str, tau: float) -> Solution
         ]
     )
     try:
-        untied = refine(tied.problem.over(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
+        untied = refine(tied.problem.rebuild(free, tied.problem.pieces), p, tied.starts, tau=tau, max_steps=MAX_STEPS)
     except FrictrackError:
         return tied
     return untied if tied.objective - untied.objective > worse else tied

@@ -60,7 +60,7 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     values_by_name = dict(zip(old.names, solution.p, strict=True))
     values_by_name |= {f"{effect.name}.h{k}": float(h) for k, h in enumerate(np.interp(knots, smooth.at, smooth.force))}
-    problem = solution.problem.over(layout, solution.problem.pieces)
+    problem = solution.problem.rebuild(layout, solution.problem.pieces)
     p = np.array([values_by_name[name] for name in layout.names])
     return refine(problem, p, solution.starts, tau=max(solution.tau, 1e-3), max_steps=MAX_STEPS)
 

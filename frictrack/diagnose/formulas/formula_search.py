@@ -133,7 +133,7 @@ class _Judge:
         )
         own = {f"{EFFECT_NAME}.{name}": value for name, value in here.items()}
         p = np.array([(there | own)[name] for name in layout.names])
-        problem = best.solution.problem.over(layout, best.solution.problem.pieces)
+        problem = best.solution.problem.rebuild(layout, best.solution.problem.pieces)
         try:
             return self.of((term,), fit_with_scatter(problem, p, best.solution.starts, best.solution.tau or 0.03))
         except FrictrackError:

@@ -31,8 +31,8 @@ STEPS_PER_LENGTH = 6  # of a refinement of one length
 def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
     """The effects that start together: all without a scan, and what bends or is bent; and those that enter later."""
     reshaped = frozenset[str]().union(*(e.modifies for e in model.effects if e.turns))
-    together = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
-    return together, [e for e in model.effects if e not in together]
+    start_effects = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
+    return start_effects, [e for e in model.effects if e not in start_effects]
 
 
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
@@ -45,15 +45,15 @@ def best_on_grid(problem: LeastSquaresProblem) -> Array:
     scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != "level"]
     points = list(product(*(_grid(problem, i) for i in scanned)))
     lengths = _lengths(problem)
-    best, least, length = np.ones(len(layout.slots)), np.inf, 0
+    best, smallest_share, length = np.ones(len(layout.slots)), np.inf, 0
     for point in points[:: -(-len(points) // MAX_SETTINGS_TRIED)]:
         p = np.where([s.effect == "level" for s in layout.slots], 1.0, 0.0)
         p[scanned] = point
         for n, columns, right in _windowed(problem, p, lengths):
-            q, left = _solve_coefficients(problem, p, columns, right)
-            share = float(left @ left) / max(float(right @ right), 1e-300)
-            if share < least:
-                best, least, length = q, share, n
+            basis_vectors, residual = _solve_coefficients(problem, p, columns, right)
+            unexplained_share = float(residual @ residual) / max(float(right @ right), 1e-300)
+            if unexplained_share < smallest_share:
+                best, smallest_share, length = basis_vectors, unexplained_share, n
     return _refined(problem, best, scanned, length) if scanned else best
 
 
@@ -68,17 +68,17 @@ def _refined(problem: LeastSquaresProblem, p: Array, scanned: list[int], length:
     low, high = (bound[scanned] for bound in problem.layout.bounds)
     scale = np.maximum(np.abs(p[scanned]), 1e-12)
 
-    def left(theta: Array) -> Array:
+    def residual(theta: Array) -> Array:
         return solved(theta)[1]
 
     def solved(theta: Array) -> tuple[Array, Array]:
-        q = p.copy()
-        q[scanned] = np.clip(theta * scale, low, high)
-        ((_, columns, right),) = _windowed(problem, q, [length])
-        return _solve_coefficients(problem, q, columns, right)
+        basis_vectors = p.copy()
+        basis_vectors[scanned] = np.clip(theta * scale, low, high)
+        ((_, columns, right),) = _windowed(problem, basis_vectors, [length])
+        return _solve_coefficients(problem, basis_vectors, columns, right)
 
     inside = np.clip(p[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
-    found = least_squares(left, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=MAX_REFINEMENTS)
+    found = least_squares(residual, inside, bounds=(low / scale, high / scale), x_scale=1.0, max_nfev=MAX_REFINEMENTS)
     return solved(found.x)[0]
 
 
@@ -101,7 +101,7 @@ def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
 def _cut_problem(problem: LeastSquaresProblem, length: int) -> LeastSquaresProblem:
     """The same problem over stretches of about so many frames."""
     pieces = [part for piece in problem.pieces for part in cut_into_segments([piece], length)]
-    return problem.over(problem.layout, pieces)
+    return problem.rebuild(problem.layout, pieces)
 
 
 def _grid(problem: LeastSquaresProblem, i: int) -> Array:
@@ -125,7 +125,7 @@ def _windowed(problem: LeastSquaresProblem, p: Array, lengths: list[int]) -> Ite
     linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
     rows = [(piece, _compared(problem, piece, p, linear)) for piece in problem.pieces]
     for n in lengths:
-        cut = np.concatenate([q for piece, white in rows for q in _unstarted(piece, white, n)])
+        cut = np.concatenate([basis_vectors for piece, white in rows for basis_vectors in _unstarted(piece, white, n)])
         yield n, cut[:, :-1], cut[:, -1]
 
 
@@ -134,22 +134,24 @@ def _unstarted(piece: Piece, white: Array, n: int) -> list[Array]:
     out = []
     start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t[0]]))
     for rows in np.array_split(np.arange(len(white)), max(1, round(len(white) / n)) if n else 1):
-        q, _ = np.linalg.qr(start[rows])
-        out.append(white[rows] - q @ (q.T @ white[rows]))
+        basis_vectors, _ = np.linalg.qr(start[rows])
+        out.append(white[rows] - basis_vectors @ (basis_vectors.T @ white[rows]))
     return out
 
 
 def _compared(problem: LeastSquaresProblem, piece: Piece, p: Array, linear: list[int]) -> Array:
     """Displacement (n, K) per unit coefficient, and last the measured one, in units of sigma."""
     values, level = problem.layout.values(p, piece.run)
-    made = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
+    force_columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
     inputs = [piece.known]
     for i in linear:
         slot = problem.layout.slots[i]
-        mine = slot.effect in made and slot.run in (None, piece.run)
+        has_column = slot.effect in force_columns and slot.run in (None, piece.run)
         column = (
-            made[slot.effect][:, problem.column(slot.effect, slot.parameter)] if mine else np.zeros_like(piece.known)
+            force_columns[slot.effect][:, problem.column(slot.effect, slot.parameter)]
+            if has_column
+            else np.zeros_like(piece.known)
         )
         inputs.append(-column / piece.mass)
-    moved = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
-    return piece.whitened(np.column_stack([moved[:, 1:], piece.y - moved[:, 0]]))
+    displacement = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs])
+    return piece.whitened(np.column_stack([displacement[:, 1:], piece.y - displacement[:, 0]]))

@@ -54,15 +54,15 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 
     Raises FrictrackError when nothing in the model is linear without a scan (no level to start from).
     """
-    pieces = [p.timed(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
+    pieces = [p.with_clock(1.0) for p in pieces]  # drawn ones may go by the clock of the law that drew them
     spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, spans)
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated: another way may lead on
         found.append(_by_variable_projection(model, pieces, names, spans))
-    grown = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
-    if not found or (grown and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
+    can_grow = not any(e.relaxed for e in model.effects)  # too many numbers for a scan of its own
+    if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         found += _by_adding_effects(model, pieces, names, spans, needed=not found)
     return refit_until_stop(min(found, key=lambda s: s.objective))
 
@@ -100,15 +100,15 @@ def _by_variable_projection(
     separable = SeparableModel(layout, blocks)
     search = variable_projection(separable)
     state = search()
-    absent = search.idle(state, EVENT_PENALTY * np.log(separable.size))
+    absent = search.unneeded_events(state, EVENT_PENALTY * np.log(separable.size))
     if absent:
         layout = replace(layout, absent=absent)
         separable = SeparableModel(layout, blocks)
-        known = dict(zip(search.separable.layout.names, state.numbers, strict=True))
+        start_values = dict(zip(search.separable.layout.names, state.nonlinear_values, strict=True))
         problem = ProjectedProblem(separable, separable.data)
-        state = problem.refine(problem.at(np.array([known[n] for n in layout.names])))
+        state = problem.refine(problem.at(np.array([start_values[n] for n in layout.names])))
     law = LeastSquaresProblem(first, layout, ready)
-    solution = _with_free_amplitudes(_refine_shrunk(law, separable.law(state.numbers, state.coefficients)))
+    solution = _with_free_amplitudes(_refine_shrunk(law, separable.law(state.nonlinear_values, state.coefficients)))
     for effect in later:
         solution = add_effect(solution, effect)
     return refine_to_end(reorder_effects(solution, model)) if later else solution
@@ -124,9 +124,9 @@ def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
     with suppress(FrictrackError):
         return fit_with_scatter(problem, p, starts)
     linear, found = np.array([s.linear for s in problem.layout.slots]), []
-    for share in COEFFICIENT_SHARES:
+    for unexplained_share in COEFFICIENT_SHARES:
         with suppress(FrictrackError):
-            found.append(fit_with_scatter(problem, np.where(linear, share * p, p), starts))
+            found.append(fit_with_scatter(problem, np.where(linear, unexplained_share * p, p), starts))
     if not found:
         raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
     return min(found, key=lambda s: s.objective)
@@ -136,23 +136,23 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
     """One amplitude for all runs, or one per run where that is significantly better, wave after wave."""
     runs = len(solution.problem.layout.run_names)
     for effect in solution.problem.model.effects if runs > 1 else ():
-        sizes = {
+        amplitudes = {
             p.name: {"per_run": True}
             for p in effect.parameters
             if p.role == "amplitude" and is_unconstrained(p) and not p.per_run
         }
-        if not sizes or not has_per_run_coefficients(effect):
+        if not amplitudes or not has_per_run_coefficients(effect):
             continue
         old = solution.problem.layout
-        changed = Model(tuple(effect.adjusted(**sizes) if e is effect else e for e in old.model.effects))
+        changed = Model(tuple(effect.adjusted(**amplitudes) if e is effect else e for e in old.model.effects))
         layout = replace(old, model=changed)
-        there = dict(zip(old.names, solution.p, strict=True))
-        p = np.array([there.get(name, there.get(name.split("[")[0], 0.0)) for name in layout.names])
-        loose = fit_with_scatter(
-            solution.problem.over(layout, solution.problem.pieces), p, solution.starts, solution.tau
+        known_values = dict(zip(old.names, solution.p, strict=True))
+        p = np.array([known_values.get(name, known_values.get(name.split("[")[0], 0.0)) for name in layout.names])
+        free_amplitudes = fit_with_scatter(
+            solution.problem.rebuild(layout, solution.problem.pieces), p, solution.starts, solution.tau
         )
-        if solution.objective - loose.objective > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
-            solution = loose
+        if solution.objective - free_amplitudes.objective > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1):
+            solution = free_amplitudes
     return solution
 
 
@@ -165,7 +165,7 @@ def _with_ties_of(solution: Solution, model: Model) -> Solution:
     layout = replace(old, model=law)
     each = [old.values(solution.p, run) for run in range(len(old.run_names))]
     p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
-    problem = solution.problem.over(layout, solution.problem.pieces)
+    problem = solution.problem.rebuild(layout, solution.problem.pieces)
     return fit_with_scatter(problem, np.array(p), solution.starts, solution.tau or 0.03)
 
 
@@ -186,17 +186,17 @@ def _from_scratch(model: Model, pieces: list[Piece], names: tuple[str, ...], spa
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
     """The law of runs that are followed through stops and reversals; of very many segments, on some of them first."""
-    some = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
-    if len(some) == len(pieces) or {p.run for p in some} != {p.run for p in pieces}:
+    subset = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
+    if len(subset) == len(pieces) or {p.run for p in subset} != {p.run for p in pieces}:
         return _fit_through_reversals(model, pieces, names, spans)
-    return _on_all(_fit_through_reversals(model, some, names, spans), pieces)
+    return _on_all(_fit_through_reversals(model, subset, names, spans), pieces)
 
 
 def _on_all(found: Solution, pieces: list[Piece]) -> Solution:
     """A law that was settled on some pieces, one step on with all of them."""
     fine = max(e.fine for e in found.problem.model.effects)
     ready = [p if p.per_frame >= fine else p.refined(fine) for p in pieces]
-    problem = found.problem.over(found.problem.layout, ready)
+    problem = found.problem.rebuild(found.problem.layout, ready)
     return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
 
 
@@ -204,8 +204,8 @@ def _fit_through_reversals(
     model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
 ) -> Solution:
     """The same on all of some pieces."""
-    together, later = split_start_effects(model)
-    layout = ParameterLayout(Model(tuple(together)), names, spans)
+    start_effects, later = split_start_effects(model)
+    layout = ParameterLayout(Model(tuple(start_effects)), names, spans)
     problem = LeastSquaresProblem(layout.model, layout, pieces)
     guess = shoot_lengthening if any(p.slack for p in pieces) else best_on_grid
     if later:
@@ -250,6 +250,6 @@ def _frames_before_stop(response: PieceResponse) -> int:
         return len(piece.t)
     speed = (piece.path.s[0] * motion.v_edge)[piece.at]
     slowing = -np.gradient(speed, piece.t)  # a mass that sets out is slow, too, but gathers speed
-    late = np.flatnonzero((slowing > 0) & (speed < STOP_MARGIN_FRAMES * slowing * np.gradient(piece.t)))
-    after = late[late >= MIN_FRAMES]
+    near_stop = np.flatnonzero((slowing > 0) & (speed < STOP_MARGIN_FRAMES * slowing * np.gradient(piece.t)))
+    after = near_stop[near_stop >= MIN_FRAMES]
     return int(after[0]) if len(after) else len(piece.t)

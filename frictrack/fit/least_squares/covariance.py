@@ -45,22 +45,26 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     full = full * (student.ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
-    more, _ = inverse_normal_matrix(np.vstack([solution.jac, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)]))
+    larger_scatter, _ = inverse_normal_matrix(
+        np.vstack([solution.jac, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
+    )
     variance = np.maximum(np.diag(white_noise_covariance(solution)[0]), 1e-300)
-    share = np.maximum(np.log(np.maximum(np.diag(more), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3)
-    widen = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
-    return full * widen[:, None] * widen, unseen
+    share = np.maximum(
+        np.log(np.maximum(np.diag(larger_scatter), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3
+    )
+    widening = student.ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
+    return full * widening[:, None] * widening, unseen
 
 
 def _systematic_covariance(solution: Solution, bread: Array) -> Array:
     """Covariance (P, P) that slow errors of a tracker and what is left of a camera shake add."""
-    pulls = [np.zeros((0, len(solution.p)))]
+    gradients = [np.zeros((0, len(solution.p)))]
     for r in solution.responses:
-        pull = _systematic_gradients(r)
-        pulls.append(np.zeros((len(pull), len(solution.p))))
-        pulls[-1][:, r.active] = pull
-    moved = np.vstack(pulls) @ bread
-    return moved.T @ moved
+        gradient = _systematic_gradients(r)
+        gradients.append(np.zeros((len(gradient), len(solution.p))))
+        gradients[-1][:, r.active] = gradient
+    added = np.vstack(gradients) @ bread
+    return added.T @ added
 
 
 def _systematic_gradients(r: PieceResponse) -> Array:
@@ -69,18 +73,20 @@ def _systematic_gradients(r: PieceResponse) -> Array:
     None where the law is compared behind a filter, whose rows are no frames.
     """
     piece = r.piece
-    parts = [np.zeros((0, r.jac.shape[1]))]
+    blocks = [np.zeros((0, r.jac.shape[1]))]
     if len(r.jac) != len(piece.sigma):
-        return parts[0]
-    seen = piece.whitened_transposed(r.jac)
+        return blocks[0]
+    whitened_jacobian = piece.whitened_transposed(r.jac)
     if piece.systematic:
-        size = slow_spectrum(len(seen))
-        parts.append(piece.systematic * size[:, None] * dct(seen, axis=0, norm="ortho")[1 : 1 + len(size)])
+        size = slow_spectrum(len(whitened_jacobian))
+        blocks.append(
+            piece.systematic * size[:, None] * dct(whitened_jacobian, axis=0, norm="ortho")[1 : 1 + len(size)]
+        )
     if piece.shake:
         frequency, rms = piece.shake
-        turn = 2 * np.pi * frequency * piece.t
-        parts.append(rms * np.stack([np.cos(turn), np.sin(turn)]) @ seen)
-    return np.vstack(parts)
+        phase = 2 * np.pi * frequency * piece.t
+        blocks.append(rms * np.stack([np.cos(phase), np.sin(phase)]) @ whitened_jacobian)
+    return np.vstack(blocks)
 
 
 def batch_count(solution: Solution) -> int:
@@ -96,14 +102,14 @@ def _batch_covariance(solution: Solution, bread: Array) -> Array:
     as many batches as there are segments in each (batch means; Flegal & Jones 2010, Annals of Statistics 38), known
     as well as so many scatter (Student's t).
     """
-    pulls = np.zeros((len(solution.responses), len(solution.p)))
-    for pull, r in zip(pulls, solution.responses, strict=True):
-        pull[r.active] = r.jac.T @ r.r
+    gradients = np.zeros((len(solution.responses), len(solution.p)))
+    for gradient, r in zip(gradients, solution.responses, strict=True):
+        gradient[r.active] = r.jac.T @ r.r
     count = batch_count(solution)
-    batches = np.array([part.sum(axis=0) for part in np.array_split(pulls, count)])
-    widen = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
-    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
-    return np.asarray(bread @ (widen * batches.T @ batches + held.T @ held) @ bread)
+    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, count)])
+    widening = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
+    return np.asarray(bread @ (widening * batches.T @ batches + penalty.T @ penalty) @ bread)
 
 
 def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:

@@ -70,11 +70,11 @@ class Solution:
         Departures from priors of parameters are put back likewise.
         """
         layout = self.problem.layout
-        away = np.zeros(len(self.p))
+        departure = np.zeros(len(self.p))
         if layout.priors:
-            away = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
-        away[layout.levels] += self.p[layout.levels] - 1
-        return self.residual + self.jac @ away
+            departure = np.linalg.pinv(prior_jacobian(layout, self.p)) @ prior_residual(layout, self.p)
+        departure[layout.levels] += self.p[layout.levels] - 1
+        return self.residual + self.jac @ departure
 
 
 def stacked_jacobian(responses: Sequence[PieceResponse], n_unknowns: int) -> Array:
@@ -95,32 +95,32 @@ class _Refinement:
     tau: float
     low: Array
     high: Array
-    whole: bool  # every unknown may move
+    all_free: bool  # every unknown may move
 
     def at(self, p: Array, starts: list[Array]) -> Solution:
         """The law at p, brought within the bounds and to its plain form, the levels about one."""
         p = canonical_form(self.problem.layout, np.clip(p, self.low, self.high))
         return _solution_at(
-            self.problem, normalise_levels(self.problem.layout, p) if self.whole else p, starts, self.tau
+            self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, self.tau
         )
 
-    def moved(self, state: Solution, step: Array) -> Solution:
+    def after_step(self, state: Solution, step: Array) -> Solution:
         """The law after a step, its starts moved along."""
         pairs = zip(state.starts, state.responses, strict=True)
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs])
 
-    def stepped(self, state: Solution, step: Array) -> Solution:
+    def after_trial(self, state: Solution, step: Array) -> Solution:
         """The law after a trial step.
 
         Where it went too far, the coefficients are solved again for its non-linear parameters (variable projection).
         """
-        trial = self.moved(state, step)
+        trial = self.after_step(state, step)
         linear = self.problem.layout.coefficients
         for _ in range(MAX_PROJECTIONS):
             if trial.objective < state.objective:
                 break
             bounds = np.where(linear, self.low, trial.p), np.where(linear, self.high, trial.p)
-            trial = self.moved(trial, _step(trial, MIN_DAMPING, bounds)[0])
+            trial = self.after_step(trial, _step(trial, MIN_DAMPING, bounds)[0])
         return trial
 
 
@@ -132,36 +132,36 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
     tau: float = 0.03,
     free: Mask | None = None,
     max_steps: int = 20,
-    enough: float = MIN_CHI2_FALL,
+    min_fall: float = MIN_CHI2_FALL,
 ) -> Solution:
     """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
 
     `free` (P,) tells which unknowns may move; default all. A step that promises less than `enough` is not taken.
     """
-    walk = _refinement(problem, p, tau, free)
-    return _refined(walk, walk.at(p, list(starts)), max_steps, enough)
+    refinement = _make_refinement(problem, p, tau, free)
+    return _run_refinement(refinement, refinement.at(p, list(starts)), max_steps, min_fall)
 
 
 def refine_further(
-    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, enough: float = MIN_CHI2_FALL
+    solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, min_fall: float = MIN_CHI2_FALL
 ) -> Solution:
     """Refine a law further from where it stands, at another spread of the levels; nothing is simulated again there."""
-    held = penalty_residual(solution.problem.layout, solution.p, tau)
-    objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(held @ held)
+    penalty = penalty_residual(solution.problem.layout, solution.p, tau)
+    objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(penalty @ penalty)
     state = replace(solution, tau=tau, objective=objective)
-    return _refined(_refinement(solution.problem, solution.p, tau, free), state, max_steps, enough)
+    return _run_refinement(_make_refinement(solution.problem, solution.p, tau, free), state, max_steps, min_fall)
 
 
 def predicted_objective(
     problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
 ) -> tuple[float, Solution]:
     """The objective that the first step from p (P,) promises, and the law at p; one simulation of each piece."""
-    walk = _refinement(problem, p, tau, free)
-    state = walk.at(p, list(starts))
-    return state.objective - _step(state, FIRST_DAMPING, (walk.low, walk.high))[1], state
+    refinement = _make_refinement(problem, p, tau, free)
+    state = refinement.at(p, list(starts))
+    return state.objective - _step(state, FIRST_DAMPING, (refinement.low, refinement.high))[1], state
 
 
-def _refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask | None) -> _Refinement:
+def _make_refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask | None) -> _Refinement:
     """A refinement in which only what is `free` may move; default all."""
     low, high = problem.layout.bounds
     if free is not None:
@@ -169,18 +169,18 @@ def _refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask |
     return _Refinement(problem, tau, low, high, free is None)
 
 
-def _refined(walk: _Refinement, state: Solution, max_steps: int, enough: float) -> Solution:
+def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, min_fall: float) -> Solution:
     """Steps of Levenberg and Marquardt from a state until one promises less than `enough`."""
-    problem, (low, high), damping = walk.problem, (walk.low, walk.high), FIRST_DAMPING
+    problem, (low, high), damping = refinement.problem, (refinement.low, refinement.high), FIRST_DAMPING
     if any(getattr(piece, "turns", False) for piece in problem.pieces):
-        enough = max(enough, MIN_CHI2_FALL_REVERSALS)
+        min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
     for _ in range(max_steps):
-        least = enough * max(1.0, state.objective / max(problem.n_frames, 1))
-        step, promised = _step(state, damping, (low, high))
-        if promised < least or damping > MAX_DAMPING:
+        threshold = min_fall * max(1.0, state.objective / max(problem.n_frames, 1))
+        step, predicted_fall = _step(state, damping, (low, high))
+        if predicted_fall < threshold or damping > MAX_DAMPING:
             break
         try:
-            trial = walk.stepped(state, step)
+            trial = refinement.after_trial(state, step)
         except FrictrackError:  # a law so wild that the motion cannot be integrated: a shorter step
             damping *= 100
             continue
@@ -189,15 +189,15 @@ def _refined(walk: _Refinement, state: Solution, max_steps: int, enough: float) 
             state, damping = trial, max(damping * 0.01, MIN_DAMPING)
         else:
             damping *= 100
-        if 0 < improved < least and damping == MIN_DAMPING:
+        if 0 < improved < threshold and damping == MIN_DAMPING:
             break
     return state
 
 
 def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], tau: float) -> Solution:
     responses = problem.evaluate(p, starts)
-    held = penalty_residual(problem.layout, p, tau)
-    objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(held @ held)
+    penalty = penalty_residual(problem.layout, p, tau)
+    objective = sum(float(r.r_full @ r.r_full) for r in responses) + float(penalty @ penalty)
     return Solution(problem, p, starts, tau, responses, objective)
 
 
@@ -218,11 +218,13 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
     low, high = (bounds[0] - state.p) * norm, (bounds[1] - state.p) * norm
     z = np.linalg.lstsq(damped, target, rcond=1e-13)[0]
     if np.any(z < low) or np.any(z > high):
-        wall = 1e-12 * (1 + np.abs(state.p)) * norm
-        z = lsq_linear(damped, target, bounds=(np.minimum(low, -wall), np.maximum(high, wall)), method="bvls").x
+        half_width = 1e-12 * (1 + np.abs(state.p)) * norm
+        z = lsq_linear(
+            damped, target, bounds=(np.minimum(low, -half_width), np.maximum(high, half_width)), method="bvls"
+        ).x
     # what a change of the starts alone would gain counts too: r_full against r
-    waste = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
-    gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + waste
+    start_gain = sum(float(r.r_full @ r.r_full - r.r @ r.r) for r in state.responses)
+    gain = float(right @ right - np.sum((right - rows @ (z / norm)) ** 2)) + start_gain
     return z / norm, gain
 
 
@@ -246,19 +248,19 @@ def fit_with_scatter(
     tau: float = 0.03,
     *,
     max_steps: int = 20,
-    enough: float = MIN_CHI2_FALL,
+    min_fall: float = MIN_CHI2_FALL,
 ) -> Solution:
     """Refine the law and the spread of the levels in turn until the spread stays."""
-    solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, enough=enough)
-    return _with_settled_scatter(solution, max_steps, enough)
+    solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
+    return _with_converged_scatter(solution, max_steps, min_fall)
 
 
 def refit_with_scatter(solution: Solution, tau: float) -> Solution:
     """The same from a law that was simulated already, to the end."""
-    return _with_settled_scatter(refine_further(solution, tau), 20, MIN_CHI2_FALL)
+    return _with_converged_scatter(refine_further(solution, tau), 20, MIN_CHI2_FALL)
 
 
-def _with_settled_scatter(solution: Solution, max_steps: int, enough: float) -> Solution:
+def _with_converged_scatter(solution: Solution, max_steps: int, min_fall: float) -> Solution:
     """The spread of the levels and the law at it in turn, from a law refined at some spread."""
     for _ in range(MAX_SCATTER_ESTIMATES):
         basis = solution.basis
@@ -266,7 +268,7 @@ def _with_settled_scatter(solution: Solution, max_steps: int, enough: float) -> 
             return solution
         data = solution.random_effect_data()
         old, new = solution.tau, basis.spread(basis.u.T @ data, float(data @ data))
-        solution = refine_further(solution, new, max_steps=max_steps, enough=enough)
+        solution = refine_further(solution, new, max_steps=max_steps, min_fall=min_fall)
         if abs(np.log(new / old)) < 0.02 or max(new, old) < 1e-3:
             break
     return solution

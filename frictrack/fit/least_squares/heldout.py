@@ -38,10 +38,10 @@ class _LinearRun:
     pieces: list[Piece]
     odd: Mask
 
-    def unseen(self, left: Array) -> Array:
+    def odd_frame_errors(self, residual: Array) -> Array:
         """What a whitened residual (n,) comes to at the odd frames, m."""
         ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
-        errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(left, ends), strict=True)]
+        errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(residual, ends), strict=True)]
         return np.asarray(np.concatenate(errors)[self.odd])
 
 
@@ -50,21 +50,21 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
 
     `by` asks for one of the two; None takes "run" wherever the other runs can predict each run.
     """
-    runs = _by_run(solution)
+    runs = _linear_runs(solution)
     if by == "frames" or len(runs) < 2 or (by is None and not is_predictable(solution)):
         return _rms(_residuals_odd_frames(solution, runs)), "frames"
     return _rms([_residuals_left_out(solution, runs, r) for r in runs]), "run"
 
 
-def _by_run(solution: Solution) -> dict[int, _LinearRun]:
+def _linear_runs(solution: Solution) -> dict[int, _LinearRun]:
     """Every run about the fitted law, its pieces one under the other."""
     pieces: dict[int, list[PieceResponse]] = {}
     for r in solution.responses:
         pieces.setdefault(r.piece.run, []).append(r)
-    return {run: _joined(own, len(solution.p)) for run, own in pieces.items()}
+    return {run: _join_pieces(own, len(solution.p)) for run, own in pieces.items()}
 
 
-def _joined(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
+def _join_pieces(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
     count = sum(len(r.r) for r in pieces)
     jac, starts = np.zeros((count, unknowns)), np.zeros((count, sum(r.q.shape[1] for r in pieces)))
     at = column = 0
@@ -82,41 +82,41 @@ def _joined(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
     )
 
 
-def _own(solution: Solution, run: int) -> Mask:
+def _own_unknowns(solution: Solution, run: int) -> Mask:
     """Which unknowns are the run's own."""
     return np.array([s.run == run for s in solution.problem.layout.slots])
 
 
 def _residuals_left_out(solution: Solution, runs: dict[int, _LinearRun], run: int) -> Array:
     """Residuals, m, at the odd frames of one run, predicted by the others."""
-    own, layout, tau = _own(solution, run), solution.problem.layout, solution.tau or 0.03
+    own, layout, tau = _own_unknowns(solution, run), solution.problem.layout, solution.tau or 0.03
     rows = [r.jac for k, r in runs.items() if k != run] + [penalty_jacobian(layout, tau, solution.p)]
     right = [r.residual for k, r in runs.items() if k != run] + [-penalty_residual(layout, solution.p, tau)]
     step = np.zeros(len(solution.p))
     step[~own] = _least_squares(np.concatenate(rows)[:, ~own], np.concatenate(right), solution.jac[:, ~own])
-    here = runs[run]
-    left = here.residual - here.jac @ step
-    mine = np.concatenate([here.jac[:, own], here.starts], axis=1)
-    left = left - mine @ _least_squares(mine[~here.odd], left[~here.odd], mine)
-    return here.unseen(left)
+    left_out = runs[run]
+    residual = left_out.residual - left_out.jac @ step
+    own_columns = np.concatenate([left_out.jac[:, own], left_out.starts], axis=1)
+    residual = residual - own_columns @ _least_squares(own_columns[~left_out.odd], residual[~left_out.odd], own_columns)
+    return left_out.odd_frame_errors(residual)
 
 
 def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> list[Array]:
     """Residuals, m, at the odd frames of every run, the whole law fitted to the even ones."""
     layout, tau = solution.problem.layout, solution.tau or 0.03
-    seen = []
+    even_rows = []
     for r in runs.values():  # a start is each piece's own: what it explains of the even frames goes first
         q, _ = np.linalg.qr(r.starts[~r.odd])
         even = np.column_stack([r.jac, r.residual])[~r.odd]
-        seen.append(even - q @ (q.T @ even))
-    rows = np.concatenate([*(s[:, :-1] for s in seen), penalty_jacobian(layout, tau, solution.p)])
-    right = np.concatenate([*(s[:, -1] for s in seen), -penalty_residual(layout, solution.p, tau)])
+        even_rows.append(even - q @ (q.T @ even))
+    rows = np.concatenate([*(s[:, :-1] for s in even_rows), penalty_jacobian(layout, tau, solution.p)])
+    right = np.concatenate([*(s[:, -1] for s in even_rows), -penalty_residual(layout, solution.p, tau)])
     step = _least_squares(rows, right, solution.jac)
     out = []
     for r in runs.values():
-        left = r.residual - r.jac @ step
-        left = left - r.starts @ _least_squares(r.starts[~r.odd], left[~r.odd], r.starts)
-        out.append(r.unseen(left))
+        residual = r.residual - r.jac @ step
+        residual = residual - r.starts @ _least_squares(r.starts[~r.odd], residual[~r.odd], r.starts)
+        out.append(r.odd_frame_errors(residual))
     return out
 
 
@@ -135,16 +135,16 @@ def is_predictable(solution: Solution) -> bool:
     """Whether the other runs know the shared parameters well enough to predict every run."""
     layout = solution.problem.layout
     rows = penalty_jacobian(layout, solution.tau or 0.03)
-    jac = {run: r.jac for run, r in _by_run(solution).items()}
+    jac = {run: r.jac for run, r in _linear_runs(solution).items()}
     norm = np.linalg.norm(np.vstack([*jac.values(), rows]), axis=0)
     norm[norm == 0] = 1.0
     for run in jac:
-        own = _own(solution, run)
+        own = _own_unknowns(solution, run)
         known = np.vstack([*(j for k, j in jac.items() if k != run), rows])[:, ~own] / norm[~own]
         spread = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
         basis, _ = np.linalg.qr(jac[run][:, own])
-        seen = jac[run][:, ~own] / norm[~own]
-        seen = seen - basis @ (basis.T @ seen)
-        if np.mean(np.einsum("ni,ij,nj->n", seen, spread, seen)) > MAX_PREDICTION_VARIANCE:
+        even_rows = jac[run][:, ~own] / norm[~own]
+        even_rows = even_rows - basis @ (basis.T @ even_rows)
+        if np.mean(np.einsum("ni,ij,nj->n", even_rows, spread, even_rows)) > MAX_PREDICTION_VARIANCE:
             return False
     return True

@@ -45,7 +45,7 @@ class PieceResponse:
 
 
 @dataclass(frozen=True)
-class _LastMotion:
+class _PreviousMotion:
     """The last motion of a piece, from which the next one sets out: unknowns p, start, and accelerations a (3 p,).
 
     `pushed` (3 p, A + 2) is their change per unit of the `active` unknowns and of the start.
@@ -54,14 +54,14 @@ class _LastMotion:
     p: Array | None
     start: Array
     a: Array
-    pushed: Array
+    acceleration_change: Array
     active: list[int]
 
-    def foreseen(self, p: Array, start: Array) -> Array | None:
+    def extrapolated(self, p: Array, start: Array) -> Array | None:
         """Accelerations (3 p,) at other unknowns to first order; None where that is further than they themselves."""
         if self.p is None or len(p) != len(self.p):
             return None
-        change = self.pushed @ np.concatenate([(p - self.p)[self.active], start - self.start])
+        change = self.acceleration_change @ np.concatenate([(p - self.p)[self.active], start - self.start])
         return self.a + change if np.max(np.abs(change)) < np.max(np.abs(self.a)) else None
 
 
@@ -76,11 +76,13 @@ class LeastSquaresProblem:
     def __init__(self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece]) -> None:
         self.model, self.layout, self.pieces = model, layout, list(pieces)
         paths = [piece.path for piece in self.pieces]
-        if lacking := [said for effect in model.effects if (said := effect.lacks(paths))]:
-            raise FrictrackError("; ".join(lacking))
-        self._last = [_LastMotion(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces]
+        if missing := [message for effect in model.effects if (message := effect.lacks(paths))]:
+            raise FrictrackError("; ".join(missing))
+        self._previous = [
+            _PreviousMotion(None, np.zeros(2), piece.a_hat, np.empty((0, 0)), []) for piece in self.pieces
+        ]
 
-    def over(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """The same kind of measurement under another layout, or over other pieces."""
         return LeastSquaresProblem(layout.model, layout, pieces)
 
@@ -98,35 +100,37 @@ class LeastSquaresProblem:
         return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
-        piece = self._timed(self.pieces[i], p)
+        piece = self._with_clock(self.pieces[i], p)
         motion, linear = self._simulate(i, piece, p, start)
-        pushed, moved = self.answered(piece, p, motion, linear)
-        self._last[i] = _LastMotion(p, np.array(start), motion.a, pushed, self.layout.active(piece.run))
-        return self._seen(piece, p, (motion, linear), (motion.x_edge[piece.at], moved))
+        acceleration_change, motion_sensitivities = self.sensitivities(piece, p, motion, linear)
+        self._previous[i] = _PreviousMotion(
+            p, np.array(start), motion.a, acceleration_change, self.layout.active(piece.run)
+        )
+        return self._linearised_response(piece, p, (motion, linear), (motion.x_edge[piece.at], motion_sensitivities))
 
-    def _timed(self, piece: Piece, p: Array) -> Piece:
+    def _with_clock(self, piece: Piece, p: Array) -> Piece:
         """A piece by the clock that the law gives to its run."""
         if all(e.clock is None for e in self.model.effects):
             return piece
-        return piece.timed(self.model.clock(self.layout.values(p, piece.run)[0]))
+        return piece.with_clock(self.model.clock(self.layout.values(p, piece.run)[0]))
 
-    def seen(
+    def linearised_response(
         self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], x: Array
     ) -> PieceResponse:
         """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
 
         `about` is the motion at which the law is linearised, and its linear response.
         """
-        return self._seen(piece, p, about, (x, self.answered(piece, p, *about)[1]))
+        return self._linearised_response(piece, p, about, (x, self.sensitivities(piece, p, *about)[1]))
 
-    def _seen(
-        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], shown: tuple[Array, Array]
+    def _linearised_response(
+        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], seen_motion: tuple[Array, Array]
     ) -> PieceResponse:
         """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
-        (motion, linear), (x, moved) = about, shown
+        (motion, linear), (x, motion_sensitivities) = about, seen_motion
         active = self.layout.active(piece.run)
-        x_sens = moved[:, 0, :]
-        shift, slope, direct = self._picture(piece, p, motion, active)
+        x_sens = motion_sensitivities[:, 0, :]
+        shift, slope, direct = self._measurement_shift(piece, p, motion, active)
         x_sens = (1 + slope)[:, None] * x_sens
         x_sens[:, :-2] += direct
         model_y = x + shift + slope * (x - motion.x_edge[piece.at])
@@ -152,17 +156,17 @@ class LeastSquaresProblem:
     def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
         """The law along one piece: x'' at places x, velocities v and times t."""
         memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
-        states = self._entered(piece, values)
+        states = self._initial_states(piece, values)
 
-        def law(x: Array, v: Array, t: Array) -> Array:
+        def acceleration(x: Array, v: Array, t: Array) -> Array:
             if not memory:
                 return piece.known - self.model.force(piece.path_at_nodes(x, v, level), values) / piece.mass
-            force = self.model.force(replace(piece.since_start(x, v, t, level), states=states), values)
+            force = self.model.force(replace(piece.path_since_start(x, v, t, level), states=states), values)
             return np.append(0.0, piece.known[: len(t) - 1]) - force / piece.mass
 
-        return law
+        return acceleration
 
-    def answered(
+    def sensitivities(
         self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
     ) -> tuple[Array, Array]:
         """Change of the acceleration at the nodes (3 p, A + 2), and of position and speed at the frames (n, 2, A + 2).
@@ -170,26 +174,28 @@ class LeastSquaresProblem:
         Each is per unit of every active unknown, and of the start.
         """
         active = self.layout.active(piece.run)
-        g = self._inputs(piece, p, motion, active)
-        pushed, edges = linear.respond(np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active)))
-        return pushed, edges[piece.at]
+        g = self._acceleration_sensitivities(piece, p, motion, active)
+        acceleration_change, edges = linear.respond(
+            np.column_stack([g, np.zeros((len(g), 2))]), _unit_starts(len(active))
+        )
+        return acceleration_change, edges[piece.at]
 
-    def moved(self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse) -> Array:
+    def motion_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse) -> Array:
         """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
-        return self.answered(piece, p, motion, linear)[1]
+        return self.sensitivities(piece, p, motion, linear)[1]
 
     def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[CollocationSolution, MotionResponse]:
-        where = float(start[0]), float(start[1])
-        law, memory, last = self.acceleration(piece, p), self.model.memory, self._last[i]
-        foreseen = last.foreseen(p, start)
-        if foreseen is not None:
+        initial = float(start[0]), float(start[1])
+        acceleration, memory, previous = self.acceleration(piece, p), self.model.memory, self._previous[i]
+        extrapolated = previous.extrapolated(p, start)
+        if extrapolated is not None:
             try:
-                return solve_motion(law, piece.panels, where, foreseen, memory=memory)
+                return solve_motion(acceleration, piece.panels, initial, extrapolated, memory=memory)
             except FrictrackError:  # too far to be foreseen: from where it was
                 pass
-        return solve_motion(law, piece.panels, where, last.a, memory=memory)
+        return solve_motion(acceleration, piece.panels, initial, previous.a, memory=memory)
 
-    def _entered(self, piece: Piece, values: Values) -> dict[str, Array]:
+    def _initial_states(self, piece: Piece, values: Values) -> dict[str, Array]:
         """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
         path = piece.path
         if (
@@ -203,31 +209,33 @@ class LeastSquaresProblem:
         states = self.model.states(replace(path, **two), values)
         return {e.name: states[e.name] for e in self.model.effects if e.turns}
 
-    def _along(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
+    def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
         """The path of a solved motion: its nodes, with memory after the start."""
         if not self.model.memory:
             return piece.path_at_nodes(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
-        return piece.since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
+        return piece.path_since_start(x, v, np.append(piece.panels.edges[0], piece.panels.t), level)
 
-    def _inputs(self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]) -> Array:
+    def _acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]) -> Array:
         """Acceleration at the nodes per unit of every active unknown, (3 p, A)."""
         values, level = self.layout.values(p, piece.run)
-        path = replace(self._along(piece, motion, level), states=self._entered(piece, values))
+        path = replace(self._solved_path(piece, motion, level), states=self._initial_states(piece, values))
         columns = self.model.force_columns(path, values)
         base = self.model.force(path, values)
         g = np.zeros((len(path.t), len(active)))
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            led = i in self.layout.leaders
-            if slot.linear and slot.effect in columns and not led:
+            leads = i in self.layout.leaders
+            if slot.linear and slot.effect in columns and not leads:
                 g[:, j] = columns[slot.effect][:, self.column(slot.effect, slot.parameter)]
-            elif led or not slot.linear:
+            elif leads or not slot.linear:
                 step = _step(p[i], slot.bounds)
                 values_i, level_i = self.layout.values(_shifted(p, i, step), piece.run)
-                path_i = replace(self._along(piece, motion, level_i), states=self._entered(piece, values_i))
-                moved = self.model.force(path_i, values_i)
-                g[:, j] = (moved - base) / step
+                path_i = replace(
+                    self._solved_path(piece, motion, level_i), states=self._initial_states(piece, values_i)
+                )
+                shifted_force = self.model.force(path_i, values_i)
+                g[:, j] = (shifted_force - base) / step
         return -g[-len(motion.x) :] / piece.mass
 
     def column(self, effect: str, parameter: str) -> int:
@@ -235,7 +243,7 @@ class LeastSquaresProblem:
         of = next(e for e in self.model.effects if e.name == effect)
         return [q.name for q in of.linear].index(parameter)
 
-    def _picture(
+    def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
     ) -> tuple[Array, Array, Array]:
         """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown.
@@ -260,12 +268,12 @@ class LeastSquaresProblem:
         shift = total(p, x)
         h = 1e-7 * max(float(np.ptp(x)), 1e-3)
         slope = (total(p, x + h) - total(p, x - h)) / (2 * h)
-        pictures = {e.name for e in self.model.effects if e.acts_on == "measurement"}
+        measurement_effects = {e.name for e in self.model.effects if e.acts_on == "measurement"}
         for j, i in enumerate(active):
             slot = self.layout.slots[i]
-            led = i in self.layout.leaders
-            if slot.effect in pictures or led:
-                step = 1.0 if slot.linear and not led else _step(p[i], slot.bounds)
+            leads = i in self.layout.leaders
+            if slot.effect in measurement_effects or leads:
+                step = 1.0 if slot.linear and not leads else _step(p[i], slot.bounds)
                 direct[:, j] = (total(_shifted(p, i, step), x) - shift) / step
         return shift, slope, direct
 

@@ -33,7 +33,9 @@ def linearise_about_measurement(solution: Solution) -> Solution:
     problem = solution.problem
     if not is_linearised_about_measurement(problem):
         return solution
-    return replace(solution, responses=[_about_measurement(problem, solution.p, r) for r in solution.responses])
+    return replace(
+        solution, responses=[_response_about_measurement(problem, solution.p, r) for r in solution.responses]
+    )
 
 
 def is_linearised_about_measurement(problem: LeastSquaresProblem) -> bool:
@@ -41,24 +43,26 @@ def is_linearised_about_measurement(problem: LeastSquaresProblem) -> bool:
     return problem.simulates and not problem.model.memory
 
 
-def _about_measurement(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> PieceResponse:
+def _response_about_measurement(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> PieceResponse:
     piece, motion, linear = response.piece, response.motion, response.linear
-    level = np.array(p)
-    level[problem.layout.levels] = 1.0
-    t, away = smooth_residual(piece, piece.coloured(response.r_full))
-    if not away.any():
-        return problem.seen(piece, level, (motion, linear), motion.x_edge[piece.at])
-    bend = CubicSpline(t, away)
+    unit_levels = np.array(p)
+    unit_levels[problem.layout.levels] = 1.0
+    t, smoothed = smooth_residual(piece, piece.coloured(response.r_full))
+    if not smoothed.any():
+        return problem.linearised_response(piece, unit_levels, (motion, linear), motion.x_edge[piece.at])
+    correction = CubicSpline(t, smoothed)
     nodes, edges = piece.panels.t, piece.panels.edges
-    x, v = motion.x + bend(nodes), motion.v + bend(nodes, 1)
+    x, v = motion.x + correction(nodes), motion.v + correction(nodes, 1)
     own, linear = linearise_acceleration(problem.acceleration(piece, p), piece.panels, (x, v))
-    accelerated = motion.a + bend(nodes, 2)
+    acceleration = motion.a + correction(nodes, 2)
     about = CollocationSolution(
-        piece.panels, x, v, accelerated, motion.x_edge + bend(edges), motion.v_edge + bend(edges, 1)
+        piece.panels, x, v, acceleration, motion.x_edge + correction(edges), motion.v_edge + correction(edges, 1)
     )
-    back = np.array([[-float(bend(edges[0]))], [-float(bend(edges[0], 1))]])
-    _, moved = linear.respond((own - accelerated)[:, None], back)
-    return problem.seen(piece, level, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0])
+    start_correction = np.array([[-float(correction(edges[0]))], [-float(correction(edges[0], 1))]])
+    _, moved = linear.respond((own - acceleration)[:, None], start_correction)
+    return problem.linearised_response(
+        piece, unit_levels, (about, linear), about.x_edge[piece.at] + moved[piece.at, 0, 0]
+    )
 
 
 def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
@@ -67,17 +71,17 @@ def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
     n = int(rows[-1]) + 1
     weight, data = np.zeros(n), np.zeros(n)
     weight[rows], data[rows] = 1.0, residual
-    bend = np.array(
+    correction = np.array(
         [np.r_[0.0, 0.0, np.ones(n - 2)], np.r_[0.0, -2.0, np.full(n - 3, -4.0), -2.0], _second_difference_diagonal(n)]
     )
-    wave = (2 - 2 * np.cos(np.pi * np.arange(n) / n)) ** 2
+    eigenvalues = (2 - 2 * np.cos(np.pi * np.arange(n) / n)) ** 2
     best, out = np.inf, np.zeros(n)
     for strength in SMOOTHING_STRENGTHS[::-1]:
-        banded = strength * bend
+        banded = strength * correction
         banded[2] += weight
         found = solveh_banded(banded, data, check_finite=False)
-        freedom = float(np.sum(1 / (1 + strength * wave))) * len(rows) / n
-        score = float(np.sum((residual - found[rows]) ** 2)) / (len(rows) - freedom) ** 2
+        degrees_of_freedom = float(np.sum(1 / (1 + strength * eigenvalues))) * len(rows) / n
+        score = float(np.sum((residual - found[rows]) ** 2)) / (len(rows) - degrees_of_freedom) ** 2
         if score < best:
             best, out = score, found
     return piece.panels.edges[:: piece.per_frame], out

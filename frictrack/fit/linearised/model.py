@@ -42,13 +42,13 @@ class LinearisedPiece:
     response: PieceResponse
     values: Values
     level: float
-    shown: float  # the level of `path`
+    path_level: float  # the level of `path`
     path: Path
     basis: Array
     starts: int
     _rows: EdgeResponse | None = field(repr=False)
     compared_path: Path | None = None
-    _long: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
+    _tiled: dict[tuple[int, int], Path] = field(default_factory=dict, repr=False)
 
     @property
     def run(self) -> int:
@@ -62,35 +62,35 @@ class LinearisedPiece:
         """
         path = self.path_for(effect)
         n = len(path.t)
-        long = path if count == 1 else self._end_to_end(path, count)
+        tiled = path if count == 1 else self._tile_path(path, count)
         spread = {k: _repeat_values(v, n, effect.parameter(k).role == "depth") for k, v in values.items()}
         if effect.modifies:
             inner = self.modified_columns(effect)
-            made = effect.columns(long, spread, np.tile(inner, (count, 1)))
+            columns = effect.columns(tiled, spread, np.tile(inner, (count, 1)))
             if effect.sized:
-                made = made - np.tile(inner, (count, 1))
+                columns = columns - np.tile(inner, (count, 1))
         else:
-            made = effect.columns(long, spread)
-        return np.asarray(made.T.reshape(made.shape[1], count, n).transpose(1, 0, 2))
+            columns = effect.columns(tiled, spread)
+        return np.asarray(columns.T.reshape(columns.shape[1], count, n).transpose(1, 0, 2))
 
-    def whitened_rows(self, raw: Array, pictured: bool) -> Array:
+    def whitened_rows(self, raw: Array, is_measurement: bool) -> Array:
         """What raw columns (k, m), of forces or of a picture, add to what is measured: whitened rows (k, n)."""
         piece = self.response.piece
         frames = piece.at // piece.per_frame
-        if pictured or self._rows is None:  # where friction itself is measured, a force is seen as it is
+        if is_measurement or self._rows is None:  # where friction itself is measured, a force is seen as it is
             return piece.whitened(rows_at_compared(raw, frames).T).T
         moved = self._rows(raw)[:, frames] * (-(1 + self.response.shift_slope) / piece.mass)
         return piece.whitened(moved.T).T
 
-    def without_start(self, white: Array) -> Array:
+    def without_start(self, whitened: Array) -> Array:
         """Whitened rows (k, n) without what another start explains."""
         q = self.basis[:, : self.starts]
-        return white - (white @ q) @ q.T
+        return whitened - (whitened @ q) @ q.T
 
-    def split(self, white: Array) -> tuple[Array, Array]:
+    def split(self, whitened: Array) -> tuple[Array, Array]:
         """What of whitened rows (k, n) the basis does not explain, and their coordinates in it, (k, L), no starts."""
-        own = white @ self.basis
-        return white - own @ self.basis.T, own[:, self.starts :]
+        own_basis = whitened @ self.basis
+        return whitened - own_basis @ self.basis.T, own_basis[:, self.starts :]
 
     def modified_columns(self, effect: Effect) -> Array:
         """What a modifier reshapes: the force that is there (m, 1), or for one without a size its columns (m, k).
@@ -108,40 +108,46 @@ class LinearisedPiece:
     def block(self) -> DataBlock:
         """The piece as data that forces along its path explain, linear in them; its level is one there."""
         model, response = self.problem.model, self.response
-        flat = replace(self.path, load=self.path.load / self.shown)
-        path = replace(flat, load=flat.load * self.level)
+        unit_level_path = replace(self.path, load=self.path.load / self.path_level)
+        path = replace(unit_level_path, load=unit_level_path.load * self.level)
         forces = model.force(path, self.values)[None]
-        seen = self.whitened_rows(forces, False)
+        about_measurement = self.whitened_rows(forces, False)
         for name, columns in model.measurement_columns(self.path, self.values).items():
-            seen = seen + self.whitened_rows((columns @ model.coefficients(name, self.values))[None], True)
+            about_measurement = about_measurement + self.whitened_rows(
+                (columns @ model.coefficients(name, self.values))[None], True
+            )
         return DataBlock(
             run=self.run,
-            path=flat,
-            data=response.r + self.without_start(seen)[0],
-            forward=lambda rows: _map_rows(rows, lambda flat: self.without_start(self.whitened_rows(flat, False))),
-            picture=lambda rows: _map_rows(rows, lambda flat: self.without_start(self.whitened_rows(flat, True))),
+            path=unit_level_path,
+            data=response.r + self.without_start(about_measurement)[0],
+            forward=lambda rows: _map_rows(
+                rows, lambda unit_level_path: self.without_start(self.whitened_rows(unit_level_path, False))
+            ),
+            picture=lambda rows: _map_rows(
+                rows, lambda unit_level_path: self.without_start(self.whitened_rows(unit_level_path, True))
+            ),
             friction=forces[0],
             compared_path=None
             if self.compared_path is None
-            else replace(self.compared_path, load=self.compared_path.load / self.shown),
+            else replace(self.compared_path, load=self.compared_path.load / self.path_level),
         )
 
     def path_for(self, effect: Effect) -> Path:
         """Where an effect is evaluated: what neither remembers nor reshapes what does, where friction is compared."""
-        remembers = effect.memory or (effect.modifies and self.problem.model.memory)
-        return self.path if self.compared_path is None or remembers else self.compared_path
+        has_memory = effect.memory or (effect.modifies and self.problem.model.memory)
+        return self.path if self.compared_path is None or has_memory else self.compared_path
 
-    def _end_to_end(self, path: Path, count: int) -> Path:
+    def _tile_path(self, path: Path, count: int) -> Path:
         """One path through the individuals of a population laid end to end."""
         n = len(path.t)
-        if (count, n) not in self._long:
-            long: dict[str, Any] = {
+        if (count, n) not in self._tiled:
+            tiled: dict[str, Any] = {
                 name: np.tile(value, count)
                 for name, value in vars(path).items()
                 if isinstance(value, np.ndarray) and value.shape == (n,)
             }
-            self._long[count, n] = replace(path, starts=tuple(range(0, n * count, n)), **long)
-        return self._long[count, n]
+            self._tiled[count, n] = replace(path, starts=tuple(range(0, n * count, n)), **tiled)
+        return self._tiled[count, n]
 
 
 def _map_rows(rows: Array, of: Callable[[Array], Array]) -> Array:
@@ -154,8 +160,8 @@ def _repeat_values(value: Any, n: int, deep: bool) -> Any:
         return value
     if len(value) == 1:
         return float(value[0])
-    long = np.repeat(value, n)
-    return long[:, None] if deep else long
+    tiled = np.repeat(value, n)
+    return tiled[:, None] if deep else tiled
 
 
 @dataclass(eq=False)
@@ -171,7 +177,7 @@ class LinearisedModel:
     pieces: list[LinearisedPiece]
     basis_coordinates: Array
     rows: list[slice]
-    places: list[slice]
+    coordinate_slices: list[slice]
 
     @property
     def runs(self) -> list[int]:
@@ -185,42 +191,50 @@ class LinearisedModel:
 
     def coordinates(self, series: Array | NDArray[np.float32]) -> Array:
         """Coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
-        parts = [s.basis[:, s.starts :].T @ series[rows] for s, rows in zip(self.pieces, self.rows, strict=True)]
-        return np.asarray(np.concatenate(parts), dtype=np.float64)
+        basis_parts = [s.basis[:, s.starts :].T @ series[rows] for s, rows in zip(self.pieces, self.rows, strict=True)]
+        return np.asarray(np.concatenate(basis_parts), dtype=np.float64)
 
     def residual_projector(self, tau: float) -> Array:
         """What the law leaves of coordinates once its unknowns, levels held by their spread, have followed, (L, L)."""
-        taken = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
-        return np.asarray(np.eye(len(taken)) - taken)
+        absorbed = self.basis_coordinates @ self.basis.shrink(tau) @ self.basis_coordinates.T
+        return np.asarray(np.eye(len(absorbed)) - absorbed)
 
 
 def linearise(solution: Solution) -> LinearisedModel:
     """A fitted law made ready for candidates."""
-    seen = linearise_about_measurement(solution)
-    basis = seen.basis
-    pieces = [_linearised_piece(seen, r) for r in seen.responses]
-    ends = [slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(r.r) for r in seen.responses]]).tolist())]
-    parts = [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, ends, strict=True)]
-    places = [slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(part) for part in parts]]).tolist())]
-    return LinearisedModel(seen, basis, pieces, np.concatenate(parts), ends, places)
+    about_measurement = linearise_about_measurement(solution)
+    basis = about_measurement.basis
+    pieces = [_linearised_piece(about_measurement, r) for r in about_measurement.responses]
+    frame_slices = [
+        slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(r.r) for r in about_measurement.responses]]).tolist())
+    ]
+    basis_parts = [s.basis[:, s.starts :].T @ basis.u[rows] for s, rows in zip(pieces, frame_slices, strict=True)]
+    coordinate_slices = [
+        slice(a, b) for a, b in pairwise(np.cumsum([0, *[len(part) for part in basis_parts]]).tolist())
+    ]
+    return LinearisedModel(
+        about_measurement, basis, pieces, np.concatenate(basis_parts), frame_slices, coordinate_slices
+    )
 
 
 def _linearised_piece(solution: Solution, response: PieceResponse) -> LinearisedPiece:
     problem, piece, motion = solution.problem, response.piece, response.motion
     values, level = problem.layout.values(solution.p, piece.run)
-    shown = 1.0 if is_linearised_about_measurement(problem) else level
+    path_level = 1.0 if is_linearised_about_measurement(problem) else level
     u, size, _ = np.linalg.svd(response.jac / np.maximum(np.linalg.norm(response.jac, axis=0), 1e-300), False)
-    own = u[:, size > MIN_SINGULAR_VALUE * max(float(size[0]), 1e-300)]
-    basis = np.concatenate([response.q, own], axis=1)
+    own_basis = u[:, size > MIN_SINGULAR_VALUE * max(float(size[0]), 1e-300)]
+    basis = np.concatenate([response.q, own_basis], axis=1)
     if not problem.simulates:
-        path, rows, few = (
-            piece.path_at_nodes(motion.x, motion.v, shown),
+        path, rows, compared_path = (
+            piece.path_at_nodes(motion.x, motion.v, path_level),
             None,
-            path_at_compared(piece, motion.x, motion.v, shown),
+            path_at_compared(piece, motion.x, motion.v, path_level),
         )
     else:
-        path, rows, few = _edge_path(response, shown), EdgeResponse(_linear(problem, solution.p, response)), None
-    return LinearisedPiece(problem, response, values, level, shown, path, basis, response.q.shape[1], rows, few)
+        path, rows, compared_path = _edge_path(response, path_level), EdgeResponse(_linear(problem, solution.p, response)), None
+    return LinearisedPiece(
+        problem, response, values, level, path_level, path, basis, response.q.shape[1], rows, compared_path
+    )
 
 
 def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> LinearResponse:
@@ -231,8 +245,8 @@ def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> 
     where = CubicSpline(motion.panels.edges, motion.x_edge)(piece.panels.t)
     speed = CubicSpline(motion.panels.edges, motion.v_edge)(piece.panels.t)
     start = float(motion.x_edge[0]), float(motion.v_edge[0])
-    law = problem.acceleration(piece, p)
-    return linearise_acceleration(law, piece.panels, (where, speed), start, memory=problem.model.memory)[1]
+    acceleration = problem.acceleration(piece, p)
+    return linearise_acceleration(acceleration, piece.panels, (where, speed), start, memory=problem.model.memory)[1]
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:
@@ -249,14 +263,14 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
     return replace(path, t=t, x=x, v=v, s=s, **read)
 
 
-def columns_one_by_one(strip: LinearisedPiece, effect: Effect, points: Mapping[str, Array], count: int) -> Array:
+def columns_one_by_one(piece: LinearisedPiece, effect: Effect, points: Mapping[str, Array], count: int) -> Array:
     """Raw columns (count, k, m) of forms taken one by one; nothing where a user's formula is no number."""
     out = []
     for i in range(count):  # one after the other: only some are wrong
         try:
-            out.append(strip.columns(effect, {k: _value_of(v, i) for k, v in points.items()}, 1)[0])
+            out.append(piece.columns(effect, {k: _value_of(v, i) for k, v in points.items()}, 1)[0])
         except FrictrackError:
-            out.append(np.zeros((len(effect.linear), len(strip.path.t))))
+            out.append(np.zeros((len(effect.linear), len(piece.path.t))))
     return np.stack(out)
 
 

@@ -43,7 +43,7 @@ class CandidateGrid:
     names: tuple[str, ...]
     values: Array
     shape: tuple[int, ...]
-    rest: dict[str, float]
+    other_values: dict[str, float]
     members: tuple[int, ...]
     block: tuple[int, ...]
     k: int
@@ -55,27 +55,22 @@ class CandidateGrid:
         """Coefficients of a form, K."""
         return self.k * (max(self.block) + 1)
 
-    @property
-    def grid(self) -> list[dict[str, float]]:
-        """The points, every non-linear number by name."""
-        return [self.point(g) for g in range(len(self.values))]
-
     def point(self, g: int) -> dict[str, float]:
         """One point, every non-linear number by name."""
-        return _with_ties(self.effect, self.rest | dict(zip(self.names, self.values[g].tolist(), strict=True)))
+        return _apply_ties(self.effect, self.other_values | dict(zip(self.names, self.values[g].tolist(), strict=True)))
 
     def chunks(self, strips: list[LinearisedPiece]) -> Iterator[slice]:
         """Points to be taken at once."""
         longest = max(len(strips[i].path_for(self.effect).t) for i in self.members)
-        some = max(1, MAX_SAMPLES_AT_ONCE // longest)
-        for first in range(0, len(self.values), some):
-            yield slice(first, min(first + some, len(self.values)))
+        chunk_size = max(1, MAX_SAMPLES_AT_ONCE // longest)
+        for first in range(0, len(self.values), chunk_size):
+            yield slice(first, min(first + chunk_size, len(self.values)))
 
-    def raw(self, strip: LinearisedPiece, points: Array) -> Array:
+    def raw_columns(self, piece: LinearisedPiece, points: Array) -> Array:
         """Raw columns (P, k, m) of points (P, d) along one piece: quadrature after quadrature, column after column."""
-        values: dict[str, Any] = self.rest | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
-        values = _with_ties(self.effect, values)
-        parts = [_raw_columns(strip, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
+        values: dict[str, Any] = self.other_values | {n: np.array(c) for n, c in zip(self.names, points.T, strict=True)}
+        values = _apply_ties(self.effect, values)
+        parts = [_raw_columns(piece, self.effect, values | phase, len(points)) for phase in _phases(self.effect)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
@@ -88,28 +83,29 @@ class CandidateScan:
     largest gain of every series.
     """
 
-    family: CandidateGrid
-    rest: Array
-    own: Array
-    right: Array
-    rises: Array
-    tops: Array
+    grid: CandidateGrid
+    unexplained_gram: Array
+    coordinates: Array
+    data_products: Array
+    gains: Array
+    max_gains: Array
 
-    def schur(self, left: Array, g: slice | int = slice(None)) -> Array:
+    def schur(self, projector: Array, g: slice | int = slice(None)) -> Array:
         """Gram matrices (G, K, K) beside the model; `left` (L, L) from `LinearisedModel.residual_projector`."""
-        own = self.own[g]
-        return np.asarray(self.rest[g] + own @ left @ np.swapaxes(own, -1, -2))
+        coordinates = self.coordinates[g]
+        return np.asarray(self.unexplained_gram[g] + coordinates @ projector @ np.swapaxes(coordinates, -1, -2))
 
-    def coefficients(self, g: int, left: Array, data: Array) -> Array:
+    def coefficients(self, g: int, projector: Array, data: Array) -> Array:
         """Best coefficients (K,) of form g; `data` (L,) are the coordinates of the series that was scanned."""
-        right = self.right[g] + self.own[g] @ (left @ data)
-        root = whitener(self.schur(left, g)[None], self.full(g)[None])[0]
-        return np.asarray(root.T @ (root @ right))
+        data_products = self.data_products[g] + self.coordinates[g] @ (projector @ data)
+        root = whitener(self.schur(projector, g)[None], self.full(g)[None])[0]
+        return np.asarray(root.T @ (root @ data_products))
 
     def full(self, g: slice | int = slice(None)) -> Array:
         """Squares of the columns, starts removed, (G, K)."""
         return np.asarray(
-            np.einsum("...kk->...k", self.rest[g]) + np.einsum("...kl,...kl->...k", self.own[g], self.own[g])
+            np.einsum("...kk->...k", self.unexplained_gram[g])
+            + np.einsum("...kl,...kl->...k", self.coordinates[g], self.coordinates[g])
         )
 
 
@@ -120,11 +116,11 @@ def whitener(schur: Array, full: Array) -> Array:
     """
     size = np.sqrt(full)
     size[full < MIN_COLUMN_SQUARE] = np.inf
-    unit = schur / size[:, :, None] / size[:, None, :]
-    if unit.shape[1] == 1:
-        return np.asarray(1 / np.sqrt(np.maximum(unit, 0.0) + MIN_UNEXPLAINED_SHARE) / size[:, None, :])
-    unit[:, np.arange(unit.shape[1]), np.arange(unit.shape[1])] += MIN_UNEXPLAINED_SHARE
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)) / size[:, None, :])
+    unit_gram = schur / size[:, :, None] / size[:, None, :]
+    if unit_gram.shape[1] == 1:
+        return np.asarray(1 / np.sqrt(np.maximum(unit_gram, 0.0) + MIN_UNEXPLAINED_SHARE) / size[:, None, :])
+    unit_gram[:, np.arange(unit_gram.shape[1]), np.arange(unit_gram.shape[1])] += MIN_UNEXPLAINED_SHARE
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit_gram)) / size[:, None, :])
 
 
 def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]:
@@ -137,22 +133,25 @@ def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]
     layout = law.solution.problem.layout
     if effect.single:
         each = [[i for i, s in enumerate(law.pieces) if s.run == r] for r in law.runs]
-        return [_candidate_grid(law, effect, mine, layout.spans[law.pieces[mine[0]].run]) for mine in each]
+        return [
+            _candidate_grid(law, effect, series_columns, layout.spans[law.pieces[series_columns[0]].run])
+            for series_columns in each
+        ]
     return [_candidate_grid(law, effect, list(range(len(law.pieces))), layout.span)]
 
 
-def grid_of(effect: Effect, span: Span) -> list[dict[str, float]]:
+def scan_points(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Every combination of the scanned parameters, the rest at their place for a scan."""
-    names, axes, rest = _grid(effect, span)
-    return [_with_ties(effect, rest | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
+    names, axes, other_values = _grid(effect, span)
+    return [_apply_ties(effect, other_values | dict(zip(names, row.tolist(), strict=True))) for row in _points(axes)]
 
 
 def _grid(effect: Effect, span: Span) -> tuple[tuple[str, ...], list[Array], dict[str, float]]:
     scanned = [p for p in effect.nonlinear if p.scan is not None and p.free]
     scanned.sort(key=lambda p: p.unit == "Hz")  # neighbours share all but the frequency, which some effects make use of
-    rest = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
+    other_values = {p.name: 1.0 if p.role == "depth" else p.fixed or 0.0 for p in effect.nonlinear if p not in scanned}
     axes = [p.scan(span) for p in scanned if p.scan is not None]
-    return tuple(p.name for p in scanned), axes, rest
+    return tuple(p.name for p in scanned), axes, other_values
 
 
 def _points(axes: list[Array]) -> Array:
@@ -160,7 +159,7 @@ def _points(axes: list[Array]) -> Array:
     return np.array(points, dtype=float).reshape(len(points), len(axes))
 
 
-def _with_ties(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
+def _apply_ties(effect: Effect, point: dict[str, Any]) -> dict[str, Any]:
     """A point of a grid where a parameter may be tied to another one of the same effect."""
     for p in effect.nonlinear:
         if p.tie:
@@ -180,10 +179,10 @@ def _phases(effect: Effect) -> list[dict[str, float]]:
 
 
 def _candidate_grid(law: LinearisedModel, effect: Effect, members: list[int], span: Span) -> CandidateGrid:
-    names, axes, rest = _grid(effect, span)
+    names, axes, other_values = _grid(effect, span)
     runs = sorted({law.pieces[i].run for i in members})
-    own = has_per_run_coefficients(effect)
-    block = tuple(runs.index(law.pieces[i].run) if own else 0 for i in members)
+    per_run = has_per_run_coefficients(effect)
+    block = tuple(runs.index(law.pieces[i].run) if per_run else 0 for i in members)
     phases = len(_phases(effect))
     low, high = np.array([p.bounds for p in effect.linear]).reshape(-1, 2).T
     if phases > 1 or not effect.linear:
@@ -194,17 +193,17 @@ def _candidate_grid(law: LinearisedModel, effect: Effect, members: list[int], sp
     count = max(block) + 1
     shape = tuple(len(a) for a in axes) or (1,)
     box = np.tile(low, count), np.tile(high, count)
-    return CandidateGrid(effect, names, _points(axes), shape, rest, tuple(members), block, len(low), *box)
+    return CandidateGrid(effect, names, _points(axes), shape, other_values, tuple(members), block, len(low), *box)
 
 
-def _raw_columns(strip: LinearisedPiece, effect: Effect, values: dict[str, Any], count: int) -> Array:
+def _raw_columns(piece: LinearisedPiece, effect: Effect, values: dict[str, Any], count: int) -> Array:
     """Raw columns of a population; of a user's formula one by one where some are no numbers, as at a width of zero."""
     try:
-        return strip.columns(effect, values, count)
+        return piece.columns(effect, values, count)
     except FrictrackError:
         if effect.formula is None:
             raise
-        return columns_one_by_one(strip, effect, values, count)
+        return columns_one_by_one(piece, effect, values, count)
 
 
 @dataclass(eq=False)
@@ -217,15 +216,17 @@ class ScannedSeries:
     """
 
     data: Float32Array
-    own: Array
-    lefts: list[Array]
+    coordinates: Array
+    residual_projectors: list[Array]
     groups: list[slice]
     profile: Array
-    beside: list[Float32Array] = field(init=False)
+    projected: list[Float32Array] = field(init=False)
 
     def __post_init__(self) -> None:
-        pairs = zip(self.lefts, self.groups, strict=True)
-        self.beside = [(left @ self.own[:, mine]).astype(np.float32) for left, mine in pairs]
+        pairs = zip(self.residual_projectors, self.groups, strict=True)
+        self.projected = [
+            (projector @ self.coordinates[:, series_columns]).astype(np.float32) for projector, series_columns in pairs
+        ]
 
 
 def measured_series(law: LinearisedModel) -> ScannedSeries:
@@ -237,82 +238,105 @@ def measured_series(law: LinearisedModel) -> ScannedSeries:
     )
 
 
-def scan_candidate(law: LinearisedModel, family: CandidateGrid, series: ScannedSeries) -> CandidateScan:
+def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> CandidateScan:
     """Every form of a family beside a law, and what it gains for every series.
 
     A small family is asked at every spread of the levels, since it may take over what looked like scatter.
     """
-    g, size, d = len(family.values), family.size, series.data.shape[1]
-    rest, own = np.zeros((g, size, size)), np.zeros((g, size, len(law.basis_coordinates)))
-    right, rises, tops = np.zeros((g, size)), np.zeros(g), np.zeros(d)
-    gain = _gains_at_best_scatter if g * size <= MAX_FORMS_PROFILED and len(series.lefts) > 1 else _gains
-    for part in family.chunks(law.pieces):
+    g, size, d = len(grid.values), grid.size, series.data.shape[1]
+    unexplained_gram, coordinates = np.zeros((g, size, size)), np.zeros((g, size, len(law.basis_coordinates)))
+    data_products, gains, max_gains = np.zeros((g, size)), np.zeros(g), np.zeros(d)
+    compute_gains = (
+        _gains_at_best_scatter
+        if g * size <= MAX_FORMS_PROFILED and len(series.residual_projectors) > 1
+        else _gains_at_own_scatter
+    )
+    for part in grid.chunks(law.pieces):
         products = np.zeros((part.stop - part.start, size, d), dtype=np.float32)
-        for i, b in zip(family.members, family.block, strict=True):
-            at = slice(b * family.k, (b + 1) * family.k)
-            _add_piece(law, family, i, part, (rest[part, at, at], own[part, at], products[:, at], series))
-        right[part] = products[:, :, 0]
-        gained = gain((rest[part], own[part], products), series, (family.low, family.high))
-        rises[part] = gained[:, 0]
-        np.maximum(tops, gained.max(axis=0), out=tops)
-    return CandidateScan(family, rest, own, right, rises, tops)
+        for i, b in zip(grid.members, grid.block, strict=True):
+            columns = slice(b * grid.k, (b + 1) * grid.k)
+            _accumulate_piece(
+                law,
+                grid,
+                i,
+                part,
+                (
+                    unexplained_gram[part, columns, columns],
+                    coordinates[part, columns],
+                    products[:, columns],
+                    series,
+                ),
+            )
+        data_products[part] = products[:, :, 0]
+        gain = compute_gains((unexplained_gram[part], coordinates[part], products), series, (grid.low, grid.high))
+        gains[part] = gain[:, 0]
+        np.maximum(max_gains, gain.max(axis=0), out=max_gains)
+    return CandidateScan(grid, unexplained_gram, coordinates, data_products, gains, max_gains)
 
 
-def _add_piece(
-    law: LinearisedModel, family: CandidateGrid, i: int, part: slice, into: tuple[Array, Array, Array, ScannedSeries]
+def _accumulate_piece(
+    law: LinearisedModel, grid: CandidateGrid, i: int, part: slice, into: tuple[Array, Array, Array, ScannedSeries]
 ) -> None:
     """Add what one piece tells of some forms: Gram matrices, coordinates, products with the data."""
-    strip, (rest, own, products, series) = law.pieces[i], into
-    raw = family.raw(strip, family.values[part])
-    count, k = raw.shape[:2]
-    beyond, coordinates = strip.split(
-        strip.whitened_rows(raw.reshape(count * k, -1), family.effect.acts_on == "measurement")
+    piece, (unexplained_gram, coordinates, products, series) = law.pieces[i], into
+    raw_columns = grid.raw_columns(piece, grid.values[part])
+    count, k = raw_columns.shape[:2]
+    unexplained, own_coordinates = piece.split(
+        piece.whitened_rows(raw_columns.reshape(count * k, -1), grid.effect.acts_on == "measurement")
     )
-    cube = beyond.reshape(count, k, -1)
-    rest += cube @ cube.transpose(0, 2, 1)
-    own[:, :, law.places[i]] += coordinates.reshape(count, k, -1)
-    products += (beyond.astype(np.float32) @ series.data[law.rows[i]]).reshape(products.shape)
+    cube = unexplained.reshape(count, k, -1)
+    unexplained_gram += cube @ cube.transpose(0, 2, 1)
+    coordinates[:, :, law.coordinate_slices[i]] += own_coordinates.reshape(count, k, -1)
+    products += (unexplained.astype(np.float32) @ series.data[law.rows[i]]).reshape(products.shape)
 
 
-Products = tuple[Array, Array, Array]  # Gram matrices (G, K, K), coordinates (G, K, L), products with series (G, K, D)
+# Gram matrices (G, K, K), coordinates (G, K, L), products with series (G, K, D)
+ScanProducts = tuple[Array, Array, Array]
 
 
-def _gains(told: Products, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array | Float32Array:
+def _gains_at_own_scatter(
+    scan_products: ScanProducts, series: ScannedSeries, bounds: tuple[Array, Array]
+) -> Array | Float32Array:
     """Fall of chi-squared (G, D) of some forms for every series, each at its own spread."""
-    out = np.empty((len(told[0]), series.data.shape[1]), dtype=np.float32)
-    for left, columns, beside in zip(series.lefts, series.groups, series.beside, strict=True):
+    out = np.empty((len(scan_products[0]), series.data.shape[1]), dtype=np.float32)
+    for projector, columns, projected in zip(series.residual_projectors, series.groups, series.projected, strict=True):
         if columns.stop > columns.start:
-            out[:, columns] = _gain_at_scatter(told, (left, beside), columns, bounds)
+            out[:, columns] = _gain_at_scatter(scan_products, (projector, projected), columns, bounds)
     return out
 
 
-def _gains_at_best_scatter(told: Products, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array:
+def _gains_at_best_scatter(scan_products: ScanProducts, series: ScannedSeries, bounds: tuple[Array, Array]) -> Array:
     """The same with the spread of every series estimated again."""
     whole = slice(0, series.data.shape[1])
-    best = np.full((len(told[0]), whole.stop), np.inf)
-    for left, bare in zip(series.lefts, series.profile, strict=True):
-        at = left, (left @ series.own).astype(np.float32)
-        np.minimum(best, bare - _gain_at_scatter(told, at, whole, bounds), out=best)
+    best = np.full((len(scan_products[0]), whole.stop), np.inf)
+    for projector, baseline in zip(series.residual_projectors, series.profile, strict=True):
+        projector_and_coordinates = projector, (projector @ series.coordinates).astype(np.float32)
+        np.minimum(best, baseline - _gain_at_scatter(scan_products, projector_and_coordinates, whole, bounds), out=best)
     return np.asarray(series.profile.min(axis=0) - best)
 
 
 def _gain_at_scatter(
-    told: Products, at: tuple[Array, Float32Array], columns: slice, bounds: tuple[Array, Array]
+    scan_products: ScanProducts,
+    projector_and_coordinates: tuple[Array, Float32Array],
+    columns: slice,
+    bounds: tuple[Array, Array],
 ) -> Float32Array:
     """Fall of chi-squared (G, D') of some forms at one spread; `at` says what the law leaves there of coordinates.
 
     A single coefficient keeps its bounds: data that ask for the wrong sign gain nothing.
     """
-    (rest, own, products), (left, beside) = told, at
+    (unexplained_gram, coordinates, products), (projector, projected) = scan_products, projector_and_coordinates
     g, size = products.shape[:2]
-    full = np.einsum("gkk->gk", rest) + np.einsum("gkl,gkl->gk", own, own)
-    root = whitener(rest + own @ left @ own.transpose(0, 2, 1), full).astype(np.float32)
-    aside = (own.reshape(g * size, -1).astype(np.float32) @ beside).reshape(g, size, -1)
-    aside += products[:, :, columns]
-    white = root @ aside
+    full = np.einsum("gkk->gk", unexplained_gram) + np.einsum("gkl,gkl->gk", coordinates, coordinates)
+    root = whitener(unexplained_gram + coordinates @ projector @ coordinates.transpose(0, 2, 1), full).astype(
+        np.float32
+    )
+    products_with_data = (coordinates.reshape(g * size, -1).astype(np.float32) @ projected).reshape(g, size, -1)
+    products_with_data += products[:, :, columns]
+    whitened = root @ products_with_data
     if size == 1 and bounds[0][0] >= 0:
-        np.maximum(white, 0.0, out=white)
+        np.maximum(whitened, 0.0, out=whitened)
     if size == 1 and bounds[1][0] <= 0:
-        np.minimum(white, 0.0, out=white)
-    gained: Float32Array = np.einsum("gkd,gkd->gd", white, white)
-    return gained
+        np.minimum(whitened, 0.0, out=whitened)
+    gain: Float32Array = np.einsum("gkd,gkd->gd", whitened, whitened)
+    return gain

@@ -45,9 +45,9 @@ class FrictionNoise:
     """
 
     rms: float
-    alike: float
+    correlation_frames: float
     white: float
-    strokes: int = 0
+    stroke_count: int = 0
 
 
 def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
@@ -57,38 +57,40 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     there are very many.
     """
     noise = friction_noise(solution)
-    every = max(int(noise.alike / FRAMES_PER_CORRELATION), 1)
-    if every > 1:
-        pieces = [_every_nth_frame(p, every) for p in solution.problem.pieces]
-        return _with_pieces(solution, pieces, noise.rms * float(np.sqrt(noise.alike / every))), noise
+    stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
+    if stride > 1:
+        pieces = [_every_nth_frame(p, stride) for p in solution.problem.pieces]
+        return _refit_pieces(solution, pieces, noise.rms * float(np.sqrt(noise.correlation_frames / stride))), noise
     block = -(-solution.problem.n_frames // MAX_FRAMES)
     pieces = [_averaged(p, block) for p in solution.problem.pieces]
-    return _with_pieces(solution, pieces, noise.rms * float(np.sqrt(max(noise.alike, 1.0) / block)), block), noise
+    return _refit_pieces(
+        solution, pieces, noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / block)), block
+    ), noise
 
 
 def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs together: white, or what does not repeat from stroke to stroke."""
     white = float(np.sqrt(np.mean(np.concatenate([r.piece.sigma for r in solution.responses]) ** 2)))
-    apart = [d for r in solution.responses for d in _differences_of_strokes(r.piece, r.r * r.piece.sigma)]
-    if not apart:
+    differences = [d for r in solution.responses for d in _stroke_differences(r.piece, r.r * r.piece.sigma)]
+    if not differences:
         return FrictionNoise(white, 1.0, white)
-    whole = np.concatenate([d for d, _ in apart])
-    strokes = sum(n for _, n in apart)
-    rms = float(np.sqrt(np.mean(whole**2)))
+    all_differences = np.concatenate([d for d, _ in differences])
+    strokes = sum(n for _, n in differences)
+    rms = float(np.sqrt(np.mean(all_differences**2)))
     if rms < MIN_SLOW_NOISE_RATIO * white:
         return FrictionNoise(white, 1.0, white, strokes)
-    return FrictionNoise(rms, max(correlation_time_frames(d) for d, _ in apart), white, strokes)
+    return FrictionNoise(rms, max(correlation_time_frames(d) for d, _ in differences), white, strokes)
 
 
-def _differences_of_strokes(piece: Piece, left: Array) -> Iterator[tuple[Array, int]]:
+def _stroke_differences(piece: Piece, residual: Array) -> Iterator[tuple[Array, int]]:
     """What of a residual (n,) differs from stroke to stroke, end to end, and how many strokes tell; group by group."""
     rows = piece.at if isinstance(piece, MeasuredFrictionPiece) else np.arange(len(piece.t))
     x, v = piece.path.x[rows], np.abs(piece.path.v[rows])
     for coordinate in (x, v):
-        groups = list(_groups(strokes(coordinate), coordinate, v))
+        groups = list(_comparable_strokes(strokes(coordinate), coordinate, v))
         if groups:
             for group in groups:
-                yield _unrepeated_residual(group, coordinate, left), len(group)
+                yield _unrepeated_residual(group, coordinate, residual), len(group)
             return
 
 
@@ -101,66 +103,70 @@ def strokes(coordinate: Array) -> list[Rows]:
     [2, 5]
 
     """
-    least = MIN_REVERSAL_SHARE * float(np.ptp(coordinate))
-    turns, way, far = [0], 0, 0
+    min_reversal = MIN_REVERSAL_SHARE * float(np.ptp(coordinate))
+    reversals, direction, extreme = [0], 0, 0
     for i in range(1, len(coordinate)):
-        step = coordinate[i] - coordinate[far]
-        if way == 0 and abs(step) >= least > 0:
-            way = 1 if step > 0 else -1
-            far = i
-        elif way * step > 0:
-            far = i
-        elif way and -way * step >= least:
-            turns.append(far)
-            way, far = -way, i
-    return [np.arange(a, b) for a, b in zip(turns, [*turns[1:], len(coordinate)], strict=True) if b - a > 1]
+        step = coordinate[i] - coordinate[extreme]
+        if direction == 0 and abs(step) >= min_reversal > 0:
+            direction = 1 if step > 0 else -1
+            extreme = i
+        elif direction * step > 0:
+            extreme = i
+        elif direction and -direction * step >= min_reversal:
+            reversals.append(extreme)
+            direction, extreme = -direction, i
+    return [np.arange(a, b) for a, b in zip(reversals, [*reversals[1:], len(coordinate)], strict=True) if b - a > 1]
 
 
-def _groups(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[list[Rows]]:
+def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) -> Iterator[list[Rows]]:
     """Strokes that can be compared: the same way, alike in length and speed, at least `MIN_STROKES` of them."""
     length = max((float(np.ptp(coordinate[s])) for s in found), default=0.0)
     long = [s for s in found if np.ptp(coordinate[s]) >= MIN_SHARE * length > 0]
-    for way in (1.0, -1.0):
-        mine = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == way]
-        if not mine:
+    for direction in (1.0, -1.0):
+        same_direction = [s for s in long if np.sign(coordinate[s[-1]] - coordinate[s[0]]) == direction]
+        if not same_direction:
             continue
-        usual = float(np.median([np.median(speed[s]) for s in mine]))
-        alike = [s for s in mine if abs(np.median(speed[s]) - usual) <= MAX_SPEED_DIFFERENCE * usual]
-        if len(alike) >= MIN_STROKES:
-            yield alike
+        typical_speed = float(np.median([np.median(speed[s]) for s in same_direction]))
+        similar = [
+            s
+            for s in same_direction
+            if abs(np.median(speed[s]) - typical_speed) <= MAX_SPEED_DIFFERENCE * typical_speed
+        ]
+        if len(similar) >= MIN_STROKES:
+            yield similar
 
 
-def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, left: Array) -> Array:
+def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Array) -> Array:
     """A residual less its mean over all strokes at the same place, unbiased, end to end in time."""
     low = max(float(coordinate[s].min()) for s in group)
     high = min(float(coordinate[s].max()) for s in group)
     low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
     at = np.linspace(low, high, STROKE_POINTS)
-    each = [_at_places(coordinate[s], left[s], at) for s in group]
+    each = [_interpolated_residual(coordinate[s], residual[s], at) for s in group]
     mean = np.mean(each, axis=0)
     unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
     inside = [s[(coordinate[s] >= low) & (coordinate[s] <= high)] for s in group]
-    return np.concatenate([unbiased * (left[s] - np.interp(coordinate[s], at, mean)) for s in inside])
+    return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
 
 
-def _at_places(coordinate: Array, left: Array, at: Array) -> Array:
+def _interpolated_residual(coordinate: Array, residual: Array, at: Array) -> Array:
     """A residual over a coordinate that goes one way but for its noise, at places (k,)."""
     order = np.argsort(coordinate)
-    return np.interp(at, coordinate[order], left[order])
+    return np.interp(at, coordinate[order], residual[order])
 
 
-def _with_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
+def _refit_pieces(solution: Solution, pieces: Sequence[Piece], sigma: float, block: int = 1) -> Solution:
     """The same law over other frames, all of one noise, N; faster lines than averaged frames show are left out."""
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     layout = solution.problem.layout
     spans = tuple(replace(s, fps=s.fps / block) for s in layout.spans)
-    problem = solution.problem.over(replace(layout, spans=spans), ready)
+    problem = solution.problem.rebuild(replace(layout, spans=spans), ready)
     held = np.zeros(len(solution.p), dtype=bool)
     return refine(problem, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
-def _every_nth_frame(piece: Piece, every: int) -> Piece:
-    rows = slice(None, None, every)
+def _every_nth_frame(piece: Piece, stride: int) -> Piece:
+    rows = slice(None, None, stride)
     return replace(
         piece, frames=piece.frames[rows], t=piece.t[rows], y=piece.y[rows], sigma=piece.sigma[rows], at=piece.at[rows]
     )
@@ -170,10 +176,10 @@ def _averaged(piece: Piece, block: int) -> Piece:
     """Blocks of neighbouring frames in one direction as one frame each, their mean friction at the middle one."""
     if block <= 1:
         return piece
-    whole = len(piece.t) // block * block
-    frames, y = piece.frames[:whole].reshape(-1, block), piece.y[:whole].reshape(-1, block)
-    way = piece.path.s[piece.at[:whole]].reshape(-1, block)
-    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(way, axis=1) == 0)
+    all_differences = len(piece.t) // block * block
+    frames, y = piece.frames[:all_differences].reshape(-1, block), piece.y[:all_differences].reshape(-1, block)
+    direction = piece.path.s[piece.at[:all_differences]].reshape(-1, block)
+    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(direction, axis=1) == 0)
     middle = (np.arange(len(frames)) * block + block // 2)[kept]
     thin = replace(
         piece, frames=piece.frames[middle], t=piece.t[middle], sigma=piece.sigma[middle], at=piece.at[middle]

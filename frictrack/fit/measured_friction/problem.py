@@ -75,8 +75,10 @@ class MeasuredFrictionPiece(Piece):
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """The path at the compared frames, for effects without memory."""
         known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
-        here: dict[str, Any] = {name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)}
-        return replace(self.path, x=x, v=v, load=self.path.load * level, **here)
+        at_compared: dict[str, Any] = {
+            name: value[self.at] for name, value in known.items() if isinstance(value, np.ndarray)
+        }
+        return replace(self.path, x=x, v=v, load=self.path.load * level, **at_compared)
 
 
 class MeasuredFrictionProblem(LeastSquaresProblem):
@@ -84,7 +86,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     simulates = False
 
-    def over(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
         """The same kind of measurement under another layout, or over other pieces."""
         return MeasuredFrictionProblem(layout.model, layout, pieces)
 
@@ -92,7 +94,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         """None has a start that could be unknown."""
         return [np.zeros(0) for _ in self.pieces]
 
-    def _along(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
+    def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
         """The measured motion itself: it begins where the run does, so nothing is remembered from before."""
         return piece.path_at_nodes(motion.x, motion.v, level)
 
@@ -104,7 +106,7 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         values, level = layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
-        jac = -self._inputs(piece, p, motion, active)[piece.at] / piece.sigma[:, None]
+        jac = -self._acceleration_sensitivities(piece, p, motion, active)[piece.at] / piece.sigma[:, None]
         none = np.zeros((0, 0))
         return PieceResponse(
             piece=piece,
@@ -133,7 +135,7 @@ def keep_compared_frames(solution: Solution) -> Solution:
     pieces = [_compared_frames_of(p) for p in problem.pieces]
     if all(new is old for new, old in zip(pieces, problem.pieces, strict=True)):
         return solution
-    short, held = problem.over(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
+    short, held = problem.rebuild(problem.layout, pieces), np.zeros(len(solution.p), dtype=bool)
     return refine(short, solution.p, solution.starts, tau=solution.tau, free=held, max_steps=0)
 
 
@@ -164,24 +166,24 @@ def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
 
     Raises FrictrackError where only some runs have it.
     """
-    bare = [run.name for run in runs if run.friction_N is None]
-    if domain == "displacement" or len(bare) == len(runs):
+    without_friction = [run.name for run in runs if run.friction_N is None]
+    if domain == "displacement" or len(without_friction) == len(runs):
         return False
-    if bare:
+    if without_friction:
         raise FrictrackError(
-            f"expected friction_N of all runs or of none but {', '.join(bare)} of {len(runs)} runs "
-            f"{'has' if len(bare) == 1 else 'have'} none; give these a study of their own"
+            f"expected friction_N of all runs or of none but {', '.join(without_friction)} of {len(runs)} runs "
+            f"{'has' if len(without_friction) == 1 else 'have'} none; give these a study of their own"
         )
     return True
 
 
 def check_effects(model: Model) -> None:
     """Raises FrictrackError (usage) for an effect on a picture, which a measured friction does not have."""
-    pictures = [e.name for e in model.effects if e.acts_on == "measurement"]
-    if pictures:
+    measurement_effects = [e.name for e in model.effects if e.acts_on == "measurement"]
+    if measurement_effects:
         raise FrictrackError(
-            f"expected effects on the force, since friction itself was measured, but {', '.join(pictures)} acts on the "
-            "picture; take it out",
+            "expected effects on the force, because friction itself was measured, but got "
+            f"{', '.join(measurement_effects)}, which acts on the camera measurement; remove it",
             usage=True,
         )
 
@@ -197,9 +199,9 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
 
     `reference` is the normal load at which newtons are quoted, N; NaN where it is not known of every run.
     """
-    noise = float(np.sqrt(np.mean([_noise(run) ** 2 for run in runs])))
+    noise = float(np.sqrt(np.mean([_white_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
-    return [_friction_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
+    return [_make_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
 
 
 def friction_spans(pieces: Sequence[Piece], fps: float) -> tuple[Span, ...]:
@@ -212,7 +214,7 @@ def _span(piece: Piece, fps: float) -> Span:
     return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
 
 
-def _noise(run: Run) -> float:
+def _white_noise(run: Run) -> float:
     """White noise of the cell, N: as stated, else its own."""
     if run.noise is not None:
         return run.noise
@@ -222,15 +224,15 @@ def _noise(run: Run) -> float:
     return max(sigma, MIN_NOISE_SHARE * float(np.max(np.abs(series[known]), initial=0.0)), 1e-12)
 
 
-def _friction_piece(run: Run, index: int, noise: float, load: float) -> Piece:
+def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
     rows = np.flatnonzero(free & np.isfinite(series))
     rows = rows[rows > 0]  # the first frame says on which side friction held before
     known = np.flatnonzero(np.isfinite(series))
-    whole = np.interp(np.arange(len(series)), known, series[known])
-    begin = run_context(run, Reference(run.mass or 1.0, 1.0))
-    path = _measured_path(run, begin, whole, load)
+    full_series = np.interp(np.arange(len(series)), known, series[known])
+    context = run_context(run, Reference(run.mass or 1.0, 1.0))
+    path = _measured_path(run, context, full_series, load)
     return MeasuredFrictionPiece(
         run=index,
         frames=rows,
@@ -242,34 +244,34 @@ def _friction_piece(run: Run, index: int, noise: float, load: float) -> Piece:
         per_frame=1,
         x_hat=path.x,
         v_hat=path.v,
-        a_hat=-whole,
+        a_hat=-full_series,
         known=np.zeros_like(path.t),
         path=path,
         mass=1.0,
-        way=begin.way,
+        way=context.way,
         systematic=run.drift or 0.0,
     )
 
 
-def _measured_path(run: Run, begin: RunContext, force: Array, load: float) -> Path:
+def _measured_path(run: Run, context: RunContext, force: Array, load: float) -> Path:
     """The measured motion from the first frame to the last: its friction may turn on any of the way before."""
-    t, x, v = run.motion.t - begin.release, np.asarray(run.motion.x), _velocity(run)
+    t, x, v = run.motion.t - context.release, np.asarray(run.motion.x), _steady_velocity(run)
     slid = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) * (v[1:] != 0))])
     held = float(np.sign(force[0])) if abs(force[0]) > MIN_HELD_SHARE * np.median(np.abs(force)) else 0.0
-    known = path_of_rows(run, np.arange(len(t)), t, begin)
-    gone = slid - slid[int(np.searchsorted(t, 0.0))]
-    return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=gone, begins=x)
+    known = path_of_rows(run, np.arange(len(t)), t, context)
+    travelled = slid - slid[int(np.searchsorted(t, 0.0))]
+    return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=travelled, begins=x)
 
 
-def _velocity(run: Run) -> Array:
+def _steady_velocity(run: Run) -> Array:
     """Velocity (n,), that of a stuck mass as steady as it creeps: noise would add up to a way that was never gone."""
     motion = run.motion
     v = np.array(motion.v)
     for s in stretches(~is_moving(run)):
         first, last = s.start, s.stop - 1
         crept = motion.x[last] - motion.x[first]
-        sure = abs(crept) > MIN_CREEP_STD * float(np.hypot(motion.sigma_x[first], motion.sigma_x[last]))
-        v[s] = crept / (motion.t[last] - motion.t[first]) if sure and last > first else 0.0
+        significant = abs(crept) > MIN_CREEP_STD * float(np.hypot(motion.sigma_x[first], motion.sigma_x[last]))
+        v[s] = crept / (motion.t[last] - motion.t[first]) if significant and last > first else 0.0
     return v
 
 

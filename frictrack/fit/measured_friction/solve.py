@@ -56,31 +56,31 @@ def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[st
     """
     layout = _layout(model, pieces, names, fps)
     separable = SeparableModel(layout, [_block(p) for p in pieces])
-    state = _reshaped(ProjectedProblem(separable, separable.data), variable_projection(separable)())
+    state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
     problem = MeasuredFrictionProblem(model, layout, pieces)
-    return fit_with_scatter(problem, separable.law(state.numbers, state.coefficients), problem.first_starts())
+    return fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
 
 
 def search_measured_friction(
     model: Model,
     pieces: Sequence[Piece],
-    known: tuple[tuple[str, ...], float],
-    how: tuple[str, str, np.random.Generator],
+    names_and_rate: tuple[tuple[str, ...], float],
+    search_settings: tuple[str, str, np.random.Generator],
 ) -> tuple[Solution, tuple[Array, Array]]:
     """The law that a global search finds, as it is, and its "group of feasible solutions": unknowns (k, P), SSE in N^2.
 
     `known` holds the names of the runs and the frame rate; `how` method, what is searched ("all" or "nonlinear"), rng.
     Raises FrictrackError when the runs lack what an effect needs.
     """
-    (names, fps), (method, over, rng) = known, how
+    (names, fps), (method, over, rng) = names_and_rate, search_settings
     layout = _layout(model, pieces, names, fps)
     kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
     misfit = kind(layout, [_block(p) for p in pieces], unit=float(pieces[0].sigma[0]) ** 2)
     optima, costs = search_parameters(misfit, method, rng, np.ones(len(layout.slots)))
     problem = MeasuredFrictionProblem(model, layout, pieces)
-    held = np.zeros(len(layout.slots), dtype=bool)
+    penalty = np.zeros(len(layout.slots), dtype=bool)
     tau = searched_scatter(layout, optima[0])
-    return refine(problem, optima[0], problem.first_starts(), tau=tau, free=held, max_steps=0), (optima, costs)
+    return refine(problem, optima[0], problem.first_starts(), tau=tau, free=penalty, max_steps=0), (optima, costs)
 
 
 def _layout(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> ParameterLayout:
@@ -104,31 +104,36 @@ def _block(piece: Piece) -> DataBlock:
     )
 
 
-def _reshaped(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
+def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
     """The same search over what reshapes dry friction: a modifier without a coefficient is no column of a scan."""
     for g, group in enumerate(problem.separable.groups):
         if not any(e.modifies and not e.linear for e in group.model.effects):
             continue
-        found = [problem.at(numbers, state, {g}) for numbers in _grid(problem, state.numbers, g)]
+        found = [
+            problem.at(nonlinear_values, state, {g}) for nonlinear_values in _grid(problem, state.nonlinear_values, g)
+        ]
         best = sorted(found, key=lambda s: s.misfit)[:MAX_GRID_STARTS]
         state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
     return state
 
 
-def _grid(problem: ProjectedProblem, numbers: Array, g: int) -> list[Array]:
+def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Array]:
     """Numbers (P,) at the points of a coarse grid over the scanned ones of a group."""
     layout = problem.layout
     scanned = {}
-    for i in problem.separable.groups[g].numbers:
+    for i in problem.separable.groups[g].nonlinear_slots:
         slot = layout.slots[i]
         parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
         if parameter.scan is not None:
             scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
-    most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)
-    axes = [axis[np.linspace(0, len(axis) - 1, min(most, len(axis))).round().astype(int)] for axis in scanned.values()]
+    points_per_axis = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)
+    axes = [
+        axis[np.linspace(0, len(axis) - 1, min(points_per_axis, len(axis))).round().astype(int)]
+        for axis in scanned.values()
+    ]
     out = []
     for point in product(*axes):
-        out.append(numbers.copy())
+        out.append(nonlinear_values.copy())
         out[-1][list(scanned)] = point
     return out
 
@@ -149,31 +154,33 @@ def correlated_frames(r: Array) -> int:
 
 def blocks(solution: Solution) -> list[list[slice]]:
     """Every run cut into blocks of frames: longer than the residual is alike, enough of them for the unknowns."""
-    enough = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * len(solution.p) // len(solution.responses)))
-    return [_blocks_of_frames(len(r.r), correlated_frames(r.r), enough) for r in solution.responses]
+    min_blocks = max(MIN_BLOCKS, -(-MIN_BLOCKS_PER_UNKNOWN * len(solution.p) // len(solution.responses)))
+    return [_blocks_of_frames(len(r.r), correlated_frames(r.r), min_blocks) for r in solution.responses]
 
 
-def _blocks_of_frames(n: int, alike: int, enough: int) -> list[slice]:
-    length = min(max(int(np.ceil(BLOCK_CORRELATION_TIMES * alike)), 1), max(n // enough, 1))
+def _blocks_of_frames(n: int, correlation: int, min_blocks: int) -> list[slice]:
+    length = min(max(int(np.ceil(BLOCK_CORRELATION_TIMES * correlation)), 1), max(n // min_blocks, 1))
     edges = np.linspace(0, n, max(n // length, 1) + 1).round().astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def block_covariance(solution: Solution) -> Array:
     """Covariance of the unknowns (P, P): that of white noise where the residual is, else the scatter of blocks."""
-    plain, _ = covariance_of(solution)
+    white_noise, _ = covariance_of(solution)
     if all(correlated_frames(r.r) == 0 for r in solution.responses):
-        return plain
-    pulls = []
+        return white_noise
+    gradients = []
     for r, cut in zip(solution.responses, blocks(solution), strict=True):
         for rows in cut:
-            pulls.append(np.zeros(len(solution.p)))
-            pulls[-1][r.active] = r.jac[rows].T @ r.r[rows]
-    count = len(pulls)
-    widen = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
-    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
-    each = np.array(pulls)
-    return np.asarray(plain @ (widen * each.T @ each + held.T @ held) @ plain)
+            gradients.append(np.zeros(len(solution.p)))
+            gradients[-1][r.active] = r.jac[rows].T @ r.r[rows]
+    count = len(gradients)
+    widening = (student.ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
+    block_gradients = np.array(gradients)
+    return np.asarray(
+        white_noise @ (widening * block_gradients.T @ block_gradients + penalty.T @ penalty) @ white_noise
+    )
 
 
 def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
@@ -185,24 +192,26 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
     problem = solution.problem
     hidden = [_odd_blocks(len(r.r), cut) for r, cut in zip(solution.responses, blocks(solution), strict=True)]
     if by == "frames" or len(problem.pieces) < 2 or (by is None and not is_predictable(solution)):
-        half = problem.over(
+        even_problem = problem.rebuild(
             problem.layout, [_with_hidden_frames(p, h) for p, h in zip(problem.pieces, hidden, strict=True)]
         )
-        found = refine(half, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=10)
+        found = refine(even_problem, solution.p, solution.starts, tau=solution.tau or 0.03, max_steps=10)
         return _rms(found, hidden), "frames"
-    squares = [_left_out(solution, i, h) ** 2 for i, h in enumerate(hidden)]
+    squares = [_rms_left_out(solution, i, h) ** 2 for i, h in enumerate(hidden)]
     return float(np.sqrt(np.average(squares, weights=[np.sum(h) for h in hidden]))), "run"
 
 
-def _left_out(solution: Solution, i: int, hidden: Mask) -> float:
+def _rms_left_out(solution: Solution, i: int, hidden: Mask) -> float:
     """Root mean square residual, N, over the hidden frames of one run, predicted by the others."""
     problem, layout = solution.problem, solution.problem.layout
     piece = problem.pieces[i]
     own = np.array([s.run == piece.run for s in layout.slots])
-    others = problem.over(layout, [p for p in problem.pieces if p is not piece])
-    known = refine(others, solution.p, others.first_starts(), tau=solution.tau or 0.03, free=~own, max_steps=10)
-    alone = problem.over(replace(layout, levels_free=True), [_with_hidden_frames(piece, hidden)])
-    return _rms(refine(alone, known.p, alone.first_starts(), free=own, max_steps=10), [hidden])
+    others = problem.rebuild(layout, [p for p in problem.pieces if p is not piece])
+    names_and_rate = refine(
+        others, solution.p, others.first_starts(), tau=solution.tau or 0.03, free=~own, max_steps=10
+    )
+    alone = problem.rebuild(replace(layout, levels_free=True), [_with_hidden_frames(piece, hidden)])
+    return _rms(refine(alone, names_and_rate.p, alone.first_starts(), free=own, max_steps=10), [hidden])
 
 
 def _odd_blocks(n: int, cut: Sequence[slice]) -> Mask:

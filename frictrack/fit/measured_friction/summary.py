@@ -90,13 +90,14 @@ def remarks(solution: Solution, runs: Sequence[Run], noise: FrictionNoise) -> li
             "record at another speed, or one that slows down again, tells them apart"
         )
     left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
-    if noise.strokes and noise.alike > 1:
+    if noise.stroke_count and noise.correlation_frames > 1:
         interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
         out.append(
-            f"noise {noise.rms:.2g} N rms, alike over {noise.alike * interval:.2g} s: what does not repeat between "
-            f"{noise.strokes} strokes over the same places (white noise {noise.white:.2g} N)"
+            f"noise {noise.rms:.2g} N rms, correlated over {noise.correlation_frames * interval:.2g} s: the part that "
+            f"does not repeat between {noise.stroke_count} strokes over the same positions "
+            f"(white noise {noise.white:.2g} N)"
         )
-    elif not noise.strokes and left > MIN_DRIFT_RATIO * noise.white:
+    elif not noise.stroke_count and left > MIN_DRIFT_RATIO * noise.white:
         slow = float(np.sqrt(left**2 - noise.white**2))
         out.append(
             f"noise {noise.white:.2g} N rms from frame to frame; no stroke is repeated, so slow misfit counts as "

@@ -49,14 +49,16 @@ def segment_frames(model: Model, sections: Sequence[Piece], run: Run) -> int:
         return REVERSAL_SEGMENT_FRAMES if whole > 2 * REVERSAL_SEGMENT_FRAMES else 0
     if run.drive is None:
         return 0
-    ladder = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= MIN_SEGMENT_FRAMES)]
-    if len(ladder) == 1 or not any(_is_known_before_fit(e) for e in model.effects):
+    candidates = [0, *(n for n in (whole >> k for k in range(1, 32)) if n >= MIN_SEGMENT_FRAMES)]
+    if len(candidates) == 1 or not any(_is_known_before_fit(e) for e in model.effects):
         return 0
     rows = [_linear_model(model, p) for p in sections]
     keep = _distinguishable_directions(rows, sections)
-    doubt = float(noise_level(run.displacement.x, run.displacement.valid)[1])
-    merits = [_log_covariance([(c @ keep, y) for c, y in rows], sections, n, doubt) for n in ladder]
-    return ladder[int(np.argmin(merits))]
+    relative_noise_error = float(noise_level(run.displacement.x, run.displacement.valid)[1])
+    log_determinants = [
+        _log_covariance([(c @ keep, y) for c, y in rows], sections, n, relative_noise_error) for n in candidates
+    ]
+    return candidates[int(np.argmin(log_determinants))]
 
 
 def cut_into_segments(sections: Sequence[Piece], n: int) -> list[Piece]:
@@ -92,7 +94,10 @@ def _linear_model(model: Model, piece: Piece) -> tuple[Array, Array]:
     nodes = piece.path_at_nodes(piece.x_hat, piece.v_hat, 1.0)
     span = spans_of([replace(piece, run=0)], 1, 1 / float(np.median(np.diff(piece.t))))[0]
     forces = [
-        e.columns(nodes, held) for e in model.effects if _is_known_before_fit(e) for held in _held_values(e, span)
+        e.columns(nodes, held)
+        for e in model.effects
+        if _is_known_before_fit(e)
+        for held in _clamped_interpolant(e, span)
     ]
     inputs = np.column_stack([*forces, piece.known])
     twice = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
@@ -105,7 +110,7 @@ def _is_known_before_fit(effect: Effect) -> bool:
     return effect.acts_on == "force" and not effect.modifies and not any(p.role == "phase" for p in effect.parameters)
 
 
-def _held_values(effect: Effect, span: Span) -> list[dict[str, float]]:
+def _clamped_interpolant(effect: Effect, span: Span) -> list[dict[str, float]]:
     """Values of the non-linear parameters: the fixed ones, and others at the quarters of their scan."""
     each = [
         [p.fixed] if p.fixed is not None else list(np.quantile(p.scan(span), SCAN_QUANTILES)) if p.scan else [0.0]
@@ -131,7 +136,9 @@ def _without_start(columns: Array, piece: Piece, rows: Rows) -> Array:
     return np.asarray(taken - q @ (q.T @ taken))
 
 
-def _log_covariance(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: int, doubt: float) -> float:
+def _log_covariance(
+    rows: Sequence[tuple[Array, Array]], sections: Sequence[Piece], n: int, relative_noise_error: float
+) -> float:
     """Logarithm of the determinant of the law's covariance with segments of n frames."""
     blocks = [
         _without_start(np.column_stack([c, y]), piece, cut)
@@ -144,10 +151,12 @@ def _log_covariance(rows: Sequence[tuple[Array, Array]], sections: Sequence[Piec
     k = len(gram) - 1
     chi2, frames = float(upper[k, k] ** 2), sum(len(b) for b in blocks)
     _, information = np.linalg.slogdet(gram[:k, :k])
-    return k * float(np.log1p(excess_chi2(chi2, frames - 2 * len(blocks) - k, len(blocks), doubt))) - float(information)
+    return k * float(
+        np.log1p(excess_chi2(chi2, frames - 2 * len(blocks) - k, len(blocks), relative_noise_error))
+    ) - float(information)
 
 
-def excess_chi2(chi2: float, degrees: int, segments: int, doubt: float) -> float:
+def excess_chi2(chi2: float, degrees: int, segments: int, relative_noise_error: float) -> float:
     """Significant excess of chi-squared per segment; `doubt` is the relative error of the noise."""
-    threshold = degrees + EXCESS_STD * float(np.sqrt(2 * degrees + (2 * doubt * degrees) ** 2))
+    threshold = degrees + EXCESS_STD * float(np.sqrt(2 * degrees + (2 * relative_noise_error * degrees) ** 2))
     return max(chi2 - threshold, 0.0) / segments

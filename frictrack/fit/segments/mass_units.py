@@ -17,12 +17,14 @@ def guess_mass(pieces: Sequence[Piece]) -> float:
     `pieces` are held in units of any mass. Where drive and acceleration do not go together, their ratio by size.
     """
     drive = np.concatenate([_drive(p) for p in pieces])
-    free = np.concatenate([p.a_hat - p.known + _drive(p) / p.mass for p in pieces])
-    beside = np.concatenate([np.column_stack([p.path.s, p.v_hat]) for p in pieces])
-    inverse = float(np.linalg.lstsq(np.column_stack([drive, beside]), free, rcond=1e-10)[0][0])
+    friction_acceleration = np.concatenate([p.a_hat - p.known + _drive(p) / p.mass for p in pieces])
+    other_regressors = np.concatenate([np.column_stack([p.path.s, p.v_hat]) for p in pieces])
+    inverse = float(
+        np.linalg.lstsq(np.column_stack([drive, other_regressors]), friction_acceleration, rcond=1e-10)[0][0]
+    )
     if inverse > 0 and np.isfinite(inverse):
         return 1.0 / inverse
-    return float(np.sqrt(np.mean(drive**2) / np.mean(free**2))) or 1.0
+    return float(np.sqrt(np.mean(drive**2) / np.mean(friction_acceleration**2))) or 1.0
 
 
 def _drive(piece: Piece) -> Array:

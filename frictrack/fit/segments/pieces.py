@@ -95,7 +95,7 @@ class Piece:
         s = self._direction(v) if self.turns else self.path.s
         return replace(self.path, x=x, v=v, s=s, load=self.path.load * level)
 
-    def since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
+    def path_since_start(self, x: Array, v: Array, t: Array, level: float) -> Path:
         """The path from the start of the piece through its first nodes, (1 + k,), for a law with memory."""
         k = len(t) - 1
         s = self._direction(v) if self.turns else np.append(self.path.s[0], self.path.s[:k])
@@ -122,7 +122,7 @@ class Piece:
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
-    def timed(self, clock: float) -> Piece:
+    def with_clock(self, clock: float) -> Piece:
         """The same piece by a clock whose times since release are recorded ones times `clock`; motion and all."""
         by = clock / self.clock
         if by == 1.0:
@@ -131,9 +131,9 @@ class Piece:
             self.path,
             t=by * self.path.t,
             v=self.path.v / by,
-            drive_at=_at_times(self.path.drive_at, by),
+            drive_at=_series_with_time_scaled(self.path.drive_at, by),
             lift=None if self.path.lift is None else self.path.lift / by**2,
-            before=None if self.path.before is None else _retimed(self.path.before, by),
+            before=None if self.path.before is None else _with_time_scaled(self.path.before, by),
         )
         return replace(
             self,
@@ -142,7 +142,7 @@ class Piece:
             v_hat=self.v_hat / by,
             a_hat=self.a_hat / by**2,
             path=path,
-            way=_retimed(self.way, by),
+            way=_with_time_scaled(self.way, by),
             slack=self.slack / by,
             clock=clock,
         )
@@ -159,16 +159,16 @@ class Piece:
         at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
         path = replace(
             self.path,
-            before=_motion_until(self.way, self.t[start]),
+            before=_motion_before(self.way, self.t[start]),
             **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
-            s=self._onward(low, high),
+            s=self._direction_at_nodes(low, high),
             **self._series(lambda q: q[nodes]),
         )
         angle = None if self.angle is None else self.angle[start:stop]
         panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
         return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
 
-    def _onward(self, low: int, high: int) -> Array:
+    def _direction_at_nodes(self, low: int, high: int) -> Array:
         """Direction of motion at the nodes of some panels; of a piece that turns, that at the first of them."""
         s = self.path.s[3 * low : 3 * high]
         return np.full_like(s, headings(self.v_hat[: 3 * low + 1])[-1]) if self.turns and low else s
@@ -208,16 +208,16 @@ def pieces_of(
     digits = float(np.finfo(float).eps * np.max(np.abs(disp.x[use])))  # of a double: no table is more exact
     white = float(noise_level(disp.x, use, noise)[0])
     noise = noise * (run.noise or max(white, digits, disp.resolution / float(np.sqrt(12.0))))
-    begin = run_context(run, reference)
+    context = run_context(run, reference)
     sections = moving_sections(run)
     if through_reversals and run.drive is not None and _stops_or_reverses(sections):
-        return [_through_reversals(run, index, noise, begin)]
+        return [_through_reversals(run, index, noise, context)]
     made = []
     for section, slack in join_swings(run, sections):
         rows = np.arange(len(disp))[section]
         rows = rows[disp.valid[rows] & np.isfinite(disp.x[rows])]
         if len(rows) >= MIN_FRAMES:
-            piece = _piece(run, index, rows, noise, begin)
+            piece = _piece(run, index, rows, noise, context)
             made.append(replace(piece, turns=True, slack=slack) if slack else piece)
     if not made:
         raise FrictrackError(
@@ -232,14 +232,14 @@ def _stops_or_reverses(sections: Sequence[slice]) -> bool:
     return sum(s.stop - s.start >= MIN_FRAMES for s in sections) > 1
 
 
-def _through_reversals(run: Run, index: int, noise: Array, begin: RunContext) -> Piece:
+def _through_reversals(run: Run, index: int, noise: Array, context: RunContext) -> Piece:
     """The whole record, or what is given as free, in one piece; it begins at rest where its first frame does."""
     disp = run.displacement
     use = disp.valid & np.isfinite(disp.x)
     if run.free is not None:
         use &= (disp.t >= run.free[0]) & (disp.t <= run.free[1])
     rows = np.flatnonzero(use)
-    piece = _piece(run, index, rows, noise, begin)
+    piece = _piece(run, index, rows, noise, context)
     first = np.sign(run.motion.v[rows[0]]) if is_moving(run)[rows[0]] else 0.0
     return replace(piece, turns=True, path=replace(piece.path, s=np.full_like(piece.path.t, first)))
 
@@ -276,30 +276,30 @@ def relative_noise(sigma: Array, use: Mask) -> Array:
     return relative
 
 
-def _retimed(way: Array, by: float) -> Array:
+def _with_time_scaled(way: Array, by: float) -> Array:
     """A motion t, x, v (3, k) whose times are so many times as long."""
     return way * np.array([[by], [1.0], [1.0 / by]])
 
 
-def _at_times(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
+def _series_with_time_scaled(series: Callable[[Array], Array] | None, by: float) -> Callable[[Array], Array] | None:
     """A series of time whose times are so many times as long."""
     return None if series is None else lambda t: series(t / by)
 
 
-def _motion_until(way: Array, t: float) -> Array:
+def _motion_before(way: Array, t: float) -> Array:
     """The part of a motion (3, k) up to a time."""
     return way[:, : int(np.searchsorted(way[0], t, side="right"))]
 
 
-def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: RunContext) -> Piece:
-    mass = float(run.mass or begin.reference.mass)
-    t = run.displacement.t[rows] - begin.release
-    edges, at = _panel_edges(t, begin.per_frame)
+def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) -> Piece:
+    mass = float(run.mass or context.reference.mass)
+    t = run.displacement.t[rows] - context.release
+    edges, at = _panel_edges(t, context.per_frame)
     panels = Panels(edges)
     nodes = panels.t
     motion = run.motion
-    times = motion.t - begin.release
-    path = path_of_rows(run, rows, nodes, begin)
+    times = motion.t - context.release
+    path = path_of_rows(run, rows, nodes, context)
     known = np.full(len(nodes), -GRAVITY * np.sin(run.incline))
     if path.drive is not None:
         known = known + path.drive / mass
@@ -311,60 +311,60 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, begin: RunContext) ->
         sigma=noise[rows],
         panels=panels,
         at=at,
-        per_frame=begin.per_frame,
+        per_frame=context.per_frame,
         x_hat=CubicSpline(times, motion.x)(nodes),
         v_hat=CubicSpline(times, motion.v)(nodes),
         a_hat=np.interp(nodes, times, motion.a),
         known=known,
         path=path,
         mass=mass,
-        way=begin.way,
-        angle=_interpolated(times, begin.angle, t),
+        way=context.way,
+        angle=_interpolated(times, context.angle, t),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         step=run.displacement.resolution,
         shake=run.displacement.shake,
-        locked=_locked(run, rows, noise),
+        locked=_pixel_locked_share(run, rows, noise),
     )
 
 
-def _locked(run: Run, rows: Rows, noise: Array) -> float:
+def _pixel_locked_share(run: Run, rows: Rows, noise: Array) -> float:
     """Share of the measured variance of a film's places beyond what its tracker states; none for a table."""
     if not run.displacement.systematic or not run.pixel_pitch:
         return 0.0
     return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
 
 
-def path_of_rows(run: Run, rows: Rows, nodes: Array, begin: RunContext) -> Path:
+def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Path:
     """What is known of a run along the nodes of one piece, whose motion is still to come."""
     motion = run.motion
-    times = motion.t - begin.release
-    drive_at = None if run.drive is None else _held_values(CubicSpline(times, run.drive), times)
+    times = motion.t - context.release
+    drive_at = None if run.drive is None else _clamped_interpolant(CubicSpline(times, run.drive), times)
     still = np.zeros_like(nodes)
-    before = _motion_until(begin.way, run.displacement.t[rows[0]] - begin.release)
+    before = _motion_before(context.way, run.displacement.t[rows[0]] - context.release)
     row = max(before.shape[1] - 1, 0)
     return Path(
         t=nodes,
         x=still,
         v=still,
         s=still + np.sign(np.median(motion.v[rows])),
-        load=1.0 if run.mass is None else (run.load or 1.0) / begin.reference.load,
-        mass_ratio=float(run.mass or begin.reference.mass) / begin.reference.mass,
+        load=1.0 if run.mass is None else (run.load or 1.0) / context.reference.load,
+        mass_ratio=float(run.mass or context.reference.mass) / context.reference.mass,
         mass=run.mass,
         pixel_pitch=run.pixel_pitch,
         drive=None if drive_at is None else drive_at(nodes),
         drive_at=drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
         gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
-        angle=_interpolated(times, begin.angle, nodes),
+        angle=_interpolated(times, context.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,
-        travelled=float(begin.slid[row]),
-        begins=float(begin.way[1, row]),
+        travelled=float(context.slid[row]),
+        begins=float(context.way[1, row]),
         before=before,
     )
 
 
-def _held_values(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
+def _clamped_interpolant(series: Callable[[Array], Array], times: Array) -> Callable[[Array], Array]:
     """A series that keeps its first and last value outside the times at which it is known."""
 
     def at(t: Array) -> Array:

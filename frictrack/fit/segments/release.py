@@ -80,8 +80,8 @@ def _frames_at_rest(run: Run) -> int:
     if run.friction_N is not None:
         return 0
     motion, certain = run.motion, np.abs(run.motion.v) > CERTAIN * run.motion.sigma_v
-    still = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
-    rows = still if len(still) else np.array([0])
+    resting = np.flatnonzero(~is_moving(run)[: int(np.argmax(certain))])
+    rows = resting if len(resting) else np.array([0])
     v, sigma = motion.v[rows], motion.sigma_v[rows]
     at_most = abs(float(np.mean(v))) + MOVING * float(np.sqrt(np.mean(sigma**2) / len(rows)))
     return (

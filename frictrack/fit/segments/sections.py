@@ -20,12 +20,14 @@ def sections_of(runs: Sequence[Run], reference: Reference, *, through_reversals:
         pieces_of(run, i, free_section(run)[0], reference, through_reversals=through_reversals)
         for i, run in enumerate(runs)
     ]
-    open_ = [not run.noise and not run.displacement.resolution for run in runs]  # neither stated nor that of a rounding
-    even = [i for i, own in enumerate(open_) if own]
-    found = correlated_noise([_longest_gapless(sections[i]) for i in even])
+    unstated = [
+        not run.noise and not run.displacement.resolution for run in runs
+    ]  # neither stated nor that of a rounding
+    estimated = [i for i, own in enumerate(unstated) if own]
+    found = correlated_noise([_longest_gapless(sections[i]) for i in estimated])
     if found is not None:
-        for i, rms in zip(even, found.rms.tolist(), strict=True):
-            sections[i] = [_correlated(p, found, rms) for p in sections[i]]
+        for i, rms in zip(estimated, found.rms.tolist(), strict=True):
+            sections[i] = [_with_correlated_noise(p, found, rms) for p in sections[i]]
     return sections
 
 
@@ -35,7 +37,7 @@ def _longest_gapless(section: Sequence[Piece]) -> Array:
     return max(parts, key=len)
 
 
-def _correlated(piece: Piece, found: CorrelatedNoise, rms: float) -> Piece:
+def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> Piece:
     """The same piece under noise of a rms, m, that is alike in neighbouring frames."""
     time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
     level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))

@@ -24,7 +24,7 @@ class Whitening:
     `size` (n,); `keep` and `gain` (n - 1,).
     """
 
-    keep: Array
+    persistence: Array
     gain: Array
     size: Array
 
@@ -40,50 +40,50 @@ class Whitening:
 
         """
         rms, time = correlated
-        stays = np.exp(-np.diff(t) / time)
+        decay = np.exp(-np.diff(t) / time)
         variance, share, before = np.empty(len(t)), np.empty(len(t)), rms**2
         for i, white in enumerate(sigma**2):
             variance[i] = before + white
             share[i] = before / variance[i]
-            if i < len(stays):
-                before = stays[i] ** 2 * share[i] * white + (1 - stays[i] ** 2) * rms**2
-        return cls(stays * (1 - share[:-1]), stays * share[:-1], np.sqrt(variance))
+            if i < len(decay):
+                before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
+        return cls(decay * (1 - share[:-1]), decay * share[:-1], np.sqrt(variance))
 
     def whitened(self, errors: Array) -> Array:
         """Innovations (n, ...) of errors (n, ...), in units of their size."""
-        return (errors - _run(self.keep, self.gain, errors)) / _column(self.size, errors)
+        return (errors - _filter_forward(self.persistence, self.gain, errors)) / _column(self.size, errors)
 
     def coloured(self, white: Array) -> Array:
         """The errors (n, ...) of which these are the innovations."""
         innovations = white * _column(self.size, white)
-        return innovations + _run(self.keep + self.gain, self.gain, innovations)
+        return innovations + _filter_forward(self.persistence + self.gain, self.gain, innovations)
 
     def transposed(self, white: Array) -> Array:
         """The transposed map: with it, the product of innovations with rows is one of errors with the result."""
         scaled = white / _column(self.size, white)
-        return scaled - _run_back(self.keep, self.gain, scaled)
+        return scaled - _filter_backward(self.persistence, self.gain, scaled)
 
     def coloured_transposed(self, rows: Array) -> Array:
         """The transposed map of `coloured`: what independent errors enter products of errors with rows (n, ...) by."""
-        return (rows + _run_back(self.keep + self.gain, self.gain, rows)) * _column(self.size, rows)
+        return (rows + _filter_backward(self.persistence + self.gain, self.gain, rows)) * _column(self.size, rows)
 
 
-def _run(keep: Array, gain: Array, driven: Array) -> Array:
+def _filter_forward(persistence: Array, gain: Array, innovations: Array) -> Array:
     """The series c (n, ...) with c[0] = 0 and c[i + 1] = keep[i] c[i] + gain[i] driven[i]."""
-    banded = np.zeros((2, len(driven)))
-    banded[0], banded[1, :-1] = 1.0, -keep
-    right = np.zeros_like(driven)
-    right[1:] = _column(gain, driven) * driven[:-1]
+    banded = np.zeros((2, len(innovations)))
+    banded[0], banded[1, :-1] = 1.0, -persistence
+    right = np.zeros_like(innovations)
+    right[1:] = _column(gain, innovations) * innovations[:-1]
     return _solved((1, 0), banded, right)
 
 
-def _run_back(keep: Array, gain: Array, driven: Array) -> Array:
+def _filter_backward(persistence: Array, gain: Array, innovations: Array) -> Array:
     """The transposed map of `_run`."""
-    banded = np.zeros((2, len(driven)))
-    banded[1], banded[0, 1:] = 1.0, -keep
-    solved = _solved((0, 1), banded, driven)
-    out: Array = np.zeros_like(driven)
-    out[:-1] = _column(gain, driven) * solved[1:]
+    banded = np.zeros((2, len(innovations)))
+    banded[1], banded[0, 1:] = 1.0, -persistence
+    solved = _solved((0, 1), banded, innovations)
+    out: Array = np.zeros_like(innovations)
+    out[:-1] = _column(gain, innovations) * solved[1:]
     return out
 
 

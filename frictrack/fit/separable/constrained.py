@@ -70,16 +70,16 @@ class ConstrainedVariableProjection:
         first = self.single[self.runs[0]]
         if first is self.separable:
             return state
-        found = dict(zip(first.layout.names, first.law(state.numbers, state.coefficients), strict=True))
+        found = dict(zip(first.layout.names, first.law(state.nonlinear_values, state.coefficients), strict=True))
         for run in self.runs[1:]:
             found = self._own(run, found, self._of(run, data)) | found
         problem = ProjectedProblem(self.separable, data, self.tau)
-        numbers = np.array([found.get(name, 1.0) for name in self.separable.layout.names])
-        return problem.refine(problem.at(numbers), steps=LAST)
+        nonlinear_values = np.array([found.get(name, 1.0) for name in self.separable.layout.names])
+        return problem.refine(problem.at(nonlinear_values), steps=LAST)
 
-    def idle(self, state: SeparableSolution, price: float) -> frozenset[tuple[str, int]]:
+    def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
-        return VariableProjection(self.separable, self.tau).idle(state, price)
+        return VariableProjection(self.separable, self.tau).unneeded_events(state, penalty)
 
     def _own(self, run: int, found: dict[str, float], data: Array) -> dict[str, float]:
         """What is a run's own, by address, where all that it shares with the others is found."""
@@ -90,7 +90,7 @@ class ConstrainedVariableProjection:
         relaxed = RelaxedWaves(separable, effect, common)
         _, p = min(relaxed.laws(data), key=lambda law: law[0])
         state = self._followed(ProjectedProblem(separable, data), [p, *(q for _, q in relaxed.places(p, data))], None)
-        return dict(zip(separable.layout.names, separable.law(state.numbers, state.coefficients), strict=True))
+        return dict(zip(separable.layout.names, separable.law(state.nonlinear_values, state.coefficients), strict=True))
 
     def _of(self, run: int, data: Array) -> Array:
         pairs = zip(self.separable.blocks, self.separable.slices, strict=True)
@@ -106,8 +106,8 @@ class ConstrainedVariableProjection:
                 break
             best = self._followed(problem, [p, *self._slow(p, data)[:MAX_SLOW_PLACES]], best)
         assert best is not None
-        p = first.law(best.numbers, best.coefficients)
-        for q in [p, *self.relaxed[0].exchanged(p)]:
+        p = first.law(best.nonlinear_values, best.coefficients)
+        for q in [p, *self.relaxed[0].exchange_positions(p)]:
             best = self._followed(problem, self._slow(q, data)[:MAX_SLOW_PLACES_AGAIN], best)
         return problem.refine(best, steps=LAST)
 

@@ -49,9 +49,9 @@ class EffectGroup:
 
     model: Model
     wave: bool
-    pictured: bool
-    numbers: tuple[int, ...]
-    phases: tuple[int, ...] = ()
+    is_measurement: bool
+    nonlinear_slots: tuple[int, ...]
+    phase_slots: tuple[int, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -88,7 +88,7 @@ class SeparableModel:
         self.groups = [self._group(effects) for effects in _coupled_effects(self.layout.model)]
         self.coefficients = []
         self.place = [self._placed(group) for group in self.groups]
-        self.free = sorted({i for g in self.groups for i in g.numbers})
+        self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
         edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
@@ -171,30 +171,30 @@ class SeparableModel:
 
     # --- evaluation
 
-    def rows(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+    def rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Forwarded rows (P, columns, m) of group g in block b for numbers (P, P_layout)."""
-        parts = list(self.parts(g, b, numbers, level))
+        parts = list(self.parts(g, b, nonlinear_values, level))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def parts(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Iterator[Array]:
+    def parts(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Iterator[Array]:
         """The same part by part: of a wave one quadrature after the other."""
         group, block = self.groups[g], self.blocks[b]
-        forward = block.picture if group.pictured else block.forward
+        forward = block.picture if group.is_measurement else block.forward
         if not group.wave:
-            yield forward(self.phased(g, b, numbers, level))
+            yield forward(self.phased(g, b, nonlinear_values, level))
             return
-        p = len(numbers) if group.numbers else 1
+        p = len(nonlinear_values) if group.nonlinear_slots else 1
         effect = group.model.effects[0]
         phase = next(q.name for q in effect.nonlinear if q.role == "phase")
-        own, path = self._values(g, b, numbers[:p])[effect.name], self._path(g, b, p, level)
+        own, path = self._values(g, b, nonlinear_values[:p])[effect.name], self._path(g, b, p, level)
         for q in QUADRATURES:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
 
-    def phased(self, g: int, b: int, numbers: Array, level: float = 1.0) -> Array:
+    def phased(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
         group = self.groups[g]
-        p = len(numbers) if group.numbers or group.phases else 1
-        return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, numbers[:p])), p)
+        p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
+        return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, nonlinear_values[:p])), p)
 
     def _way(self, g: int, b: int) -> Path:
         """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
@@ -205,15 +205,15 @@ class SeparableModel:
         path = self._way(g, b) if p == 1 else self.end_to_end(g, b, p)
         return path if level == 1.0 else replace(path, load=path.load * level)
 
-    def _values(self, g: int, b: int, numbers: Array) -> Values:
+    def _values(self, g: int, b: int, nonlinear_values: Array) -> Values:
         """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
         n, run = len(self._way(g, b).t), self.blocks[b].run
         if self.layout.constraints:
-            return self._followed(g, b, numbers)
+            return self._followed(g, b, nonlinear_values)
         fixed, places = self._plan(g, run)
         values = {name: own.copy() for name, own in fixed.items()}
         for i, effect, parameter, deep in places:
-            values[effect][parameter] = repeat_values(numbers[:, i], n, deep)
+            values[effect][parameter] = repeat_values(nonlinear_values[:, i], n, deep)
         return values
 
     def _plan(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
@@ -226,13 +226,13 @@ class SeparableModel:
                     fixed[e.name][q.name] = layout.fixed.get((e.name, q.name), 1.0)
             places = [
                 (i, s.effect, s.parameter, _is_depth(group.model, s.effect, s.parameter))
-                for i in (*group.numbers, *group.phases)
+                for i in (*group.nonlinear_slots, *group.phase_slots)
                 if (s := layout.slots[i]).run in (None, run)
             ]
             self._plans[g, run] = fixed, places
         return self._plans[g, run]
 
-    def _followed(self, g: int, b: int, numbers: Array) -> Values:
+    def _followed(self, g: int, b: int, nonlinear_values: Array) -> Values:
         """The same where some follow others: every number first, then what the constraints say."""
         model, block = self.layout.model, self.blocks[b]
         whole: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
@@ -240,7 +240,7 @@ class SeparableModel:
             whole[effect][name] = np.full(1, value)
         for i, s in enumerate(self.layout.slots):
             if s.effect in whole and s.run in (None, block.run) and not s.linear:
-                whole[s.effect][s.parameter] = numbers[:, i]
+                whole[s.effect][s.parameter] = nonlinear_values[:, i]
         apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), whole)
         mine, n = self.groups[g].model, len(self._way(g, b).t)
         return {
@@ -265,9 +265,9 @@ class SeparableModel:
 
     # --- the law in the layout's own unknowns
 
-    def law(self, numbers: Array, coefficients: Array) -> Array:
+    def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
         """All unknowns (P,) of the layout: of a wave its amplitude (shared: their mean) and phases."""
-        p = np.array(numbers, dtype=float)
+        p = np.array(nonlinear_values, dtype=float)
         told: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}
         for c, value in zip(self.coefficients, coefficients, strict=True):

@@ -46,7 +46,7 @@ class SeparableSolution:
     `levels` tells how the law answers the levels of its runs.
     """
 
-    numbers: Array
+    nonlinear_values: Array
     rows: Array
     coefficients: Array
     moving: Mask
@@ -114,24 +114,24 @@ class ProjectedProblem:
             row[q.slot] = 1 / q.std
         return np.vstack([rows, more]), np.concatenate([rows @ levels, [q.mean / q.std for q in plain]])
 
-    def nothing(self, numbers: Array) -> SeparableSolution:
+    def empty_solution(self, nonlinear_values: Array) -> SeparableSolution:
         """No law at all: rows of zeros."""
         k = len(self.separable.coefficients)
         zero = np.zeros((k, self.separable.size))
         none = np.zeros(k, dtype=bool)
         still = LevelSlopes(np.zeros((len(self.levels), self.separable.size)), self._firm, np.zeros(len(self.levels)))
         stamps = (0,) * len(self.separable.groups)
-        return SeparableSolution(numbers, zero, np.zeros(k), none, self.data, np.inf, ~none, stamps, still)
+        return SeparableSolution(nonlinear_values, zero, np.zeros(k), none, self.data, np.inf, ~none, stamps, still)
 
     def without(self, state: SeparableSolution, coefficients: Indices) -> SeparableSolution:
         """The same law with some of its rows gone, the others' coefficients solved again."""
         out = state.out.copy()
         out[coefficients] = True
-        return self._solved(state.numbers, state.rows, out, (state.stamps, state.changes))
+        return self._solved(state.nonlinear_values, state.rows, out, (state.stamps, state.changes))
 
     def at(
         self,
-        numbers: Array,
+        nonlinear_values: Array,
         known: SeparableSolution | None = None,
         groups: Iterable[int] | None = None,
         taken: Indices | None = None,
@@ -140,16 +140,16 @@ class ProjectedProblem:
 
         `taken` (default all of these groups) are the coefficients that take part from now on, if they did not before.
         """
-        base = known or self.nothing(numbers)
+        base = known or self.empty_solution(nonlinear_values)
         rows, out = base.rows.copy(), base.out.copy()
         changes, stamps = dict(base.changes), list(base.stamps)
         if self.levels:
-            self._relevel(base.numbers, numbers, rows, (changes, stamps))
+            self._relevel(base.nonlinear_values, nonlinear_values, rows, (changes, stamps))
         for g in range(len(self.separable.groups)) if groups is None else groups:
-            self._evaluate(g, numbers, rows, changes)
+            self._evaluate(g, nonlinear_values, rows, changes)
             stamps[g] = next(self._stamps)
             out[self.separable.coefficients_of(g) if taken is None else taken] = False
-        return self._solved(numbers, rows, out, (tuple(stamps), changes))
+        return self._solved(nonlinear_values, rows, out, (tuple(stamps), changes))
 
     def _relevel(self, old: Array, new: Array, rows: Array, kept: tuple[dict[int, list[Change]], list[int]]) -> None:
         """Carry what follows the friction levels along with them: rows, changes, and stamps of the groups touched."""
@@ -171,17 +171,17 @@ class ProjectedProblem:
         at = self.separable.place[g][run]
         return np.where((at >= 0) & self._loaded[at], factor[run], 1.0)[:, None]
 
-    def _evaluate(self, g: int, numbers: Array, rows: Array, changes: dict[int, list[Change]]) -> None:
+    def _evaluate(self, g: int, nonlinear_values: Array, rows: Array, changes: dict[int, list[Change]]) -> None:
         """Rows of one group and how they answer its numbers, all from one evaluation."""
         separable, group = self.separable, self.separable.groups[g]
-        for i in group.numbers:
+        for i in group.nonlinear_slots:
             changes[i] = [c for c in changes.get(i, []) if c[0] != g]
         for b, block in enumerate(separable.blocks):
-            mine = [i for i in group.numbers if separable.layout.slots[i].run in (None, block.run)]
-            moved = np.tile(numbers, (1 + len(mine), 1))
-            steps = np.maximum(RELATIVE_STEP * np.abs(numbers[mine]), self._least[mine])
+            mine = [i for i in group.nonlinear_slots if separable.layout.slots[i].run in (None, block.run)]
+            moved = np.tile(nonlinear_values, (1 + len(mine), 1))
+            steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values[mine]), self._least[mine])
             moved[np.arange(1, len(moved)), mine] += steps
-            level = float(numbers[self.levels[block.run]]) if self.levels else 1.0
+            level = float(nonlinear_values[self.levels[block.run]]) if self.levels else 1.0
             made = separable.rows(g, b, moved, level)
             at = separable.place[g][block.run]
             kept = at >= 0
@@ -190,7 +190,7 @@ class ProjectedProblem:
                 changes[i].append((g, b, (made[1 + j] - made[0]) / steps[j]))
 
     def _solved(
-        self, numbers: Array, rows: Array, out: Mask, kept: tuple[tuple[int, ...], dict[int, list[Change]]]
+        self, nonlinear_values: Array, rows: Array, out: Mask, kept: tuple[tuple[int, ...], dict[int, list[Change]]]
     ) -> SeparableSolution:
         gram, right = rows @ rows.T, rows @ self.data
         if out.any():
@@ -198,19 +198,19 @@ class ProjectedProblem:
         c, moving = bounded_coefficients(gram, right, self.separable.low, self.separable.high)
         residual = self.data - c @ rows
         misfit = float(residual @ residual)
-        away = self._held @ numbers - self._aim
+        away = self._held @ nonlinear_values - self._aim
         misfit += float(away @ away)
-        levels = self._levels(numbers, rows, c, (residual, away))
-        return SeparableSolution(numbers, rows, c, moving, residual, misfit, out, kept[0], levels, kept[1])
+        levels = self._levels(nonlinear_values, rows, c, (residual, away))
+        return SeparableSolution(nonlinear_values, rows, c, moving, residual, misfit, out, kept[0], levels, kept[1])
 
-    def _levels(self, numbers: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
+    def _levels(self, nonlinear_values: Array, rows: Array, c: Array, left: tuple[Array, Array]) -> LevelSlopes:
         """How a law answers its levels; `left` is its residual, and how far its numbers are from what is known."""
         separable, slope = self.separable, np.zeros((len(self.levels), self.separable.size))
         residual, away = left
         if self.levels:
             dry = c[self._loaded] @ rows[self._loaded]
             for block, cut in zip(separable.blocks, separable.slices, strict=True):
-                slope[block.run, cut] = dry[cut] / numbers[self.levels[block.run]]
+                slope[block.run, cut] = dry[cut] / nonlinear_values[self.levels[block.run]]
         return LevelSlopes(slope, self._firm, slope @ residual - self._held[:, self.levels].T @ away)
 
     def refine(
@@ -227,8 +227,8 @@ class ProjectedProblem:
         Ends when a step promises less than a share `enough` of the misfit, or no hope is left to come below `below`.
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
-        free = sorted({i for g in chosen for i in self.separable.groups[g].numbers}) + self.levels
-        touched = [g for g in chosen if self.separable.groups[g].numbers]
+        free = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots}) + self.levels
+        touched = [g for g in chosen if self.separable.groups[g].nonlinear_slots]
         damping = FIRST_DAMPING
         linear = self._linearised(state, free) if free else None
         for _ in range(steps if free else 0):
@@ -237,9 +237,9 @@ class ProjectedProblem:
             hopeless = state.misfit - MAX_PROMISE_FACTOR * promised > below
             if promised < enough * state.misfit or damping > MAX_DAMPING or hopeless:
                 break
-            numbers = state.numbers.copy()
-            numbers[free] += step
-            trial = self.at(numbers, state, touched, NO_INDICES)
+            nonlinear_values = state.nonlinear_values.copy()
+            nonlinear_values[free] += step
+            trial = self.at(nonlinear_values, state, touched, NO_INDICES)
             if trial.misfit < state.misfit:
                 state, linear, damping = trial, self._linearised(trial, free), max(0.1 * damping, MIN_DAMPING)
             else:
@@ -266,7 +266,7 @@ class ProjectedProblem:
         if len(self._aim):
             held = self._held[:, free]
             normal += held.T @ held
-            gradient = gradient - held.T @ (self._held @ state.numbers - self._aim)
+            gradient = gradient - held.T @ (self._held @ state.nonlinear_values - self._aim)
         return normal, gradient
 
     def _step(
@@ -275,7 +275,7 @@ class ProjectedProblem:
         """Damped step (d,) of the free numbers within their box, and the fall of the misfit that it promises."""
         normal, gradient = linear
         own = normal.diagonal()
-        low, high = self.low[free] - state.numbers[free], self.high[free] - state.numbers[free]
+        low, high = self.low[free] - state.nonlinear_values[free], self.high[free] - state.nonlinear_values[free]
         shut = ((low >= 0) & (gradient <= 0)) | ((high <= 0) & (gradient >= 0)) | (own <= 0)
         size = np.sqrt(np.where(own > 0, own, 1.0))
         unit = normal / size / size[:, None]

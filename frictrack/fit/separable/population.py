@@ -79,7 +79,9 @@ class PopulationMisfit:
 
     def _still(self) -> list[int]:
         """Groups whose columns are the same for every individual."""
-        return [g for g, group in enumerate(self.separable.groups) if not group.numbers and not group.phases]
+        return [
+            g for g, group in enumerate(self.separable.groups) if not group.nonlinear_slots and not group.phase_slots
+        ]
 
     def _explained(self, b: int, whole: Array) -> tuple[Array, Array]:
         """What the laws explain of one block, (P, m) each: what follows the friction level, and the rest."""
@@ -96,13 +98,13 @@ class PopulationMisfit:
             rows = separable.phased(g, b, whole)
             for which in (levelled, ~levelled):
                 if which.any():
-                    key = group.pictured, bool(levelled[which][0])
+                    key = group.is_measurement, bool(levelled[which][0])
                     total = sizes[:, 0, None] * rows[:, 0] if which.all() and len(which) == 1 else None
                     if total is None:
                         total = np.einsum("pk,pkn->pn", sizes[:, which], rows[:, which])
                     sums[key] = sums[key] + total if key in sums else total
-        for (pictured, levelled_sum), total in sums.items():
-            moved = (block.picture if pictured else block.forward)(total)
+        for (is_measurement, levelled_sum), total in sums.items():
+            moved = (block.picture if is_measurement else block.forward)(total)
             if levelled_sum:
                 dry += moved
             else:
@@ -152,7 +154,7 @@ class ReducedPopulationMisfit:
         self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
         separable = self.separable
         self.searched = separable.free
-        self._varying = [g for g, group in enumerate(separable.groups) if group.numbers]
+        self._varying = [g for g, group in enumerate(separable.groups) if group.nonlinear_slots]
         still = [
             i for g in range(len(separable.groups)) if g not in self._varying for i in separable.coefficients_of(g)
         ]
@@ -199,8 +201,8 @@ class ReducedPopulationMisfit:
 
     def law(self, points: Array) -> Array:
         """All unknowns (P, P_layout) of points (P, d), levels one."""
-        numbers = self._numbers(points)
-        pairs = zip(numbers, self.coefficients(points), strict=True)
+        nonlinear_values = self._numbers(points)
+        pairs = zip(nonlinear_values, self.coefficients(points), strict=True)
         return np.array([self.separable.law(p, c) for p, c in pairs])
 
     def _numbers(self, points: Array) -> Array:
@@ -210,7 +212,7 @@ class ReducedPopulationMisfit:
 
     def _solved(self, points: Array) -> tuple[Array, Array, Array, list[tuple[Array, Indices]]]:
         """Coefficients (P, K), Gram matrices (P, K, K), products with the data (P, K), and the rows that vary."""
-        separable, numbers = self.separable, self._numbers(points)
+        separable, nonlinear_values = self.separable, self._numbers(points)
         gram = np.repeat(self._gram[None], len(points), axis=0)
         right = np.repeat(self._right[None], len(points), axis=0)
         made: list[tuple[Array, Indices]] = []
@@ -220,7 +222,7 @@ class ReducedPopulationMisfit:
             rows = np.empty((len(points), len(at), len(block.data)))
             j = 0
             for g in self._varying:
-                for part in separable.parts(g, b, numbers):
+                for part in separable.parts(g, b, nonlinear_values):
                     rows[:, j : j + part.shape[1]] = part
                     j += part.shape[1]
             shown = at >= 0

@@ -68,23 +68,23 @@ class RelaxedWaves:
     def laws(self, data: Array) -> list[tuple[float, Array]]:
         """Laws of data (M,), as found and with waves of two sums exchanged: misfits, and numbers (P,) of the whole."""
         problem = ProjectedProblem(self.separable, data)
-        state = self.search.completed(problem)
+        state = self.search.start_solution(problem)
         found = [state]
         for one, other in combinations(self.waves, 2):
-            at = [self.separable.groups[w.g].numbers for w in (one, other)]
+            at = [self.separable.groups[w.g].nonlinear_slots for w in (one, other)]
             if one.size == other.size or not all(at):
                 continue
             i, j = at[0][0], at[1][0]
-            if max(state.numbers[i], state.numbers[j]) > self.slow[-1]:
-                numbers = state.numbers.copy()
-                numbers[[i, j]] = numbers[[j, i]]
-                moved = problem.at(numbers, state, {one.g, other.g})
+            if max(state.nonlinear_values[i], state.nonlinear_values[j]) > self.slow[-1]:
+                nonlinear_values = state.nonlinear_values.copy()
+                nonlinear_values[[i, j]] = nonlinear_values[[j, i]]
+                moved = problem.at(nonlinear_values, state, {one.g, other.g})
                 found.append(problem.refine(moved, steps=ROUGH_STEPS, enough=1e-3))
         return [(s.misfit, self._whole(s)) for s in found]
 
     def _whole(self, state: SeparableSolution) -> Array:
         """Numbers (P,) of the whole law that has the waves of a relaxed one."""
-        law = self.separable.law(state.numbers, state.coefficients)
+        law = self.separable.law(state.nonlinear_values, state.coefficients)
         known = {(self.effect.name, name): value for name, value in self.common.items()}
         for slot, value in zip(self.separable.layout.slots, law, strict=True):
             part = self.parts.get(slot.effect)
@@ -106,7 +106,7 @@ class RelaxedWaves:
             out += [f if f > MAX_SLOW_PERIODS else 0.0 for f in periods]
         return np.array(out)
 
-    def exchanged(self, p: Array) -> Iterator[Array]:
+    def exchange_positions(self, p: Array) -> Iterator[Array]:
         """A law (P,) with two waves of two sums exchanged that stand close to each other."""
         for one, other in combinations(self.waves, 2):
             f, g = (self._value(p, w.frequency) for w in (one, other))
@@ -187,10 +187,10 @@ class RelaxedWaves:
         return self._rows[key]
 
     def _quadratures(self, w: Wave, frequencies: Array) -> Array:
-        numbers = np.ones((len(frequencies), len(self.separable.layout.slots)))
-        for i in self.separable.groups[w.g].numbers:
-            numbers[:, i] = frequencies
-        rows = [self.separable.rows(w.g, b, numbers) for b in range(len(self.separable.blocks))]
+        nonlinear_values = np.ones((len(frequencies), len(self.separable.layout.slots)))
+        for i in self.separable.groups[w.g].nonlinear_slots:
+            nonlinear_values[:, i] = frequencies
+        rows = [self.separable.rows(w.g, b, nonlinear_values) for b in range(len(self.separable.blocks))]
         return np.concatenate(rows, axis=2)
 
     def _others(self, p: Array, w: Wave) -> Array:
@@ -206,10 +206,10 @@ class RelaxedWaves:
     def _plain(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
         """An orthonormal basis (k, M) of all that stands beside two sums, at the numbers of a law (P,)."""
         known = {(s.effect, s.parameter): float(v) for s, v in zip(self.whole.layout.slots, p, strict=True)}
-        numbers = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
+        nonlinear_values = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
         rows = []
         for g in set(range(len(self.separable.groups))) - self.groups:
-            each = [self.separable.rows(g, b, numbers)[0] for b in range(len(self.separable.blocks))]
+            each = [self.separable.rows(g, b, nonlinear_values)[0] for b in range(len(self.separable.blocks))]
             rows.append(np.concatenate(each, axis=1))
         for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
             w = next(w for w in self.waves if w.size == size)

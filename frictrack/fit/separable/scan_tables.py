@@ -203,8 +203,8 @@ class ScanTables:
         effect = group.model.effects[0]
         grid = self.grid(item)
         rest = [
-            float(state.numbers[i])
-            for i in group.numbers
+            float(state.nonlinear_values[i])
+            for i in group.nonlinear_slots
             if separable.layout.slots[i].parameter not in grid.names
             and separable.layout.slots[i].run in (None, item.run)
         ]
@@ -230,30 +230,32 @@ class ScanTables:
 
     def _build(self, item: ScannedEffect, state: SeparableSolution) -> ScanTable:
         separable, grid = self.separable, self.grid(item)
-        numbers = np.tile(state.numbers, (len(grid.values), 1))
+        nonlinear_values = np.tile(state.nonlinear_values, (len(grid.values), 1))
         for name, values in zip(grid.names, grid.values.T, strict=True):
             for i, s in enumerate(separable.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
-                    numbers[:, i] = values
+                    nonlinear_values[:, i] = values
         mine = coefficients_of(separable, item)
         rows, at = [], []
-        gram = np.zeros((len(numbers), len(mine), len(mine)))
+        gram = np.zeros((len(nonlinear_values), len(mine), len(mine)))
         for b, block in enumerate(separable.blocks):
             place = separable.place[item.g][block.run]
             kept = np.flatnonzero(np.isin(place, mine))
             if item.run is not None and block.run != item.run:
                 kept = kept[:0]
-            parts = [separable.rows(item.g, b, part)[:, kept] for part in _chunks(numbers)] if len(kept) else []
-            made = np.concatenate(parts) if parts else np.zeros((len(numbers), 0, len(block.data)))
+            parts = (
+                [separable.rows(item.g, b, part)[:, kept] for part in _chunks(nonlinear_values)] if len(kept) else []
+            )
+            made = np.concatenate(parts) if parts else np.zeros((len(nonlinear_values), 0, len(block.data)))
             a = np.searchsorted(mine, place[kept])
-            gram[np.ix_(np.arange(len(numbers)), a, a)] += made @ made.transpose(0, 2, 1)
+            gram[np.ix_(np.arange(len(nonlinear_values)), a, a)] += made @ made.transpose(0, 2, 1)
             rows.append(made.reshape(-1, len(block.data)).astype(np.float32))
             at.append(a)
         return ScanTable(grid, rows, at, gram)
 
 
-def _chunks(numbers: Array) -> list[Array]:
-    return np.array_split(numbers, max(1, -(-len(numbers) // MAX_AT_ONCE)))
+def _chunks(nonlinear_values: Array) -> list[Array]:
+    return np.array_split(nonlinear_values, max(1, -(-len(nonlinear_values) // MAX_AT_ONCE)))
 
 
 def _table_scan(

@@ -46,20 +46,20 @@ class VariableProjection:
         self.mine = {item: coefficients_of(separable, item) for item in self.items}
         self.plain = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
 
-    def __call__(self, data: Array | None = None, numbers: Array | None = None) -> SeparableSolution:
+    def __call__(self, data: Array | None = None, nonlinear_values: Array | None = None) -> SeparableSolution:
         """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
         problem = ProjectedProblem(self.separable, self.separable.data if data is None else data, self.tau)
-        return self._exchanged(problem, self.completed(problem, numbers))
+        return self._exchanged(problem, self.start_solution(problem, nonlinear_values))
 
-    def completed(self, problem: ProjectedProblem, numbers: Array | None = None) -> SeparableSolution:
+    def start_solution(self, problem: ProjectedProblem, nonlinear_values: Array | None = None) -> SeparableSolution:
         """The law with every effect where it gained most when it was taken in, refined roughly."""
-        first = self.first() if numbers is None else numbers
-        state = problem.at(first, problem.nothing(first), self.plain)
+        first = self.first() if nonlinear_values is None else nonlinear_values
+        state = problem.at(first, problem.empty_solution(first), self.plain)
         if problem.levels:
             state = problem.refine(state, self.plain, steps=ROUGH_STEPS)
         return self._complete(problem, state)
 
-    def idle(self, state: SeparableSolution, price: float) -> frozenset[tuple[str, int]]:
+    def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
         problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
         bare = {i: problem.without(state, self.mine[i]) for i in self.items if i.run is not None}
@@ -68,10 +68,10 @@ class VariableProjection:
         gains = {i: law.misfit - state.misfit for i, law in bare.items()}
         best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
         return frozenset(
-            (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(price, best[i.effect])
+            (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(penalty, best[i.effect])
         )
 
-    def exchanged(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
+    def exchange_positions(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The law with one effect, and all whose scan is as short, where they explain most beside each other."""
         whole = self.items
         self.items = [i for i in whole if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS]
@@ -79,14 +79,14 @@ class VariableProjection:
         self.items = whole
         return state
 
-    def afresh(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
+    def restart_effect(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The same, the effect taken out before and found again run by run, where it gains most first."""
         whole = self.items
         self.items = [i for i in whole if i.effect == effect]
         bare = problem.without(state, np.concatenate([self.mine[i] for i in self.items]))
         found = self._complete(problem, problem.refine(bare, self._inside(self.items), steps=ROUGH_STEPS))
         self.items = whole
-        return self.exchanged(problem, found, effect)
+        return self.exchange_positions(problem, found, effect)
 
     def first(self) -> Array:
         """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""
@@ -115,12 +115,12 @@ class VariableProjection:
         self, problem: ProjectedProblem, state: SeparableSolution, item: ScannedEffect, found: TableScan, g: int
     ) -> SeparableSolution:
         """The law with an item at one point of its scan."""
-        numbers = state.numbers.copy()
+        nonlinear_values = state.nonlinear_values.copy()
         for name, value in zip(found.grid.names, found.grid.values[g], strict=True):
             for i, s in enumerate(self.separable.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
-                    numbers[i] = value
-        return problem.at(numbers, state, {item.g}, self.mine[item])
+                    nonlinear_values[i] = value
+        return problem.at(nonlinear_values, state, {item.g}, self.mine[item])
 
     def _exchanged(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Try other places for every effect, then for pairs of them, until none helps."""
@@ -198,9 +198,9 @@ class VariableProjection:
         for g in found.picks(MAX_PAIR_PLACES):
             if both.misfit - found.gains[g] > self._near(state, both):
                 break
-            numbers = state.numbers.copy()
-            numbers[where[0]], numbers[where[1]] = values[g], values[g + 1]
-            better = self._kept(problem, state, problem.at(numbers, state, {one.g, other.g}))
+            nonlinear_values = state.nonlinear_values.copy()
+            nonlinear_values[where[0]], nonlinear_values[where[1]] = values[g], values[g + 1]
+            better = self._kept(problem, state, problem.at(nonlinear_values, state, {one.g, other.g}))
             if better is not None:
                 return better
         return None
@@ -253,7 +253,7 @@ class VariableProjection:
     @staticmethod
     def _nearest(grid: ScanGrid, state: SeparableSolution, where: list[int]) -> int:
         reach = np.ptp(grid.values, axis=0)
-        away = (grid.values - state.numbers[where]) / np.where(reach > 0, reach, 1.0)
+        away = (grid.values - state.nonlinear_values[where]) / np.where(reach > 0, reach, 1.0)
         return int(np.argmin(np.sum(away**2, axis=1)))
 
     def _stands(self, item: ScannedEffect, state: SeparableSolution, found: TableScan, g: int) -> bool:

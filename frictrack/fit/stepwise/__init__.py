@@ -3,11 +3,11 @@
 from frictrack.fit.stepwise.growth import (
     add_effect,
     guess_coefficients,
+    rebuild_problem,
     refine_to_end,
     remove_effect,
     reorder_effects,
     simulate_trial,
-    with_layout,
 )
 from frictrack.fit.stepwise.order import effect_for_scan, entry_order, reversed_ties, ties_are_resolved
 from frictrack.fit.stepwise.trial import (
@@ -36,6 +36,7 @@ __all__ = [
     "guess_coefficients",
     "is_unconstrained",
     "misfit_left_by_other",
+    "rebuild_problem",
     "refine_to_end",
     "remove_effect",
     "reorder_effects",
@@ -44,5 +45,4 @@ __all__ = [
     "ties_are_resolved",
     "try_effect",
     "try_linear_effects",
-    "with_layout",
 ]

@@ -29,10 +29,10 @@ def guess_coefficients(problem: LeastSquaresProblem) -> Array:
     p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
     linear = [i for i, s in enumerate(layout.slots) if s.linear]
     for piece in problem.pieces:
-        none = _acceleration(problem, piece, p)
-        units = [_acceleration(problem, piece, p + np.eye(len(p))[i]) - none for i in linear]
-        rows.append(np.stack(units, axis=1) if units else np.empty((len(none), 0)))
-        right.append(piece.a_hat - piece.known - none)
+        no_force = _acceleration(problem, piece, p)
+        units = [_acceleration(problem, piece, p + np.eye(len(p))[i]) - no_force for i in linear]
+        rows.append(np.stack(units, axis=1) if units else np.empty((len(no_force), 0)))
+        right.append(piece.a_hat - piece.known - no_force)
     p[linear] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-8)[0]
     return p
 
@@ -49,20 +49,20 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
     Without the effect that it lacks, a law may have gone where no motion can be integrated beside it.
     Raises FrictrackError when the runs lack what the effect needs, or when neither way can be integrated.
     """
-    plain, scanned = entry_order(solution.problem.model)
+    without_scan, scanned = entry_order(solution.problem.model)
     try:
         return _add_effect(solution, effect)
     except FrictrackError:
         if not scanned:
             raise
-    if not plain:
+    if not without_scan:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
-    layout = replace(solution.problem.layout, model=Model(tuple(plain)), absent=frozenset())
-    problem = solution.problem.over(layout, solution.problem.pieces)
-    grown = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
-    for e in [effect, *scanned] if ties_are_resolved(effect, plain) else [*scanned, effect]:
-        grown = _add_effect(grown, e)
-    return reorder_effects(grown, Model((*solution.problem.model.effects, effect)))
+    layout = replace(solution.problem.layout, model=Model(tuple(without_scan)), absent=frozenset())
+    problem = solution.problem.rebuild(layout, solution.problem.pieces)
+    grown_solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
+    for e in [effect, *scanned] if ties_are_resolved(effect, without_scan) else [*scanned, effect]:
+        grown_solution = _add_effect(grown_solution, e)
+    return reorder_effects(grown_solution, Model((*solution.problem.model.effects, effect)))
 
 
 def _add_effect(solution: Solution, effect: Effect) -> Solution:
@@ -70,18 +70,20 @@ def _add_effect(solution: Solution, effect: Effect) -> Solution:
 
     See `refine_to_end`. Raises FrictrackError when the runs lack what the effect needs.
     """
-    law = linearise(solution)
-    made = candidate_grids(law, effect_for_scan(solution, effect))
+    linearised = linearise(solution)
+    made = candidate_grids(linearised, effect_for_scan(solution, effect))
     if not made:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
-    series = measured_series(law)
-    trial = try_effect(law, effect, [scan_candidate(law, f, series) for f in made], series.own[:, 0])
-    return simulate_trial(law, deepen_trials(law, [trial])[0])
+    series = measured_series(linearised)
+    trial = try_effect(
+        linearised, effect, [scan_candidate(linearised, f, series) for f in made], series.coordinates[:, 0]
+    )
+    return simulate_trial(linearised, deepen_trials(linearised, [trial])[0])
 
 
-def simulate_trial(law: LinearisedModel, trial: CandidateTrial) -> Solution:
+def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
     """A law with an effect on trial, refined in simulation from where it stands along the measured motion."""
-    return _with_few_clocks(_simulate_trial(law, trial), trial.effect)
+    return _with_few_clocks(_simulate_trial(linearised, trial), trial.effect)
 
 
 def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
@@ -89,7 +91,7 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
 
     All clocks together are absorbed by the law, so that the run next to the middle of them goes first.
     """
-    price = EVENT_PENALTY * np.log(solution.problem.n_frames)
+    penalty = EVENT_PENALTY * np.log(solution.problem.n_frames)
     while effect.clock is not None:
         layout = solution.problem.layout
         rates = {s.run: float(p) for s, p in zip(layout.slots, solution.p, strict=True) if s.effect == effect.name}
@@ -97,35 +99,35 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
             break
         middle = float(np.median([rates.get(r, 0.0) for r in range(len(layout.run_names))]))
         run = min(rates, key=lambda r: abs(rates[r] - middle))
-        fewer = replace(layout, absent=layout.absent | {(effect.name, int(run or 0))})
-        there = dict(zip(layout.names, solution.p, strict=True))
-        problem = solution.problem.over(fewer, solution.problem.pieces)
-        p = np.array([there[n] - rates[run] * n.startswith(f"{effect.name}.") for n in fewer.names])
+        fewer_clocks = replace(layout, absent=layout.absent | {(effect.name, int(run or 0))})
+        known_values = dict(zip(layout.names, solution.p, strict=True))
+        problem = solution.problem.rebuild(fewer_clocks, solution.problem.pieces)
+        p = np.array([known_values[n] - rates[run] * n.startswith(f"{effect.name}.") for n in fewer_clocks.names])
         found = fit_with_scatter(
-            problem, p, solution.starts, solution.tau, max_steps=TRIAL_MAX_STEPS, enough=TRIAL_MIN_CHI2_FALL
+            problem, p, solution.starts, solution.tau, max_steps=TRIAL_MAX_STEPS, min_fall=TRIAL_MIN_CHI2_FALL
         )
-        if found.objective - solution.objective > price:
+        if found.objective - solution.objective > penalty:
             break
         solution = found
     return solution
 
 
-def _simulate_trial(law: LinearisedModel, trial: CandidateTrial) -> Solution:
-    layout, seen = trial.layout, law.solution
-    problem = with_layout(seen.problem, layout)
-    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in seen.responses]
+def _simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:
+    layout, about_measurement = trial.layout, linearised.solution
+    problem = rebuild_problem(about_measurement.problem, layout)
+    starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in about_measurement.responses]
     if not problem.simulates:
         starts = problem.first_starts()
-    tau, enough = seen.tau or 0.03, _trial_min_fall(trial.misfit, problem.n_frames)
+    tau, min_fall = about_measurement.tau or 0.03, _trial_min_fall(trial.misfit, problem.n_frames)
     try:
-        return fit_with_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_MAX_STEPS, enough=enough)
+        return fit_with_scatter(problem, trial.p, starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
     except FrictrackError:  # the law is no motion yet: without the effect it was one
-        there = dict(zip(seen.problem.layout.names, seen.p, strict=True))
-        mine = [s.linear and s.effect == trial.effect.name for s in layout.slots]
-        kept = zip(layout.names, trial.p, mine, strict=True)
-        p = np.array([there.get(n, 0.0 if gone else value) for n, value, gone in kept])
-        first = refine(problem, p, seen.starts, tau=tau, free=layout.coefficients, max_steps=4)
-        return fit_with_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_MAX_STEPS, enough=enough)
+        known_values = dict(zip(about_measurement.problem.layout.names, about_measurement.p, strict=True))
+        trial_slots = [s.linear and s.effect == trial.effect.name for s in layout.slots]
+        kept = zip(layout.names, trial.p, trial_slots, strict=True)
+        p = np.array([known_values.get(n, 0.0 if removed else value) for n, value, removed in kept])
+        first = refine(problem, p, about_measurement.starts, tau=tau, free=layout.coefficients, max_steps=4)
+        return fit_with_scatter(problem, first.p, first.starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=min_fall)
 
 
 def _trial_min_fall(misfit: float, frames: int) -> float:
@@ -138,11 +140,11 @@ def refine_to_end(solution: Solution) -> Solution:
     return refit_with_scatter(solution, solution.tau or 0.03)
 
 
-def with_layout(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
+def rebuild_problem(problem: LeastSquaresProblem, layout: ParameterLayout) -> LeastSquaresProblem:
     """The same pieces under another layout, with as many panels per frame as its effects need."""
     fine = max(e.fine for e in layout.model.effects)
     pieces = [piece if piece.per_frame >= fine else piece.refined(fine) for piece in problem.pieces]
-    return problem.over(layout, pieces)
+    return problem.rebuild(layout, pieces)
 
 
 def reorder_effects(solution: Solution, model: Model) -> Solution:
@@ -152,7 +154,7 @@ def reorder_effects(solution: Solution, model: Model) -> Solution:
     layout = replace(old, model=Model(tuple(made[e.name] for e in model.effects)))
     values = dict(zip(old.names, solution.p, strict=True))
     p = np.array([values[n] for n in layout.names])
-    problem = solution.problem.over(layout, solution.problem.pieces)
+    problem = solution.problem.rebuild(layout, solution.problem.pieces)
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
@@ -162,5 +164,5 @@ def remove_effect(solution: Solution, name: str) -> Solution:
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
     layout = replace(old, model=model_without(solution, name), absent=absent)
     values = dict(zip(old.names, solution.p, strict=True))
-    problem = solution.problem.over(layout, solution.problem.pieces)
+    problem = solution.problem.rebuild(layout, solution.problem.pieces)
     return fit_with_scatter(problem, np.array([values[n] for n in layout.names]), solution.starts, solution.tau or 0.03)

@@ -19,23 +19,25 @@ PRIOR_HALF_WIDTH_STD = 4.0  # standard deviations of a prior, beyond which nothi
 
 def entry_order(model: Model) -> tuple[list[Effect], list[Effect]]:
     """Effects to start from, and the others in an order in which none follows one that is still to come."""
-    plain: list[Effect] = []
-    while more := [e for e in model.effects if e not in plain and not _needs_scan(e) and ties_are_resolved(e, plain)]:
-        plain += more
+    without_scan: list[Effect] = []
+    while ready := [
+        e for e in model.effects if e not in without_scan and not _needs_scan(e) and ties_are_resolved(e, without_scan)
+    ]:
+        without_scan += ready
     later: list[Effect] = []
-    while left := [e for e in model.effects if e not in plain and e not in later]:
-        later.append(next((e for e in left if ties_are_resolved(e, [*plain, *later])), left[0]))
-    return [e for e in model.effects if e in plain], later
+    while left := [e for e in model.effects if e not in without_scan and e not in later]:
+        later.append(next((e for e in left if ties_are_resolved(e, [*without_scan, *later])), left[0]))
+    return [e for e in model.effects if e in without_scan], later
 
 
 def _needs_scan(effect: Effect) -> bool:
     return effect.clock is not None or any(p.free for p in effect.nonlinear)
 
 
-def ties_are_resolved(effect: Effect, there: Sequence[Effect]) -> bool:
+def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
     """Whether all that an effect is tied to is there."""
     leaders = {Tie.read(p.tie).effect for p in effect.parameters if p.tie}
-    return leaders <= {effect.name, *(e.name for e in there)}
+    return leaders <= {effect.name, *(e.name for e in known_values)}
 
 
 def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
@@ -45,8 +47,8 @@ def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
     for p in effect.nonlinear:
         tie = Tie.read(p.tie) if p.tie else None
         if tie is not None and tie.effect != effect.name:
-            there = tie.factor * float(reported_value(solution.problem.model, values, tie.effect, tie.parameter))
-            changes[p.name] = {"fixed": there, "tie": None, "per_run": False}
+            known_values = tie.factor * float(reported_value(solution.problem.model, values, tie.effect, tie.parameter))
+            changes[p.name] = {"fixed": known_values, "tie": None, "per_run": False}
         elif p.fixed is not None and p.per_run:
             changes[p.name] = {"per_run": False}
         elif p.prior is not None and p.scan is not None:
@@ -61,15 +63,15 @@ def reversed_ties(model: Model) -> list[Model]:
         for p in (p for p in e.nonlinear if p.tie):
             tie = Tie.read(str(p.tie))
             leader = next(other for other in model.effects if other.name == tie.effect)
-            led = leader.parameter(tie.parameter)
-            if leader is e or not led.free or led.scan is None or tie.factor == 0:
+            leader_parameter = leader.parameter(tie.parameter)
+            if leader is e or not leader_parameter.free or leader_parameter.scan is None or tie.factor == 0:
                 continue
-            back = f"{1 / tie.factor!r}*{e.name}.{p.name}"
-            turned = {
-                leader.name: leader.adjusted(**{led.name: {"tie": back, "prior": None}}),
+            reversed_tie = f"{1 / tie.factor!r}*{e.name}.{p.name}"
+            reversed_effects = {
+                leader.name: leader.adjusted(**{leader_parameter.name: {"tie": reversed_tie, "prior": None}}),
                 e.name: e.adjusted(**{p.name: {"tie": None}}),
             }
-            out.append(Model(tuple(turned.get(o.name, o) for o in model.effects)))
+            out.append(Model(tuple(reversed_effects.get(o.name, o) for o in model.effects)))
     return out
 
 
@@ -79,9 +81,11 @@ def model_without(solution: Solution, name: str) -> Model:
     values, _ = solution.problem.layout.values(solution.p, 0)
     out = []
     for e in (model - name).effects:
-        lost = [p for p in e.parameters if p.tie and Tie.read(p.tie).effect == name]
-        there = {p.name: {"tie": None, "fixed": float(reported_value(model, values, e.name, p.name))} for p in lost}
-        out.append(e.adjusted(**there) if there else e)
+        followers = [p for p in e.parameters if p.tie and Tie.read(p.tie).effect == name]
+        known_values = {
+            p.name: {"tie": None, "fixed": float(reported_value(model, values, e.name, p.name))} for p in followers
+        }
+        out.append(e.adjusted(**known_values) if known_values else e)
     return Model(tuple(out))
 
 

@@ -43,49 +43,57 @@ class CandidateTrial:
     misfit: float
 
 
-def try_effect(law: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array) -> CandidateTrial:
+def try_effect(linearised: LinearisedModel, effect: Effect, scans: list[CandidateScan], data: Array) -> CandidateTrial:
     """The best law with an effect more; `data` (L,) are the coordinates of the measured series in `law`.
 
     One amplitude serves all runs unless that is significantly worse than an amplitude per run.
     """
-    left = law.residual_projector(law.solution.tau)
-    runs = len(law.solution.problem.layout.run_names)
-    sizes = {
+    left = linearised.residual_projector(linearised.solution.tau)
+    runs = len(linearised.solution.problem.layout.run_names)
+    amplitudes = {
         p.name: {"per_run": True} for p in effect.parameters if p.role in ("amplitude", "depth") and is_unconstrained(p)
     }
-    shared = effect.single or not has_per_run_coefficients(effect) or runs == 1 or not sizes
-    free = effect if shared else effect.adjusted(**sizes)
-    loose = _best(law, free, [_start_values(law, free, picks) for picks in _starts_of_grids(scans, left, data)])
+    shared = effect.single or not has_per_run_coefficients(effect) or runs == 1 or not amplitudes
+    free = effect if shared else effect.adjusted(**amplitudes)
+    free_amplitudes = _best_of_starts(
+        linearised, free, [_start_values(linearised, free, picks) for picks in _starts_of_grids(scans, left, data)]
+    )
     if shared:
-        return loose
-    tied = _with_shared_amplitude(law, loose, effect)
-    return loose if tied.misfit - loose.misfit > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1) else tied
+        return free_amplitudes
+    shared_amplitude = _with_shared_amplitude(linearised, free_amplitudes, effect)
+    return (
+        free_amplitudes
+        if shared_amplitude.misfit - free_amplitudes.misfit > chi2_distribution.isf(ALPHA_SHARED_AMPLITUDE, runs - 1)
+        else shared_amplitude
+    )
 
 
-def try_linear_effects(law: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
+def try_linear_effects(linearised: LinearisedModel, effects: Sequence[Effect]) -> CandidateTrial:
     """The best law with several effects more whose free parameters are all linear."""
-    old = law.solution.problem.layout
+    old = linearised.solution.problem.layout
     layout = replace(old, model=Model((*old.model.effects, *effects)))
-    there = dict(zip(old.names, law.solution.p, strict=True))
-    problem = _projected_problem(law, layout)
-    p = np.array([there.get(name, _start_value({}, s)) for name, s in zip(layout.names, layout.slots, strict=True)])
+    known_values = dict(zip(old.names, linearised.solution.p, strict=True))
+    problem = _projected_problem(linearised, layout)
+    p = np.array(
+        [known_values.get(name, _start_value({}, s)) for name, s in zip(layout.names, layout.slots, strict=True)]
+    )
     return _trial(effects[0], *_refined(problem, problem.at(p)))
 
 
-def baseline_misfit(law: LinearisedModel) -> float:
+def baseline_misfit(linearised: LinearisedModel) -> float:
     """Misfit of the law itself along the measured motion."""
-    layout = law.solution.problem.layout
-    problem = _projected_problem(law, layout)
-    return problem.refine(problem.at(np.array(law.solution.p)), steps=FINAL_STEPS, enough=FINAL_MIN_FALL).misfit
+    layout = linearised.solution.problem.layout
+    problem = _projected_problem(linearised, layout)
+    return problem.refine(problem.at(np.array(linearised.solution.p)), steps=FINAL_STEPS, enough=FINAL_MIN_FALL).misfit
 
 
-def misfit_left_by_other(law: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
+def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, other: CandidateTrial) -> float:
     """Chi-squared that another effect leaves of what a true one makes of the runs, along the measured motion."""
-    told = _projected_problem(law, true.layout)
-    ideal = told.data - told.at(np.array(true.p)).residual
-    problem = ProjectedProblem(TiedSeparableModel(other.layout, law.blocks), ideal, told.tau)
+    true_problem = _projected_problem(linearised, true.layout)
+    ideal = true_problem.data - true_problem.at(np.array(true.p)).residual
+    problem = ProjectedProblem(TiedSeparableModel(other.layout, linearised.blocks), ideal, true_problem.tau)
     found = problem.refine(problem.at(np.array(other.p)), steps=FINAL_STEPS, enough=ROUGH_MIN_FALL)
-    return found.misfit - ProjectedProblem(told.separable, ideal, told.tau).at(np.array(true.p)).misfit
+    return found.misfit - ProjectedProblem(true_problem.separable, ideal, true_problem.tau).at(np.array(true.p)).misfit
 
 
 class TiedSeparableModel(SeparableModel):
@@ -97,21 +105,21 @@ class TiedSeparableModel(SeparableModel):
         return super().is_wave(effect) and (len(own) == 1 or len(self.runs) == 1)
 
 
-def _projected_problem(law: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
-    separable = TiedSeparableModel(layout, law.blocks)
-    return ProjectedProblem(separable, separable.data, law.solution.tau or 0.03)
+def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
+    separable = TiedSeparableModel(layout, linearised.blocks)
+    return ProjectedProblem(separable, separable.data, linearised.solution.tau or 0.03)
 
 
-def _best(law: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
+def _best_of_starts(linearised: LinearisedModel, effect: Effect, starts: Iterable[Start]) -> CandidateTrial:
     """The best of the laws that several starts lead to."""
     found: list[tuple[ProjectedProblem, SeparableSolution]] = []
     for values, absent in starts:
-        old = law.solution.problem.layout
+        old = linearised.solution.problem.layout
         layout = replace(old, model=old.model + effect, absent=old.absent | absent)
-        problem = _projected_problem(law, layout)
-        there = dict(zip(old.names, law.solution.p, strict=True))
+        problem = _projected_problem(linearised, layout)
+        known_values = dict(zip(old.names, linearised.solution.p, strict=True))
         slots = zip(layout.names, layout.slots, strict=True)
-        p = np.array([there.get(name, _start_value(values, s)) for name, s in slots])
+        p = np.array([known_values.get(name, _start_value(values, s)) for name, s in slots])
         found.append((problem, problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)))
     found.sort(key=lambda pair: pair[1].misfit)
     best = min((_refined(problem, state) for problem, state in found[:2]), key=lambda pair: pair[1].misfit)
@@ -123,43 +131,47 @@ def _start_value(values: dict[tuple[str, int | None], float], slot: Slot) -> flo
     return 1.0 if slot.effect == LEVEL else values.get((slot.parameter, slot.run), 0.0)
 
 
-def deepen_trials(law: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
+def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
     """Trials that may be the best, where they were not found in one go.
 
     Events of single runs were found one by one beside a law that lacked them all. And where no trial leaves the noise,
     or much is missing, the law may stand where it stood without the effect: all that scans quickly is found again.
     """
-    misfit = baseline_misfit(law)
-    half = MIN_GAIN_SHARE * max((misfit - t.misfit for t in trials), default=0.0)
-    trials = [_with_own_events(law, t) if t.effect.single and misfit - t.misfit > half else t for t in trials]
-    frames = sum(len(b.data) for b in law.blocks)
-    enough = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
-    if not trials or (misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < enough):
+    misfit = baseline_misfit(linearised)
+    min_gain = MIN_GAIN_SHARE * max((misfit - t.misfit for t in trials), default=0.0)
+    trials = [
+        _with_own_events(linearised, t) if t.effect.single and misfit - t.misfit > min_gain else t for t in trials
+    ]
+    frames = sum(len(b.data) for b in linearised.blocks)
+    max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
+    if not trials or (misfit < STRONG_MISFIT_CHI2 * frames and min(t.misfit for t in trials) < max_expected_misfit):
         return trials
-    return sorted((t if t.misfit < enough else _searched_again(law, t) for t in trials), key=lambda t: t.misfit)
+    return sorted(
+        (t if t.misfit < max_expected_misfit else _search_again(linearised, t) for t in trials), key=lambda t: t.misfit
+    )
 
 
-def _searched_again(law: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
-    problem = _projected_problem(law, trial.layout)
-    state = VariableProjection(problem.separable, problem.tau).exchanged(problem, problem.at(trial.p), "")
+def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
+    problem = _projected_problem(linearised, trial.layout)
+    state = VariableProjection(problem.separable, problem.tau).exchange_positions(problem, problem.at(trial.p), "")
     return _trial(trial.effect, *_refined(problem, state))
 
 
-def _with_own_events(law: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
+def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
     """Events of single runs beside each other, in every run that gains more than their price by one."""
-    name, price = trial.effect.name, EVENT_PENALTY * np.log(law.solution.problem.n_frames)
-    layout = replace(trial.layout, absent=law.solution.problem.layout.absent)
-    problem = _projected_problem(law, layout)
+    name, penalty = trial.effect.name, EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
+    layout = replace(trial.layout, absent=linearised.solution.problem.layout.absent)
+    problem = _projected_problem(linearised, layout)
     search = VariableProjection(problem.separable, problem.tau)
-    there = dict(zip(trial.layout.names, trial.p, strict=True))
-    p = np.array([there.get(n, v) for n, v in zip(layout.names, search.first(), strict=True)])
-    state = search.afresh(problem, problem.at(p), name)
-    found = dict(zip(layout.names, problem.separable.law(state.numbers, state.coefficients), strict=True))
-    gone = {pair for pair in search.idle(state, price) if pair[0] == name}
-    kept = replace(layout, absent=layout.absent | gone)
-    problem = _projected_problem(law, kept)
+    known_values = dict(zip(trial.layout.names, trial.p, strict=True))
+    p = np.array([known_values.get(n, v) for n, v in zip(layout.names, search.first(), strict=True)])
+    state = search.restart_effect(problem, problem.at(p), name)
+    found = dict(zip(layout.names, problem.separable.law(state.nonlinear_values, state.coefficients), strict=True))
+    removed = {pair for pair in search.unneeded_events(state, penalty) if pair[0] == name}
+    kept = replace(layout, absent=layout.absent | removed)
+    problem = _projected_problem(linearised, kept)
     new = _trial(trial.effect, *_refined(problem, problem.at(np.array([found[n] for n in kept.names]))))
-    return min(new, trial, key=lambda t: t.misfit + price * len(t.layout.slots))
+    return min(new, trial, key=lambda t: t.misfit + penalty * len(t.layout.slots))
 
 
 def _refined(problem: ProjectedProblem, state: SeparableSolution) -> tuple[ProjectedProblem, SeparableSolution]:
@@ -168,20 +180,22 @@ def _refined(problem: ProjectedProblem, state: SeparableSolution) -> tuple[Proje
 
 def _trial(effect: Effect, problem: ProjectedProblem, state: SeparableSolution) -> CandidateTrial:
     layout = problem.layout
-    p = problem.separable.law(state.numbers, state.coefficients)
+    p = problem.separable.law(state.nonlinear_values, state.coefficients)
     return CandidateTrial(effect, layout, np.clip(p, *layout.bounds), state.misfit)
 
 
-def _with_shared_amplitude(law: LinearisedModel, loose: CandidateTrial, effect: Effect) -> CandidateTrial:
+def _with_shared_amplitude(
+    linearised: LinearisedModel, free_amplitudes: CandidateTrial, effect: Effect
+) -> CandidateTrial:
     """The same effect with one amplitude for all runs, from where an amplitude per run stands: at their mean."""
-    old = loose.layout
+    old = free_amplitudes.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects[:-1], effect)))
-    there: dict[str, list[float]] = {}
-    for name, value in zip(old.names, loose.p, strict=True):
-        there.setdefault(name, []).append(float(value))
-        there.setdefault(name.split("[")[0], []).append(float(value))
-    problem = _projected_problem(law, layout)
-    return _trial(effect, *_refined(problem, problem.at(np.array([np.mean(there[n]) for n in layout.names]))))
+    known_values: dict[str, list[float]] = {}
+    for name, value in zip(old.names, free_amplitudes.p, strict=True):
+        known_values.setdefault(name, []).append(float(value))
+        known_values.setdefault(name.split("[")[0], []).append(float(value))
+    problem = _projected_problem(linearised, layout)
+    return _trial(effect, *_refined(problem, problem.at(np.array([np.mean(known_values[n]) for n in layout.names]))))
 
 
 def is_unconstrained(p: Parameter) -> bool:
@@ -198,29 +212,29 @@ def _starts_of_grids(scans: list[CandidateScan], left: Array, data: Array) -> li
 
 def _best_forms(found: CandidateScan, left: Array, data: Array, most: int) -> list[Pick]:
     """The best forms whose coefficients keep their bounds, none within a few steps of a better one."""
-    family, rises = found.family, found.rises.copy()
-    steps = np.stack(np.unravel_index(np.arange(len(rises)), family.shape), axis=1)
+    grid, gains = found.grid, found.gains.copy()
+    steps = np.stack(np.unravel_index(np.arange(len(gains)), grid.shape), axis=1)
     out: list[Pick] = []
     while len(out) < most:
-        g = int(np.argmax(rises))
-        if out and not rises[g] > MIN_GAIN_SHARE * out[0][0]:
+        g = int(np.argmax(gains))
+        if out and not gains[g] > MIN_GAIN_SHARE * out[0][0]:
             break
         c = found.coefficients(g, left, data)
-        if np.all((c >= family.low) & (c <= family.high)) or not np.any(np.delete(rises, g) > 0):
-            low = np.where(np.isfinite(family.low), family.low + 1e-6, -np.inf)
-            out.append((float(found.rises[g]), family.point(g), np.clip(c, low, family.high)))
-            rises[np.all(np.abs(steps - steps[g]) <= MIN_GRID_STEPS_APART, axis=1)] = 0.0
-        rises[g] = -1.0
-        if not np.any(rises > 0):
+        if np.all((c >= grid.low) & (c <= grid.high)) or not np.any(np.delete(gains, g) > 0):
+            low = np.where(np.isfinite(grid.low), grid.low + 1e-6, -np.inf)
+            out.append((float(found.gains[g]), grid.point(g), np.clip(c, low, grid.high)))
+            gains[np.all(np.abs(steps - steps[g]) <= MIN_GRID_STEPS_APART, axis=1)] = 0.0
+        gains[g] = -1.0
+        if not np.any(gains > 0):
             break
     return out
 
 
-def _start_values(law: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
+def _start_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
     """Start values of the effect's parameters by (name, run), and the runs in which it is absent."""
-    runs = range(len(law.solution.problem.layout.run_names))
+    runs = range(len(linearised.solution.problem.layout.run_names))
     if effect.single:
-        return _event_values(law, effect, picks)
+        return _event_values(linearised, effect, picks)
     _, point, c = picks[0]
     out: dict[tuple[str, int | None], float] = {}
     for p in effect.nonlinear:
@@ -244,21 +258,21 @@ def _start_values(law: LinearisedModel, effect: Effect, picks: list[Pick]) -> St
 
 def _scan_coefficients(effect: Effect, c: Array, runs: int) -> dict[tuple[str, int | None], float]:
     """Coefficients of a scan without phases, of every run and for all."""
-    sizes = [p for p in effect.parameters if p.linear or p.role == "depth"]
+    amplitudes = [p for p in effect.parameters if p.linear or p.role == "depth"]
     out: dict[tuple[str, int | None], float] = {}
-    if not sizes:  # a modifier without a size, such as a lag
+    if not amplitudes:  # a modifier without a size, such as a lag
         return out
-    for p, column in zip(sizes, c.reshape(-1, len(sizes)).T, strict=True):
+    for p, column in zip(amplitudes, c.reshape(-1, len(amplitudes)).T, strict=True):
         out |= {(p.name, r): float(v) for r, v in enumerate(np.resize(column, runs))}
         out[p.name, None] = float(np.mean(column))
     return out
 
 
-def _event_values(law: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
+def _event_values(linearised: LinearisedModel, effect: Effect, picks: list[Pick]) -> Start:
     """Events of single runs: kept where they gain more than their price, at least in the best run."""
-    price = EVENT_PENALTY * np.log(law.solution.problem.n_frames)
+    penalty = EVENT_PENALTY * np.log(linearised.solution.problem.n_frames)
     gains = np.array([g for g, _, _ in picks])
-    kept = np.flatnonzero((gains > price) | (gains == gains.max()))
+    kept = np.flatnonzero((gains > penalty) | (gains == gains.max()))
     out: dict[tuple[str, int | None], float] = {}
     for p in effect.parameters:
         if p.linear:

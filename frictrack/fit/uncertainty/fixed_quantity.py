@@ -15,7 +15,7 @@ from frictrack.records import Array, Mask
 
 MAX_NEWTON_STEPS = 12  # steps for the pivot at most; one where the quantity is linear in it
 MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest at which the derivative is that of rounding
-MIN_ROOM_STD = 20.0  # standard deviations to its bounds that make an unknown a good pivot
+MIN_DISTANCE_TO_BOUNDS_STD = 20.0  # standard deviations to its bounds that make an unknown a good pivot
 
 
 class FixedQuantityProblem(LeastSquaresProblem):
@@ -47,12 +47,12 @@ class FixedQuantityProblem(LeastSquaresProblem):
         if self.direct:
             p[self.pivot] = self.value
             return p
-        near = 1e-12 * max(abs(self.value), 1e-3)
+        tolerance = 1e-12 * max(abs(self.value), 1e-3)
         for _ in range(MAX_NEWTON_STEPS):
-            off = self.quantity.value(self.inner, p) - self.value
-            if abs(off) <= near:
+            error = self.quantity.value(self.inner, p) - self.value
+            if abs(error) <= tolerance:
                 break
-            p[self.pivot] -= off / self.quantity.gradient(self.inner, p)[self.pivot]
+            p[self.pivot] -= error / self.quantity.gradient(self.inner, p)[self.pivot]
         low, high = self.layout.slots[self.pivot].bounds
         if not (np.isfinite(p[self.pivot]) and low <= p[self.pivot] <= high):
             raise FrictrackError(f"no law within the bounds has {self.quantity.address} = {self.value:g}")
@@ -64,21 +64,25 @@ class FixedQuantityProblem(LeastSquaresProblem):
         if self.direct:
             return self.inner.evaluate(law, starts)
         gradient = self.quantity.gradient(self.inner, law)
-        separable = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
-        separable[self.pivot] = -1.0  # and its own column vanishes
-        return [self._bent(r, separable) for r in self.inner.evaluate(law, starts)]
+        derivative = -gradient / gradient[self.pivot]  # of the pivot per unit of every other unknown
+        derivative[self.pivot] = -1.0  # and its own column vanishes
+        return [self._with_pivot_derivative(r, derivative) for r in self.inner.evaluate(law, starts)]
 
-    def _bent(self, r: PieceResponse, separable: Array) -> PieceResponse:
+    def _with_pivot_derivative(self, r: PieceResponse, derivative: Array) -> PieceResponse:
         if self.pivot not in r.active:
             return r
         at = r.active.index(self.pivot)
-        share = separable[r.active]
-        bent: dict[str, Any] = {
+        share = derivative[r.active]
+        changed: dict[str, Any] = {
             "jac": r.jac + np.outer(r.jac[:, at], share),
             "on_start": r.on_start + np.outer(r.on_start[:, at], share),
         }
-        plain = getattr(r, "plain", None)  # of one seen through a chain, the displacement's own
-        return replace(r, **bent | ({} if plain is None else {"plain": self._bent(plain, separable)}))
+        displacement = getattr(r, "plain", None)  # of one seen through a chain, the displacement's own
+        return replace(
+            r,
+            **changed
+            | ({} if displacement is None else {"plain": self._with_pivot_derivative(displacement, derivative)}),
+        )
 
 
 def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
@@ -87,14 +91,17 @@ def pivot_of(quantity: Quantity, solution: Solution, std: Array) -> int | None:
     None where the quantity is an unknown itself. `std` (P,) of the unknowns.
     """
     p, (low, high) = solution.p, solution.problem.layout.bounds
-    size = np.abs(quantity.gradient(solution.problem, p)) * np.maximum(std, 1e-12)
-    counts = size > MIN_DERIVATIVE_SHARE * size.max()
-    alone = counts[quantity.slot] and np.count_nonzero(counts) == 1
-    if alone and np.isclose(quantity.value(solution.problem, p), p[quantity.slot], rtol=1e-9, atol=1e-12):
+    influence = np.abs(quantity.gradient(solution.problem, p)) * np.maximum(std, 1e-12)
+    matters = influence > MIN_DERIVATIVE_SHARE * influence.max()
+    only_one = matters[quantity.slot] and np.count_nonzero(matters) == 1
+    if only_one and np.isclose(quantity.value(solution.problem, p), p[quantity.slot], rtol=1e-9, atol=1e-12):
         return None
     priors = [q.slot for q in solution.problem.layout.priors if q.slot not in (None, quantity.slot)]
-    counts[priors] = False  # what is known of it is held by its own place
-    room = np.where(counts, np.minimum(p - low, high - p) / np.maximum(std, 1e-300), -1.0)
-    if room[quantity.slot] >= MIN_ROOM_STD or room[quantity.slot] >= room.max():
+    matters[priors] = False  # what is known of it is held by its own place
+    distance_to_bounds = np.where(matters, np.minimum(p - low, high - p) / np.maximum(std, 1e-300), -1.0)
+    if (
+        distance_to_bounds[quantity.slot] >= MIN_DISTANCE_TO_BOUNDS_STD
+        or distance_to_bounds[quantity.slot] >= distance_to_bounds.max()
+    ):
         return quantity.slot
-    return int(np.argmax(room))
+    return int(np.argmax(distance_to_bounds))

@@ -192,7 +192,7 @@ def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Gen
         replace(old.piece, y=new.model_y + old.piece.coloured(e))
         for old, new, e in zip(solution.responses, responses, noise, strict=True)
     ]
-    return problem.over(layout, pieces)
+    return problem.rebuild(layout, pieces)
 
 
 def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solution:

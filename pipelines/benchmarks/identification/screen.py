@@ -16,7 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from frictrack import effects, models
 from frictrack.effects import Effect, Span
-from frictrack.fit.linearised.scan import grid_of
+from frictrack.fit.linearised.scan import scan_points
 from frictrack.models import Model
 
 from .emps import Record
@@ -128,7 +128,7 @@ class Trial:
 
 def tried(record: Record, law: Law, effect: Effect) -> Trial:
     """An effect on trial over its whole scan."""
-    points = [dict(p) for p in grid_of(effect, span_of(record))]
+    points = [dict(p) for p in scan_points(effect, span_of(record))]
     base = law.columns(record)
 
     def beside(point: dict[str, float]) -> Array:
