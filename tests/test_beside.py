@@ -101,7 +101,7 @@ class TestScan:
         rows = np.zeros((len(law.basis.u), family.size))
         for i, block in zip(family.members, family.block, strict=True):
             strip = law.pieces[i]
-            raw = family.raw(strip, family.values[g : g + 1])[0]
+            raw = family.raw_columns(strip, family.values[g : g + 1])[0]
             mine = slice(block * family.k, (block + 1) * family.k)
             rows[law.rows[i], mine] = strip.without_start(
                 strip.whitened_rows(raw, family.effect.acts_on == "measurement")

@@ -48,7 +48,7 @@ class EffectGroup:
     """
 
     model: Model
-    wave: bool
+    is_sinusoid: bool
     is_measurement: bool
     nonlinear_slots: tuple[int, ...]
     phase_slots: tuple[int, ...] = ()
@@ -79,7 +79,7 @@ class SeparableModel:
     blocks: Sequence[DataBlock]
     groups: list[EffectGroup] = field(init=False)
     coefficients: list[Coefficient] = field(init=False)
-    place: list[dict[int, Indices]] = field(init=False)
+    column_positions: list[dict[int, Indices]] = field(init=False)
     free: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -87,26 +87,29 @@ class SeparableModel:
         self.runs = sorted({b.run for b in self.blocks})
         self.groups = [self._group(effects) for effects in _coupled_effects(self.layout.model)]
         self.coefficients = []
-        self.place = [self._placed(group) for group in self.groups]
+        self.column_positions = [self._column_positions(group) for group in self.groups]
         self.free = sorted({i for g in self.groups for i in g.nonlinear_slots})
         self.low, self.high = np.array([c.bounds for c in self.coefficients]).reshape(-1, 2).T
         edges = np.cumsum([0, *[len(b.data) for b in self.blocks]])
         self.slices = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
         self.data = np.concatenate([b.data for b in self.blocks])
-        self._mine = [np.unique([i for at in place.values() for i in at if i >= 0]) for place in self.place]
+        self._mine = [
+            np.unique([i for at in column_positions.values() for i in at if i >= 0])
+            for column_positions in self.column_positions
+        ]
         self._tiled: dict[tuple[int, int, int], Path] = {}
-        self._plans: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
+        self._fixed_and_free_cache: dict[tuple[int, int], tuple[Values, list[tuple[int, str, str, bool]]]] = {}
 
     # --- where numbers stand
 
     def _group(self, effects: list[Effect]) -> EffectGroup:
-        wave = len(effects) == 1 and self.is_wave(effects[0])
-        phases = {(e.name, q.name) for e in effects for q in e.nonlinear if wave and q.role == "phase"}
+        is_sinusoid = len(effects) == 1 and self.is_sinusoid(effects[0])
+        phases = {(e.name, q.name) for e in effects for q in e.nonlinear if is_sinusoid and q.role == "phase"}
         wanted = {(e.name, q.name) for e in effects for q in e.nonlinear} - phases
         wanted |= set(self._leaders(wanted))
-        where = self._positions(wanted), self._positions(phases)
-        return EffectGroup(Model(tuple(effects)), wave, effects[0].acts_on == "measurement", *where)
+        slots = self._positions(wanted), self._positions(phases)
+        return EffectGroup(Model(tuple(effects)), is_sinusoid, effects[0].acts_on == "measurement", *slots)
 
     def _positions(self, wanted: set[tuple[str, str]]) -> tuple[int, ...]:
         slots = enumerate(self.layout.slots)
@@ -120,36 +123,40 @@ class SeparableModel:
                 yield leader
                 yield from self._leaders({leader})
 
-    def is_wave(self, effect: Effect) -> bool:
+    def is_sinusoid(self, effect: Effect) -> bool:
         """Whether an effect is one amplitude times a sine of one phase, both free, so that quadratures are linear."""
         sizes = [p for p in effect.linear if p.role == "amplitude"]
         phases = [p for p in effect.nonlinear if p.role == "phase"]
         if effect.modifies or len(effect.linear) != 1 or len(sizes) != 1 or len(phases) != 1:
             return False
-        mine = [
+        own_slots = [
             i
             for i, s in enumerate(self.layout.slots)
             if s.effect == effect.name and s.parameter in (sizes[0].name, phases[0].name)
         ]
-        free = {self.layout.slots[i].parameter for i in mine} == {sizes[0].name, phases[0].name}
-        return free and not self.layout.leaders & set(mine)
+        free = {self.layout.slots[i].parameter for i in own_slots} == {sizes[0].name, phases[0].name}
+        return free and not self.layout.leaders & set(own_slots)
 
-    def _placed(self, group: EffectGroup) -> dict[int, Indices]:
-        place: dict[int, list[int]] = {run: [] for run in self.runs}
+    def _column_positions(self, group: EffectGroup) -> dict[int, Indices]:
+        column_positions: dict[int, list[int]] = {run: [] for run in self.runs}
         for effect in group.model.effects:
             for p in effect.linear:
-                own = p.per_run or (group.wave and any(q.per_run for q in effect.nonlinear if q.role == "phase"))
-                shown = [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
-                for quadrature in (0, 1) if group.wave else (None,):
+                own = p.per_run or (group.is_sinusoid and any(q.per_run for q in effect.nonlinear if q.role == "phase"))
+                present_runs = (
+                    [r for r in self.runs if (effect.name, r) not in self.layout.absent] if own else self.runs
+                )
+                for quadrature in (0, 1) if group.is_sinusoid else (None,):
                     first = len(self.coefficients)
-                    bounds = (-np.inf, np.inf) if group.wave else self._bounds(effect.name, p.name)
+                    bounds = (-np.inf, np.inf) if group.is_sinusoid else self._bounds(effect.name, p.name)
                     self.coefficients += [
                         Coefficient(effect.name, p.name, r, bounds, quadrature, p.loaded)
-                        for r in (shown if own else [None])
+                        for r in (present_runs if own else [None])
                     ]
                     for run in self.runs:
-                        place[run].append((first + shown.index(run) if own else first) if run in shown else -1)
-        return {run: np.array(at, dtype=int) for run, at in place.items()}
+                        column_positions[run].append(
+                            (first + present_runs.index(run) if own else first) if run in present_runs else -1
+                        )
+        return {run: np.array(at, dtype=int) for run, at in column_positions.items()}
 
     def _bounds(self, effect: str, parameter: str) -> tuple[float, float]:
         fixed = self.layout.fixed.get((effect, parameter))
@@ -180,8 +187,8 @@ class SeparableModel:
         """The same part by part: of a wave one quadrature after the other."""
         group, block = self.groups[g], self.blocks[b]
         forward = block.picture if group.is_measurement else block.forward
-        if not group.wave:
-            yield forward(self.phased(g, b, nonlinear_values, level))
+        if not group.is_sinusoid:
+            yield forward(self.unit_rows(g, b, nonlinear_values, level))
             return
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         effect = group.model.effects[0]
@@ -190,35 +197,35 @@ class SeparableModel:
         for q in QUADRATURES:
             yield forward(_by_individual(effect.columns(path, own | {phase: q}), p))
 
-    def phased(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
+    def unit_rows(self, g: int, b: int, nonlinear_values: Array, level: float = 1.0) -> Array:
         """Rows (P, columns, n) along block b, N (or m) per unit of every linear parameter, a wave at its phase."""
         group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots or group.phase_slots else 1
         return _by_individual(group.columns(self._path(g, b, p, level), self._values(g, b, nonlinear_values[:p])), p)
 
-    def _way(self, g: int, b: int) -> Path:
+    def _evaluation_path(self, g: int, b: int) -> Path:
         """Where a group is evaluated along a block: what remembers nothing, at the compared samples alone."""
         block = self.blocks[b]
         return block.path if block.compared_path is None or self.groups[g].model.memory else block.compared_path
 
     def _path(self, g: int, b: int, p: int, level: float) -> Path:
-        path = self._way(g, b) if p == 1 else self.end_to_end(g, b, p)
+        path = self._evaluation_path(g, b) if p == 1 else self.tiled_path(g, b, p)
         return path if level == 1.0 else replace(path, load=path.load * level)
 
     def _values(self, g: int, b: int, nonlinear_values: Array) -> Values:
         """Non-linear values of a group along one block: numbers for one law, one per frame for a population."""
-        n, run = len(self._way(g, b).t), self.blocks[b].run
+        n, run = len(self._evaluation_path(g, b).t), self.blocks[b].run
         if self.layout.constraints:
-            return self._followed(g, b, nonlinear_values)
-        fixed, places = self._plan(g, run)
+            return self._constrained_values(g, b, nonlinear_values)
+        fixed, places = self._fixed_and_free(g, run)
         values = {name: own.copy() for name, own in fixed.items()}
-        for i, effect, parameter, deep in places:
-            values[effect][parameter] = repeat_values(nonlinear_values[:, i], n, deep)
+        for i, effect, parameter, is_depth in places:
+            values[effect][parameter] = repeat_values(nonlinear_values[:, i], n, is_depth)
         return values
 
-    def _plan(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
+    def _fixed_and_free(self, g: int, run: int) -> tuple[Values, list[tuple[int, str, str, bool]]]:
         """What is fixed in a group and where the rest stands, for one run."""
-        if (g, run) not in self._plans:
+        if (g, run) not in self._fixed_and_free_cache:
             group, layout = self.groups[g], self.layout
             fixed: Values = {e.name: {} for e in group.model.effects}
             for e in group.model.effects:
@@ -229,38 +236,38 @@ class SeparableModel:
                 for i in (*group.nonlinear_slots, *group.phase_slots)
                 if (s := layout.slots[i]).run in (None, run)
             ]
-            self._plans[g, run] = fixed, places
-        return self._plans[g, run]
+            self._fixed_and_free_cache[g, run] = fixed, places
+        return self._fixed_and_free_cache[g, run]
 
-    def _followed(self, g: int, b: int, nonlinear_values: Array) -> Values:
+    def _constrained_values(self, g: int, b: int, nonlinear_values: Array) -> Values:
         """The same where some follow others: every number first, then what the constraints say."""
         model, block = self.layout.model, self.blocks[b]
-        whole: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
+        all_values: Values = {e.name: {q.name: np.ones(1) for q in e.parameters} for e in model.effects}
         for (effect, name), value in self.layout.fixed.items():
-            whole[effect][name] = np.full(1, value)
+            all_values[effect][name] = np.full(1, value)
         for i, s in enumerate(self.layout.slots):
-            if s.effect in whole and s.run in (None, block.run) and not s.linear:
-                whole[s.effect][s.parameter] = nonlinear_values[:, i]
-        apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), whole)
-        mine, n = self.groups[g].model, len(self._way(g, b).t)
+            if s.effect in all_values and s.run in (None, block.run) and not s.linear:
+                all_values[s.effect][s.parameter] = nonlinear_values[:, i]
+        apply_constraints(model, tuple(r for r in self.layout.constraints if not r.parameter.linear), all_values)
+        own_slots, n = self.groups[g].model, len(self._evaluation_path(g, b).t)
         return {
-            e.name: {q.name: repeat_values(whole[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
-            for e in mine.effects
+            e.name: {q.name: repeat_values(all_values[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
+            for e in own_slots.effects
         }
 
-    def end_to_end(self, g: int, b: int, p: int) -> Path:
+    def tiled_path(self, g: int, b: int, p: int) -> Path:
         """One path through p individuals laid end to end, as a group is evaluated along a block."""
-        path = self._way(g, b)
+        path = self._evaluation_path(g, b)
         n = len(path.t)
         if (b, p, n) not in self._tiled:
             if len(self._tiled) > 2 * len(self.blocks):
                 self._tiled.clear()
-            long: dict[str, Any] = {
+            repeated: dict[str, Any] = {
                 name: np.tile(value, p)
                 for name, value in vars(path).items()
                 if isinstance(value, np.ndarray) and value.shape == (n,)
             }
-            self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **long)
+            self._tiled[b, p, n] = replace(path, starts=tuple(range(0, n * p, n)), **repeated)
         return self._tiled[b, p, n]
 
     # --- the law in the layout's own unknowns
@@ -268,34 +275,34 @@ class SeparableModel:
     def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
         """All unknowns (P,) of the layout: of a wave its amplitude (shared: their mean) and phases."""
         p = np.array(nonlinear_values, dtype=float)
-        told: dict[int, list[float]] = {}
+        estimates_by_slot: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}
         for c, value in zip(self.coefficients, coefficients, strict=True):
             if c.quadrature is not None:
                 pairs.setdefault((c.effect, c.run), []).append(float(value))
             elif (i := self.position(c.effect, c.parameter, c.run)) is not None:
-                told.setdefault(i, []).append(float(value))
+                estimates_by_slot.setdefault(i, []).append(float(value))
         for (effect, run), (a, b) in pairs.items():
             names: dict[str, str] = {
                 q.role: q.name for e in self.layout.model.effects if e.name == effect for q in e.parameters
             }
             for role, value in (("amplitude", np.hypot(a, b)), ("phase", np.arctan2(b, a))):
                 if (i := self.position(effect, names[role], run)) is not None:
-                    told.setdefault(i, []).append(float(value))
-        for i, each in told.items():
+                    estimates_by_slot.setdefault(i, []).append(float(value))
+        for i, each in estimates_by_slot.items():
             p[i] = np.mean(each)
         return p
 
 
-def repeat_values(each: Array, n: int, deep: bool = False) -> Any:
+def repeat_values(each: Array, n: int, is_depth: bool = False) -> Any:
     """Values (P,) of a population frame by frame, (P n,); a single one stays a number.
 
     A depth multiplies whole columns (n, k), so that it stands as (P n, 1).
     """
     if len(each) == 1:
         return float(each[0])
-    long = np.repeat(each, n)
-    return long[:, None] if deep else long
+    repeated = np.repeat(each, n)
+    return repeated[:, None] if is_depth else repeated
 
 
 def _by_individual(columns: Array, p: int) -> Array:

@@ -36,7 +36,7 @@ class PopulationMisfit:
         runs = {None, *self.separable.runs}
         self.searched = [i for i, s in enumerate(layout.slots) if s.effect != LEVEL and s.run in runs]
         self._constant = [
-            {g: self.separable.rows(g, b, np.zeros((1, len(layout.slots))))[0] for g in self._still()}
+            {g: self.separable.rows(g, b, np.zeros((1, len(layout.slots))))[0] for g in self._constant_groups()}
             for b in range(len(self.separable.blocks))
         ]
 
@@ -51,12 +51,16 @@ class PopulationMisfit:
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Misfits (P,) and the levels that go with them, (P, runs)."""
-        whole = self.whole(points)
+        full_vectors = self.full_vectors(points)
         total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
         levels = np.ones((len(points), len(self.layout.run_names)))
         with np.errstate(over="ignore", invalid="ignore"):
             for run in self.separable.runs:
-                parts = [self._explained(b, whole) for b, block in enumerate(self.separable.blocks) if block.run == run]
+                parts = [
+                    self._explained_data(b, full_vectors)
+                    for b, block in enumerate(self.separable.blocks)
+                    if block.run == run
+                ]
                 data = np.concatenate([block.data for block in self.separable.blocks if block.run == run])
                 dry, other = (np.concatenate(side, axis=1) for side in zip(*parts, strict=True))
                 cost, levels[:, run] = _with_best_level(
@@ -64,70 +68,70 @@ class PopulationMisfit:
                 )
                 total += cost
         if self.layout.priors:
-            total += prior_misfit(self.layout, whole)
+            total += prior_misfit(self.layout, full_vectors)
         return total * self.unit, levels
 
     def law(self, points: Array) -> Array:
         """All unknowns (P, P_layout) of points (P, d) as far as these say them."""
-        return self.whole(points)
+        return self.full_vectors(points)
 
-    def whole(self, points: Array) -> Array:
+    def full_vectors(self, points: Array) -> Array:
         """Points (P, d) in their places among all unknowns (P, P_layout); the rest is one."""
         out = np.ones((len(points), len(self.layout.slots)))
         out[:, self.searched] = points
         return out
 
-    def _still(self) -> list[int]:
+    def _constant_groups(self) -> list[int]:
         """Groups whose columns are the same for every individual."""
         return [
             g for g, group in enumerate(self.separable.groups) if not group.nonlinear_slots and not group.phase_slots
         ]
 
-    def _explained(self, b: int, whole: Array) -> tuple[Array, Array]:
+    def _explained_data(self, b: int, full_vectors: Array) -> tuple[Array, Array]:
         """What the laws explain of one block, (P, m) each: what follows the friction level, and the rest."""
         separable, block = self.separable, self.separable.blocks[b]
         sums: dict[tuple[bool, bool], Array] = {}  # pictured, loaded: force or shift (P, n)
-        dry, other = np.zeros((len(whole), len(block.data))), np.zeros((len(whole), len(block.data)))
+        dry, other = np.zeros((len(full_vectors), len(block.data))), np.zeros((len(full_vectors), len(block.data)))
         for g, group in enumerate(separable.groups):
-            sizes, loaded = self._sizes(g, block.run, whole)
-            levelled = loaded & bool(self.layout.levels)
+            sizes, loaded = self._linear_values(g, block.run, full_vectors)
+            follows_level = loaded & bool(self.layout.levels)
             if g in self._constant[b]:
-                dry += sizes * levelled @ self._constant[b][g]
-                other += sizes * ~levelled @ self._constant[b][g]
+                dry += sizes * follows_level @ self._constant[b][g]
+                other += sizes * ~follows_level @ self._constant[b][g]
                 continue
-            rows = separable.phased(g, b, whole)
-            for which in (levelled, ~levelled):
+            rows = separable.unit_rows(g, b, full_vectors)
+            for which in (follows_level, ~follows_level):
                 if which.any():
-                    key = group.is_measurement, bool(levelled[which][0])
+                    key = group.is_measurement, bool(follows_level[which][0])
                     total = sizes[:, 0, None] * rows[:, 0] if which.all() and len(which) == 1 else None
                     if total is None:
                         total = np.einsum("pk,pkn->pn", sizes[:, which], rows[:, which])
                     sums[key] = sums[key] + total if key in sums else total
         for (is_measurement, levelled_sum), total in sums.items():
-            moved = (block.picture if is_measurement else block.forward)(total)
+            mapped = (block.picture if is_measurement else block.forward)(total)
             if levelled_sum:
-                dry += moved
+                dry += mapped
             else:
-                other += moved
+                other += mapped
         return dry, other
 
-    def _sizes(self, g: int, run: int, whole: Array) -> tuple[Array, Any]:
+    def _linear_values(self, g: int, run: int, full_vectors: Array) -> tuple[Array, Any]:
         """Values (P, k) of the linear parameters of a group in one run, and which follow the level."""
         effects = self.separable.groups[g].model.effects
         pairs = [(e, q) for e in effects for q in e.linear]
-        values = self._values(run, whole) if self.layout.constraints else None
-        out = np.zeros((len(whole), len(pairs)))
+        values = self._values(run, full_vectors) if self.layout.constraints else None
+        out = np.zeros((len(full_vectors), len(pairs)))
         for j, (e, q) in enumerate(pairs):
             i = self.separable.position(e.name, q.name, run)
             if i is not None:
-                out[:, j] = whole[:, i]
+                out[:, j] = full_vectors[:, i]
             elif values is not None:
                 out[:, j] = values[e.name][q.name]
             else:
                 out[:, j] = self.layout.fixed.get((e.name, q.name), 0.0)
         return out, np.array([q.loaded for _, q in pairs], dtype=bool)
 
-    def _values(self, run: int, whole: Array) -> dict[str, dict[str, Any]]:
+    def _values(self, run: int, full_vectors: Array) -> dict[str, dict[str, Any]]:
         """Every parameter in one run, (P,) each, those that follow others filled in."""
         model = self.layout.model
         values: dict[str, dict[str, Any]] = {e.name: {q.name: 0.0 for q in e.parameters} for e in model.effects}
@@ -136,7 +140,7 @@ class PopulationMisfit:
         for i in self.layout.active(run):
             slot = self.layout.slots[i]
             if slot.effect != LEVEL:
-                values[slot.effect][slot.parameter] = whole[:, i]
+                values[slot.effect][slot.parameter] = full_vectors[:, i]
         apply_constraints(model, self.layout.constraints, values)
         return values
 
@@ -154,15 +158,18 @@ class ReducedPopulationMisfit:
         self.separable, self.layout, self.tau, self.unit = SeparableModel(layout, blocks), layout, tau, unit
         separable = self.separable
         self.searched = separable.free
-        self._varying = [g for g, group in enumerate(separable.groups) if group.nonlinear_slots]
-        still = [
-            i for g in range(len(separable.groups)) if g not in self._varying for i in separable.coefficients_of(g)
+        self._varying_groups = [g for g, group in enumerate(separable.groups) if group.nonlinear_slots]
+        constant = [
+            i
+            for g in range(len(separable.groups))
+            if g not in self._varying_groups
+            for i in separable.coefficients_of(g)
         ]
-        self._still = np.array(still, dtype=int)
+        self._constant_groups = np.array(constant, dtype=int)
         rows = np.zeros((len(separable.coefficients), separable.size))
-        for g in set(range(len(separable.groups))) - set(self._varying):
+        for g in set(range(len(separable.groups))) - set(self._varying_groups):
             for b, block in enumerate(separable.blocks):
-                at = separable.place[g][block.run]
+                at = separable.column_positions[g][block.run]
                 rows[at[at >= 0], separable.slices[b]] = separable.rows(g, b, np.ones((1, len(layout.slots))))[
                     0, at >= 0
                 ]
@@ -181,15 +188,15 @@ class ReducedPopulationMisfit:
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Misfits (P,) and the levels that go with them, (P, runs)."""
-        c, gram, right, made = self._solved(points)
+        c, gram, right, varying_rows = self._solved(points)
         levels = np.ones((len(points), len(self.layout.run_names)))
         if not self.layout.levels:
-            bent = (gram @ c[:, :, None])[:, :, 0]
-            cost = self._square - 2 * np.einsum("pk,pk->p", c, right) + np.einsum("pk,pk->p", c, bent)
+            gram_times_c = (gram @ c[:, :, None])[:, :, 0]
+            cost = self._square - 2 * np.einsum("pk,pk->p", c, right) + np.einsum("pk,pk->p", c, gram_times_c)
             return np.maximum(cost, 0.0) * self.unit, levels
         total = np.full(len(points), sum(b.rest for b in self.separable.blocks))
         for run in self.separable.runs:
-            dry, other = self._explained(run, c, made)
+            dry, other = self._explained_data(run, c, varying_rows)
             data = np.concatenate([b.data for b in self.separable.blocks if b.run == run])
             cost, levels[:, run] = _with_best_level(data - dry - other, dry, self.tau)
             total += cost
@@ -215,33 +222,33 @@ class ReducedPopulationMisfit:
         separable, nonlinear_values = self.separable, self._numbers(points)
         gram = np.repeat(self._gram[None], len(points), axis=0)
         right = np.repeat(self._right[None], len(points), axis=0)
-        made: list[tuple[Array, Indices]] = []
+        varying_rows: list[tuple[Array, Indices]] = []
         for b, block in enumerate(separable.blocks):
-            places = [separable.place[g][block.run] for g in self._varying]
+            places = [separable.column_positions[g][block.run] for g in self._varying_groups]
             at = np.concatenate([NO_INDICES, *places])
             rows = np.empty((len(points), len(at), len(block.data)))
             j = 0
-            for g in self._varying:
+            for g in self._varying_groups:
                 for part in separable.parts(g, b, nonlinear_values):
                     rows[:, j : j + part.shape[1]] = part
                     j += part.shape[1]
-            shown = at >= 0
-            made.append((rows, at) if shown.all() else (rows[:, shown], at[shown]))
-            self._add(b, *made[b], (gram, right))
-        return _bounded(gram, right, separable.low, separable.high), gram, right, made
+            present = at >= 0
+            varying_rows.append((rows, at) if present.all() else (rows[:, present], at[present]))
+            self._add(b, *varying_rows[b], (gram, right))
+        return _bounded(gram, right, separable.low, separable.high), gram, right, varying_rows
 
     def _add(self, b: int, rows: Array, at: Indices, into: tuple[Array, Array]) -> None:
         """Add one block's products: rows (P, k, m), which are the coefficients `at`."""
         gram, right = into
         cut = self.separable.slices[b]
-        beside = np.vstack([self._rows[self._still][:, cut], self.separable.data[cut]])
-        flat = (rows.reshape(-1, rows.shape[2]) @ beside.T).reshape(len(rows), rows.shape[1], -1)
+        other_rows = np.vstack([self._rows[self._constant_groups][:, cut], self.separable.data[cut]])
+        flat = (rows.reshape(-1, rows.shape[2]) @ other_rows.T).reshape(len(rows), rows.shape[1], -1)
         right[:, at] += flat[:, :, -1]
-        gram[:, at[:, None], self._still] += flat[:, :, :-1]
-        gram[:, self._still[:, None], at] += flat[:, :, :-1].transpose(0, 2, 1)
+        gram[:, at[:, None], self._constant_groups] += flat[:, :, :-1]
+        gram[:, self._constant_groups[:, None], at] += flat[:, :, :-1].transpose(0, 2, 1)
         gram[:, at[:, None], at] += rows @ rows.transpose(0, 2, 1)
 
-    def _explained(self, run: int, c: Array, made: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
+    def _explained_data(self, run: int, c: Array, varying_rows: list[tuple[Array, Indices]]) -> tuple[Array, Array]:
         """What the laws explain of one run, (P, m) each: what follows the level, and the rest."""
         separable = self.separable
         loaded = np.array([k.loaded for k in separable.coefficients], dtype=bool)
@@ -250,10 +257,12 @@ class ReducedPopulationMisfit:
             if block.run != run:
                 continue
             sides = [
-                c[:, self._still] * w[self._still] @ self._rows[self._still][:, separable.slices[b]]
+                c[:, self._constant_groups]
+                * w[self._constant_groups]
+                @ self._rows[self._constant_groups][:, separable.slices[b]]
                 for w in (loaded, ~loaded)
             ]
-            rows, at = made[b]
+            rows, at = varying_rows[b]
             for i, w in enumerate((loaded, ~loaded)):
                 sides[i] = sides[i] + np.einsum("pk,pkm->pm", c[:, at] * w[at], rows)
             parts.append(sides)
@@ -285,21 +294,21 @@ def _bounded(gram: Array, right: Array, low: Array, high: Array) -> Array:
 
 
 def _pivot_on_bounds(unit: Array, right: Array, low: Array, high: Array) -> Array:
-    held = np.broadcast_to(low == high, right.shape).copy()
-    value = np.where(held, low, 0.0)
+    fixed = np.broadcast_to(low == high, right.shape).copy()
+    value = np.where(fixed, low, 0.0)
     for _ in range(MAX_PIVOT_ROUNDS):
-        system = np.where(held[:, :, None] | held[:, None, :], 0.0, unit)
-        rest = np.where(held, value, right - np.einsum("pkj,pj->pk", unit, np.where(held, value, 0.0)))
+        system = np.where(fixed[:, :, None] | fixed[:, None, :], 0.0, unit)
+        rest = np.where(fixed, value, right - np.einsum("pkj,pj->pk", unit, np.where(fixed, value, 0.0)))
         k = np.arange(right.shape[1])
-        system[:, k, k] = np.where(held, 1.0, unit[:, k, k])
+        system[:, k, k] = np.where(fixed, 1.0, unit[:, k, k])
         c = np.linalg.solve(system, rest[:, :, None])[:, :, 0]
         pull = right - np.einsum("pkj,pj->pk", unit, c)
-        out = ~held & ((c < low) | (c > high))
-        back = held & (low < high) & (((c <= low) & (pull > 0)) | ((c >= high) & (pull < 0)))
-        if not (out | back).any():
+        leaving = ~fixed & ((c < low) | (c > high))
+        returning = fixed & (low < high) & (((c <= low) & (pull > 0)) | ((c >= high) & (pull < 0)))
+        if not (leaving | returning).any():
             break
-        value = np.where(out, np.clip(c, low, high), value)
-        held = (held | out) & ~back
+        value = np.where(leaving, np.clip(c, low, high), value)
+        fixed = (fixed | leaving) & ~returning
     return np.clip(c, low, high)
 
 

@@ -56,7 +56,7 @@ class RelaxedWaves:
     def _waves(self) -> Iterator[Wave]:
         for g, group in enumerate(self.separable.groups):
             part = self.parts.get(group.names[0])
-            if part is not None and group.wave:
+            if part is not None and group.is_sinusoid:
                 names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
                 own = [p for p in part.effect.nonlinear if names[p.name] not in self.common]
                 frequency = next(p for p in own if p.role != "phase")

@@ -46,27 +46,27 @@ class ScanTable:
     at: list[NDArray[np.int_]]
     gram: Array  # (G, C, C)
 
-    crosses: dict[int, tuple[int, Array]] = field(default_factory=dict)  # by group: stamp, products with its rows
-    measured: list[Array] = field(default_factory=list)  # the last data and the products with them
-    joint: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
+    law_products: dict[int, tuple[int, Array]] = field(default_factory=dict)  # by group: stamp, products with its rows
+    data_products: list[Array] = field(default_factory=list)  # the last data and the products with them
+    neighbour_gram: list[Array] = field(default_factory=list)  # Gram matrices of neighbours, once asked for
 
-    def against(self, separable: SeparableModel, state: SeparableSolution, data: Array) -> tuple[Array, Array]:
+    def inner_products(self, separable: SeparableModel, state: SeparableSolution, data: Array) -> tuple[Array, Array]:
         """Inner products with the rows of a law and of its R levels (G, C, K + R), and with its residual (G, C)."""
         k = len(state.coefficients)
         out = np.zeros((*self.gram.shape[:2], k + len(state.levels.rows)))
-        for g, stamp in enumerate(state.stamps):
+        for g, stamp in enumerate(state.versions):
             mine = separable.coefficients_of(g)
-            if self.crosses.get(g, (None,))[0] != stamp:
-                self.crosses[g] = stamp, self._products(separable.slices, state.rows[mine])
-            out[:, :, mine] = self.crosses[g][1]
-        if not self.measured or self.measured[0] is not data:
-            self.measured[:] = [data, self._products(separable.slices, data[None])[:, :, 0]]
+            if self.law_products.get(g, (None,))[0] != stamp:
+                self.law_products[g] = stamp, self._products(separable.slices, state.rows[mine])
+            out[:, :, mine] = self.law_products[g][1]
+        if not self.data_products or self.data_products[0] is not data:
+            self.data_products[:] = [data, self._products(separable.slices, data[None])[:, :, 0]]
         out[:, :, k:] = self._products(separable.slices, state.levels.rows)
-        return out, self.measured[1] - out[:, :, :k] @ state.coefficients
+        return out, self.data_products[1] - out[:, :, :k] @ state.coefficients
 
     def neighbours(self) -> Array:
         """Gram matrices (G - 1, 2 C, 2 C) of every form and the next one on the grid."""
-        if not self.joint:
+        if not self.neighbour_gram:
             g, c = self.gram.shape[:2]
             across = np.zeros((g - 1, c, c))
             for mine, at in zip(self.rows, self.at, strict=True):
@@ -74,16 +74,16 @@ class ScanTable:
                 across[np.ix_(np.arange(g - 1), at, at)] += cube[:-1] @ cube[1:].transpose(0, 2, 1)
             upper = np.concatenate([self.gram[:-1], across], axis=2)
             lower = np.concatenate([across.transpose(0, 2, 1), self.gram[1:]], axis=2)
-            self.joint.append(np.concatenate([upper, lower], axis=1))
-        return self.joint[0]
+            self.neighbour_gram.append(np.concatenate([upper, lower], axis=1))
+        return self.neighbour_gram[0]
 
     def _products(self, slices: list[slice], rows: Array) -> Array:
         g, c = self.gram.shape[:2]
         out = np.zeros((g, c, len(rows)))
-        short = rows.astype(np.float32)
+        single_rows = rows.astype(np.float32)
         for mine, at, cut in zip(self.rows, self.at, slices, strict=True):
-            shown = np.flatnonzero(short[:, cut].any(axis=1))  # most rows belong to one run
-            out[np.ix_(np.arange(g), at, shown)] += (mine @ short[shown, cut].T).reshape(g, len(at), len(shown))
+            shown = np.flatnonzero(single_rows[:, cut].any(axis=1))  # most rows belong to one run
+            out[np.ix_(np.arange(g), at, shown)] += (mine @ single_rows[shown, cut].T).reshape(g, len(at), len(shown))
         return out
 
 
@@ -95,7 +95,7 @@ class TableScan:
     gains: Array
     coefficients: Array
 
-    def picks(self, most: int) -> list[int]:
+    def best_distinct(self, most: int) -> list[int]:
         """Forms of the largest gains, none within `MIN_GRID_STEPS_APART` steps of a better one."""
         chosen: list[int] = []
         left = self.gains.copy()
@@ -108,12 +108,12 @@ class TableScan:
         return chosen
 
 
-def grid_of(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
+def scan_grid(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid:
     """Every combination of the scanned parameters of an effect, those above what the data show left out."""
-    made = next(e for e in separable.layout.model.effects if e.name == effect)
+    effect_rows = next(e for e in separable.layout.model.effects if e.name == effect)
     span = separable.layout.span if run is None else separable.layout.spans[run]
     highest = max(b.highest for b in separable.blocks)
-    scanned = [p for p in made.nonlinear if p.scan is not None and p.free]
+    scanned = [p for p in effect_rows.nonlinear if p.scan is not None and p.free]
     axes = []
     for p in scanned:
         assert p.scan is not None
@@ -128,7 +128,7 @@ def grid_of(separable: SeparableModel, effect: str, run: int | None) -> ScanGrid
 
 
 @dataclass(frozen=True)
-class ScannedEffect:
+class ScanItem:
     """An effect that is scanned: in group `g`; in one `run` where the scan is the run's own."""
 
     effect: str
@@ -148,7 +148,7 @@ def is_scannable(effect: Effect) -> bool:
     return bool(effect.relaxed) or (not effect.modifies and len(scanned) <= MAX_SCAN_AXES)
 
 
-def scanned_effects(separable: SeparableModel) -> list[ScannedEffect]:
+def scanned_effects(separable: SeparableModel) -> list[ScanItem]:
     """What a model has to scan, in its order."""
     out = []
     for effect in separable.layout.model.effects:
@@ -158,16 +158,14 @@ def scanned_effects(separable: SeparableModel) -> list[ScannedEffect]:
             continue
         if effect.single:
             out += [
-                ScannedEffect(effect.name, g, r)
-                for r in separable.runs
-                if (effect.name, r) not in separable.layout.absent
+                ScanItem(effect.name, g, r) for r in separable.runs if (effect.name, r) not in separable.layout.absent
             ]
         elif scanned and effect.linear:
-            out.append(ScannedEffect(effect.name, g))
+            out.append(ScanItem(effect.name, g))
     return out
 
 
-def coefficients_of(separable: SeparableModel, item: ScannedEffect) -> NDArray[np.int_]:
+def coefficients_of(separable: SeparableModel, item: ScanItem) -> NDArray[np.int_]:
     """Which coefficients of the law belong to an item."""
     return np.array(
         [
@@ -187,14 +185,14 @@ class ScanTables:
         self._grids: dict[tuple[str, int | None], ScanGrid] = {}
         self._made: dict[tuple[object, ...], ScanTable] = {}
 
-    def grid(self, item: ScannedEffect) -> ScanGrid:
+    def grid(self, item: ScanItem) -> ScanGrid:
         """The grid of an item."""
         key = item.effect, item.run
         if key not in self._grids:
-            self._grids[key] = grid_of(self.separable, *key)
+            self._grids[key] = scan_grid(self.separable, *key)
         return self._grids[key]
 
-    def table(self, item: ScannedEffect, state: SeparableSolution) -> ScanTable:
+    def table(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         """The table of an item; kept unless it depends on the law at hand."""
         separable = self.separable
         group = separable.groups[item.g]
@@ -213,22 +211,27 @@ class ScanTables:
             self._made[key] = self._build(item, state)
         return self._made[key]
 
-    def scan(self, item: ScannedEffect, state: SeparableSolution, data: Array) -> TableScan:
+    def scan(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """What every form of an item gains beside a law without it."""
         table = self.table(item, state)
         mine = coefficients_of(self.separable, item)
-        cross, right = table.against(self.separable, state, data)
-        return _table_scan(table, state, (cross, right), (self.separable.low[mine], self.separable.high[mine]))
+        cross, residual_products = table.inner_products(self.separable, state, data)
+        return _table_scan(
+            table, state, (cross, residual_products), (self.separable.low[mine], self.separable.high[mine])
+        )
 
-    def pairs(self, item: ScannedEffect, state: SeparableSolution, data: Array) -> TableScan:
+    def pairs(self, item: ScanItem, state: SeparableSolution, data: Array) -> TableScan:
         """What two neighbouring points of one scan would gain together: two lines closer than they can be parted."""
         table = self.table(item, state)
-        cross, right = table.against(self.separable, state, data)
+        cross, residual_products = table.inner_products(self.separable, state, data)
         two = replace(table, gram=table.neighbours(), grid=table.grid.shortened())
-        both = np.concatenate([cross[:-1], cross[1:]], axis=1), np.concatenate([right[:-1], right[1:]], axis=1)
+        both = (
+            np.concatenate([cross[:-1], cross[1:]], axis=1),
+            np.concatenate([residual_products[:-1], residual_products[1:]], axis=1),
+        )
         return _table_scan(two, state, both, (-np.inf, np.inf))
 
-    def _build(self, item: ScannedEffect, state: SeparableSolution) -> ScanTable:
+    def _build(self, item: ScanItem, state: SeparableSolution) -> ScanTable:
         separable, grid = self.separable, self.grid(item)
         nonlinear_values = np.tile(state.nonlinear_values, (len(grid.values), 1))
         for name, values in zip(grid.names, grid.values.T, strict=True):
@@ -239,17 +242,17 @@ class ScanTables:
         rows, at = [], []
         gram = np.zeros((len(nonlinear_values), len(mine), len(mine)))
         for b, block in enumerate(separable.blocks):
-            place = separable.place[item.g][block.run]
+            place = separable.column_positions[item.g][block.run]
             kept = np.flatnonzero(np.isin(place, mine))
             if item.run is not None and block.run != item.run:
                 kept = kept[:0]
             parts = (
                 [separable.rows(item.g, b, part)[:, kept] for part in _chunks(nonlinear_values)] if len(kept) else []
             )
-            made = np.concatenate(parts) if parts else np.zeros((len(nonlinear_values), 0, len(block.data)))
+            effect_rows = np.concatenate(parts) if parts else np.zeros((len(nonlinear_values), 0, len(block.data)))
             a = np.searchsorted(mine, place[kept])
-            gram[np.ix_(np.arange(len(nonlinear_values)), a, a)] += made @ made.transpose(0, 2, 1)
-            rows.append(made.reshape(-1, len(block.data)).astype(np.float32))
+            gram[np.ix_(np.arange(len(nonlinear_values)), a, a)] += effect_rows @ effect_rows.transpose(0, 2, 1)
+            rows.append(effect_rows.reshape(-1, len(block.data)).astype(np.float32))
             at.append(a)
         return ScanTable(grid, rows, at, gram)
 
@@ -265,47 +268,53 @@ def _table_scan(
 
     `products` are those with its rows and levels (G, C, K + R) and with its residual (G, C).
     """
-    cross, right = products
-    schur, already = table.gram.copy(), 0.0
-    free = np.concatenate([state.moving, state.levels.rows.any(axis=1)])
+    cross, residual_products = products
+    schur, gain_of_free_rows = table.gram.copy(), 0.0
+    free = np.concatenate([state.unconstrained, state.levels.rows.any(axis=1)])
     if free.any():
-        inverse, size, pull = _free_rows(state, free)
-        beside = cross[:, :, free] / size
-        flat = (beside.reshape(-1, len(size)) @ inverse).reshape(beside.shape)
-        schur -= flat @ beside.transpose(0, 2, 1)
-        right, already = right - flat @ pull, float(pull @ inverse @ pull)
-    c = np.clip(_solve(schur, right, np.einsum("gcc->gc", table.gram)), *box)
-    bent = (schur @ c[:, :, None])[:, :, 0]
-    return TableScan(table.grid, np.einsum("gc,gc->g", c, 2 * right - bent) + already, c)
+        inverse, size, gradient = _free_rows(state, free)
+        with_free_rows = cross[:, :, free] / size
+        flat = (with_free_rows.reshape(-1, len(size)) @ inverse).reshape(with_free_rows.shape)
+        schur -= flat @ with_free_rows.transpose(0, 2, 1)
+        residual_products, gain_of_free_rows = residual_products - flat @ gradient, float(gradient @ inverse @ gradient)
+    c = np.clip(_solve(schur, residual_products, np.einsum("gcc->gc", table.gram)), *box)
+    curved = (schur @ c[:, :, None])[:, :, 0]
+    return TableScan(table.grid, np.einsum("gc,gc->g", c, 2 * residual_products - curved) + gain_of_free_rows, c)
 
 
 def _free_rows(state: SeparableSolution, free: Mask) -> tuple[Array, Array, Array]:
     """Of the free rows and levels of a law (k,): their inverse Gram matrix, in units of their sizes (k,), and pulls."""
     rows = np.concatenate([state.rows, state.levels.rows])[free]
     k, own = len(state.coefficients), state.levels
-    held, pull = np.zeros((len(free), len(free))), np.zeros(len(free))
-    held[k:, k:], pull[k:] = own.held, own.pull
-    gram = rows @ rows.T + held[np.ix_(free, free)]
+    precision, gradient = np.zeros((len(free), len(free))), np.zeros(len(free))
+    precision[k:, k:], gradient[k:] = own.precision, own.gradient
+    gram = rows @ rows.T + precision[np.ix_(free, free)]
     size = np.sqrt(gram.diagonal())
     unit = gram / size / size[:, None]
     unit.flat[:: len(size) + 1] += 1e-12
-    return np.linalg.inv(unit), size, pull[free] / size
+    return np.linalg.inv(unit), size, gradient[free] / size
 
 
-def _solve(schur: Array, right: Array, full: Array) -> Array:
+def _solve(schur: Array, residual_products: Array, full: Array) -> Array:
     """Best coefficients (G, C) of forms with what remains of their Gram matrices; absorbed forms get none."""
     count = schur.shape[1]
     floor = MIN_UNEXPLAINED_SHARE * full
     if count == 1:
         own = schur[:, :, 0]
-        return right / np.where(own > floor, own, np.inf)
+        return residual_products / np.where(own > floor, own, np.inf)
     if count == 2:
         a, b, d = schur[:, 0, 0], schur[:, 0, 1], schur[:, 1, 1]
         det = a * d - b * b
         good = det > MIN_UNEXPLAINED_SHARE * full[:, 0] * full[:, 1]
         det = np.where(good, det, np.inf)
-        out = np.stack([(d * right[:, 0] - b * right[:, 1]) / det, (a * right[:, 1] - b * right[:, 0]) / det], axis=1)
+        out = np.stack(
+            [
+                (d * residual_products[:, 0] - b * residual_products[:, 1]) / det,
+                (a * residual_products[:, 1] - b * residual_products[:, 0]) / det,
+            ],
+            axis=1,
+        )
         return out
     size = np.sqrt(np.where(full > 0, full, 1.0))
     unit = schur / size[:, :, None] / size[:, None, :] + MIN_UNEXPLAINED_SHARE * np.eye(count)
-    return np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size
+    return np.linalg.solve(unit, (residual_products / size)[:, :, None])[:, :, 0] / size

@@ -17,7 +17,7 @@ from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.newton import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.scan_tables import (
     ScanGrid,
-    ScannedEffect,
+    ScanItem,
     ScanTables,
     TableScan,
     coefficients_of,
@@ -43,29 +43,29 @@ class VariableProjection:
         self.separable, self.tau = separable, tau
         self.tables = ScanTables(separable)
         self.items = scanned_effects(separable)
-        self.mine = {item: coefficients_of(separable, item) for item in self.items}
-        self.plain = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
+        self.item_coefficients = {item: coefficients_of(separable, item) for item in self.items}
+        self.unscanned_groups = {g for g, group in enumerate(separable.groups) if g not in {i.g for i in self.items}}
 
     def __call__(self, data: Array | None = None, nonlinear_values: Array | None = None) -> SeparableSolution:
         """The law that explains data (M,), default the blocks' own, best; `numbers` (P,) of what no scan finds."""
         problem = ProjectedProblem(self.separable, self.separable.data if data is None else data, self.tau)
-        return self._exchanged(problem, self.start_solution(problem, nonlinear_values))
+        return self._exchange_until_no_gain(problem, self.start_solution(problem, nonlinear_values))
 
     def start_solution(self, problem: ProjectedProblem, nonlinear_values: Array | None = None) -> SeparableSolution:
         """The law with every effect where it gained most when it was taken in, refined roughly."""
-        first = self.first() if nonlinear_values is None else nonlinear_values
-        state = problem.at(first, problem.empty_solution(first), self.plain)
+        start_values = self.start_values() if nonlinear_values is None else nonlinear_values
+        state = problem.at(start_values, problem.empty_solution(start_values), self.unscanned_groups)
         if problem.levels:
-            state = problem.refine(state, self.plain, steps=ROUGH_STEPS)
-        return self._complete(problem, state)
+            state = problem.refine(state, self.unscanned_groups, steps=ROUGH_STEPS)
+        return self._add_items(problem, state)
 
     def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
         problem = ProjectedProblem(self.separable, self.separable.data, self.tau)
-        bare = {i: problem.without(state, self.mine[i]) for i in self.items if i.run is not None}
+        without_item = {i: problem.without(state, self.item_coefficients[i]) for i in self.items if i.run is not None}
         if problem.levels:  # these take over what they can
-            bare = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in bare.items()}
-        gains = {i: law.misfit - state.misfit for i, law in bare.items()}
+            without_item = {i: problem.refine(law, (), steps=ROUGH_STEPS) for i, law in without_item.items()}
+        gains = {i: law.misfit - state.misfit for i, law in without_item.items()}
         best = {e: max(g for i, g in gains.items() if i.effect == e) for e in {i.effect for i in gains}}
         return frozenset(
             (i.effect, i.run) for i, g in gains.items() if i.run is not None and g < min(penalty, best[i.effect])
@@ -73,22 +73,26 @@ class VariableProjection:
 
     def exchange_positions(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The law with one effect, and all whose scan is as short, where they explain most beside each other."""
-        whole = self.items
-        self.items = [i for i in whole if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS]
-        state = self._exchanged(problem, state)
-        self.items = whole
+        all_items = self.items
+        self.items = [
+            i for i in all_items if i.effect == effect or len(self.tables.grid(i).values) <= SHORT_SCAN_POINTS
+        ]
+        state = self._exchange_until_no_gain(problem, state)
+        self.items = all_items
         return state
 
     def restart_effect(self, problem: ProjectedProblem, state: SeparableSolution, effect: str) -> SeparableSolution:
         """The same, the effect taken out before and found again run by run, where it gains most first."""
-        whole = self.items
-        self.items = [i for i in whole if i.effect == effect]
-        bare = problem.without(state, np.concatenate([self.mine[i] for i in self.items]))
-        found = self._complete(problem, problem.refine(bare, self._inside(self.items), steps=ROUGH_STEPS))
-        self.items = whole
+        all_items = self.items
+        self.items = [i for i in all_items if i.effect == effect]
+        without_item = problem.without(state, np.concatenate([self.item_coefficients[i] for i in self.items]))
+        found = self._add_items(
+            problem, problem.refine(without_item, self._groups_without(self.items), steps=ROUGH_STEPS)
+        )
+        self.items = all_items
         return self.exchange_positions(problem, found, effect)
 
-    def first(self) -> Array:
+    def start_values(self) -> Array:
         """Numbers (P,) before anything is known: levels one, the rest inside their bounds."""
         low, high = self.separable.layout.bounds
         out = np.ones(len(low))
@@ -97,22 +101,22 @@ class VariableProjection:
                 out[i] = 0.5 * (low[i] + high[i])
         return out
 
-    def _complete(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
+    def _add_items(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Take in one effect after the other, the one that gains most first."""
-        left = list(self.items)
-        while left:
-            scans = self._scans(problem, state, left)
+        remaining = list(self.items)
+        while remaining:
+            scans = self._scans(problem, state, remaining)
             item = max(scans, key=lambda i: float(scans[i].gains.max()))
-            left.remove(item)
-            state = self._taken(problem, state, item, scans[item], int(np.argmax(scans[item].gains)))
-            state = problem.refine(state, self._inside(left), steps=ROUGH_STEPS, enough=1e-3)
+            remaining.remove(item)
+            state = self._with_item_at(problem, state, item, scans[item], int(np.argmax(scans[item].gains)))
+            state = problem.refine(state, self._groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
         return state
 
-    def _inside(self, left: list[ScannedEffect]) -> set[int]:
-        return set(range(len(self.separable.groups))) - {i.g for i in left}
+    def _groups_without(self, remaining: list[ScanItem]) -> set[int]:
+        return set(range(len(self.separable.groups))) - {i.g for i in remaining}
 
-    def _taken(
-        self, problem: ProjectedProblem, state: SeparableSolution, item: ScannedEffect, found: TableScan, g: int
+    def _with_item_at(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem, found: TableScan, g: int
     ) -> SeparableSolution:
         """The law with an item at one point of its scan."""
         nonlinear_values = state.nonlinear_values.copy()
@@ -120,143 +124,147 @@ class VariableProjection:
             for i, s in enumerate(self.separable.layout.slots):
                 if (s.effect, s.parameter) == (item.effect, name) and (item.run is None or s.run in (None, item.run)):
                     nonlinear_values[i] = value
-        return problem.at(nonlinear_values, state, {item.g}, self.mine[item])
+        return problem.at(nonlinear_values, state, {item.g}, self.item_coefficients[item])
 
-    def _exchanged(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
+    def _exchange_until_no_gain(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
         """Try other places for every effect, then for pairs of them, until none helps."""
         state = problem.refine(state)
         waiting = list(self.items)
         while waiting:
             item = waiting.pop(0)
-            better = self._elsewhere(problem, state, item)
+            better = self._try_other_positions(problem, state, item)
             if better is None and not waiting:
-                better = self._paired(problem, state)
+                better = self._try_pairs(problem, state)
             if better is not None:
                 state = better
                 waiting = [i for i in self.items if i != item] or list(self.items)
         return state
 
-    def _paired(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
+    def _try_pairs(self, problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution | None:
         """A better law with two effects elsewhere: two lines in place of one, or two that trade places."""
-        shares = self._shares(state)
-        unsaid = self._unsaid(problem, state)
+        shares = self._explained_shares(state)
+        misses_effect = self._misses_effect(problem, state)
         for one, other in permutations(self.items, 2):
-            alike = self._alike(one, other)
+            same_kind = self._are_same_kind(one, other)
             better = (
-                self._close(problem, state, one, other)
-                if alike and self.items.index(one) < self.items.index(other)
+                self._try_neighbouring_lines(problem, state, one, other)
+                if same_kind and self.items.index(one) < self.items.index(other)
                 else None
             )
-            if better is None and (unsaid or shares(one, other) > MIN_COUPLING):
-                better = self._anew(problem, state, one, other)
+            if better is None and (misses_effect or shares(one, other) > MIN_COUPLING):
+                better = self._try_both_again(problem, state, one, other)
             if better is not None:
                 return better
         return None
 
-    def _unsaid(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
+    def _misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would explain far more than chance does: something stands wrong."""
         best = max(float(s.gains.max()) for s in self._scans(problem, state, self.items).values())
         return best > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
 
     def _scans(
-        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScannedEffect]
-    ) -> dict[ScannedEffect, TableScan]:
+        self, problem: ProjectedProblem, state: SeparableSolution, items: list[ScanItem]
+    ) -> dict[ScanItem, TableScan]:
         """What one more of every kind of effect would gain."""
         kinds = {(self.separable.groups[i.g].model.effects[0].columns, i.run): i for i in reversed(items)}
         return {i: self.tables.scan(i, state, problem.data) for i in kinds.values()}
 
-    def _elsewhere(
-        self, problem: ProjectedProblem, state: SeparableSolution, item: ScannedEffect
+    def _try_other_positions(
+        self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem
     ) -> SeparableSolution | None:
-        bare = problem.without(state, self.mine[item])
-        found = self.tables.scan(item, bare, problem.data)
-        near = self._near(state, bare)
-        for g in found.picks(MAX_PLACES):
-            if bare.misfit - found.gains[g] > near or self._stands(item, state, found, g):
+        without_item = problem.without(state, self.item_coefficients[item])
+        found = self.tables.scan(item, without_item, problem.data)
+        max_misfit = self._max_promising_misfit(state, without_item)
+        for g in found.best_distinct(MAX_PLACES):
+            if without_item.misfit - found.gains[g] > max_misfit or self._is_current_position(item, state, found, g):
                 continue
-            better = self._kept(problem, state, self._taken(problem, state, item, found, g))
+            better = self._refine_if_better(problem, state, self._with_item_at(problem, state, item, found, g))
             if better is not None:
                 return better
         return None
 
-    def _near(self, state: SeparableSolution, bare: SeparableSolution) -> float:
+    def _max_promising_misfit(self, state: SeparableSolution, without_item: SeparableSolution) -> float:
         """How large a misfit on the grid may be, and the law still be worth refining, beside one with effects out."""
         return (
             state.misfit
-            + MAX_LAG_SHARE * (bare.misfit - state.misfit)
+            + MAX_LAG_SHARE * (without_item.misfit - state.misfit)
             + MAX_LAG_CHI2 * state.misfit / self.separable.size
         )
 
-    def _close(
-        self, problem: ProjectedProblem, state: SeparableSolution, one: ScannedEffect, other: ScannedEffect
+    def _try_neighbouring_lines(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
     ) -> SeparableSolution | None:
         """Two lines side by side, where the two together gain most."""
-        both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
-        found = self.tables.pairs(one, both, problem.data)
-        where = self._where(one, found.grid.names), self._where(other, found.grid.names)
+        without_both = problem.without(
+            state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
+        )
+        found = self.tables.pairs(one, without_both, problem.data)
+        positions = self._slot_positions(one, found.grid.names), self._slot_positions(other, found.grid.names)
         values = self.tables.grid(one).values
-        for g in found.picks(MAX_PAIR_PLACES):
-            if both.misfit - found.gains[g] > self._near(state, both):
+        for g in found.best_distinct(MAX_PAIR_PLACES):
+            if without_both.misfit - found.gains[g] > self._max_promising_misfit(state, without_both):
                 break
             nonlinear_values = state.nonlinear_values.copy()
-            nonlinear_values[where[0]], nonlinear_values[where[1]] = values[g], values[g + 1]
-            better = self._kept(problem, state, problem.at(nonlinear_values, state, {one.g, other.g}))
+            nonlinear_values[positions[0]], nonlinear_values[positions[1]] = values[g], values[g + 1]
+            better = self._refine_if_better(problem, state, problem.at(nonlinear_values, state, {one.g, other.g}))
             if better is not None:
                 return better
         return None
 
-    def _anew(
-        self, problem: ProjectedProblem, state: SeparableSolution, one: ScannedEffect, other: ScannedEffect
+    def _try_both_again(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
     ) -> SeparableSolution | None:
         """Both out; the best place for `one` first, then beside it for the `other`."""
-        both = problem.without(state, np.concatenate([self.mine[one], self.mine[other]]))
-        first = self.tables.scan(one, both, problem.data)
-        middle = self._taken(problem, both, one, first, int(np.argmax(first.gains)))
-        bare = problem.without(middle, self.mine[other])
-        second = self.tables.scan(other, bare, problem.data)
+        without_both = problem.without(
+            state, np.concatenate([self.item_coefficients[one], self.item_coefficients[other]])
+        )
+        start_values = self.tables.scan(one, without_both, problem.data)
+        with_one = self._with_item_at(problem, without_both, one, start_values, int(np.argmax(start_values.gains)))
+        without_item = problem.without(with_one, self.item_coefficients[other])
+        second = self.tables.scan(other, without_item, problem.data)
         g = int(np.argmax(second.gains))
-        if bare.misfit - second.gains[g] > self._near(state, both):
+        if without_item.misfit - second.gains[g] > self._max_promising_misfit(state, without_both):
             return None
-        return self._kept(problem, state, self._taken(problem, middle, other, second, g))
+        return self._refine_if_better(problem, state, self._with_item_at(problem, with_one, other, second, g))
 
-    def _kept(
+    def _refine_if_better(
         self, problem: ProjectedProblem, state: SeparableSolution, trial: SeparableSolution
     ) -> SeparableSolution | None:
         trial = problem.refine(trial, below=state.misfit)
         return trial if trial.misfit < state.misfit * (1 - MIN_GAIN_SHARE) else None
 
-    def _alike(self, one: ScannedEffect, other: ScannedEffect) -> bool:
+    def _are_same_kind(self, one: ScanItem, other: ScanItem) -> bool:
         """Whether two items are instances of one effect, found by one number."""
         a, b = (self.separable.groups[i.g].model.effects[0] for i in (one, other))
         return a.columns is b.columns and one.g != other.g and len(self.tables.grid(one).names) == 1
 
-    def _shares(self, state: SeparableSolution) -> Callable[[ScannedEffect, ScannedEffect], float]:
+    def _explained_shares(self, state: SeparableSolution) -> Callable[[ScanItem, ScanItem], float]:
         """How much of each other's rows two items explain, all others projected out."""
-        rows = np.where(state.out[:, None], 0.0, state.rows)
+        rows = np.where(state.excluded[:, None], 0.0, state.rows)
         gram = rows @ rows.T
         size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
         inverse = np.linalg.inv(gram / size / size[:, None] + 1e-9 * np.eye(len(size)))
 
-        def share(one: ScannedEffect, other: ScannedEffect) -> float:
-            a, b = self.mine[one], self.mine[other]
+        def share(one: ScanItem, other: ScanItem) -> float:
+            a, b = self.item_coefficients[one], self.item_coefficients[other]
             across = inverse[np.ix_(a, b)]
             ahead = np.linalg.solve(inverse[np.ix_(a, a)], across)
             return float(np.trace(ahead @ np.linalg.solve(inverse[np.ix_(b, b)], across.T)))
 
         return share
 
-    def _where(self, item: ScannedEffect, names: tuple[str, ...]) -> list[int]:
+    def _slot_positions(self, item: ScanItem, names: tuple[str, ...]) -> list[int]:
         """Positions in the layout of the numbers that an item is scanned over."""
         found = (self.separable.position(item.effect, name, item.run) for name in names)
         return [i for i in found if i is not None]
 
     @staticmethod
-    def _nearest(grid: ScanGrid, state: SeparableSolution, where: list[int]) -> int:
-        reach = np.ptp(grid.values, axis=0)
-        away = (grid.values - state.nonlinear_values[where]) / np.where(reach > 0, reach, 1.0)
-        return int(np.argmin(np.sum(away**2, axis=1)))
+    def _nearest_point(grid: ScanGrid, state: SeparableSolution, positions: list[int]) -> int:
+        axis_range = np.ptp(grid.values, axis=0)
+        distance = (grid.values - state.nonlinear_values[positions]) / np.where(axis_range > 0, axis_range, 1.0)
+        return int(np.argmin(np.sum(distance**2, axis=1)))
 
-    def _stands(self, item: ScannedEffect, state: SeparableSolution, found: TableScan, g: int) -> bool:
+    def _is_current_position(self, item: ScanItem, state: SeparableSolution, found: TableScan, g: int) -> bool:
         """Whether the law has the item at that place already, within a step of its scan."""
-        nearest = self._nearest(found.grid, state, self._where(item, found.grid.names))
+        nearest = self._nearest_point(found.grid, state, self._slot_positions(item, found.grid.names))
         return bool(np.all(np.abs(found.grid.steps[nearest] - found.grid.steps[g]) <= 1))

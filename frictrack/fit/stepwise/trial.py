@@ -99,10 +99,10 @@ def misfit_left_by_other(linearised: LinearisedModel, true: CandidateTrial, othe
 class TiedSeparableModel(SeparableModel):
     """A law along the motion in which waves that share an amplitude do so: their phases are numbers."""
 
-    def is_wave(self, effect: Effect) -> bool:
+    def is_sinusoid(self, effect: Effect) -> bool:
         """Whether quadratures are linear: not where runs share an amplitude and have their own phases."""
         own = {p.per_run for p in effect.parameters if p.role in ("amplitude", "phase")}
-        return super().is_wave(effect) and (len(own) == 1 or len(self.runs) == 1)
+        return super().is_sinusoid(effect) and (len(own) == 1 or len(self.runs) == 1)
 
 
 def _projected_problem(linearised: LinearisedModel, layout: ParameterLayout) -> ProjectedProblem:
@@ -164,7 +164,7 @@ def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> Cand
     problem = _projected_problem(linearised, layout)
     search = VariableProjection(problem.separable, problem.tau)
     known_values = dict(zip(trial.layout.names, trial.p, strict=True))
-    p = np.array([known_values.get(n, v) for n, v in zip(layout.names, search.first(), strict=True)])
+    p = np.array([known_values.get(n, v) for n, v in zip(layout.names, search.start_values(), strict=True)])
     state = search.restart_effect(problem, problem.at(p), name)
     found = dict(zip(layout.names, problem.separable.law(state.nonlinear_values, state.coefficients), strict=True))
     removed = {pair for pair in search.unneeded_events(state, penalty) if pair[0] == name}
