@@ -88,7 +88,7 @@ def limit_as_force(first: Round, scanned: ScannedCandidate, limits: Array) -> fl
 
 def _raw(strip: LinearisedPiece, family: Any, g: int) -> Array:
     """Force of one unit of the first coefficient along one piece, N."""
-    return np.asarray(family.raw(strip, family.values[g : g + 1])[0, 0])
+    return np.asarray(family.raw_columns(strip, family.values[g : g + 1])[0, 0])
 
 
 def _middle(values: Array) -> int:
