@@ -30,7 +30,7 @@ class Constraint:
     value: float | Tie
 
     @property
-    def quoted(self) -> bool:
+    def is_reported_differently(self) -> bool:
         """Whether it is quoted otherwise than it is sought."""
         return self.parameter.name in self.effect.quoted
 
@@ -46,7 +46,7 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
                 p.name in effect.quoted or (MASS in model and _is_force_coefficient(effect, p))
             ):
                 constraints.append(Constraint(effect, p, p.fixed))
-    waiting = [r for r in constraints if not r.quoted]
+    waiting = [r for r in constraints if not r.is_reported_differently]
     ordered: list[Constraint] = []
     while waiting:
         names = {(r.effect.name, r.parameter.name) for r in waiting}
@@ -55,66 +55,68 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
             raise FrictrackError("expected ties that end at a free parameter but got a circle", usage=True)
         ordered += ready
         waiting = [r for r in waiting if r not in ready]
-    return (*ordered, *(r for r in constraints if r.quoted))
+    return (*ordered, *(r for r in constraints if r.is_reported_differently))
 
 
 def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values: Values) -> None:
     """Fill in what the constraints say, in place."""
-    q = unit_of_mass(values)
+    q = mass_unit_ratio(values)
     for constraint in constraints:
-        known = constraint.value
-        wanted = (
-            known.factor * reported_value(model, values, known.effect, known.parameter)
-            if isinstance(known, Tie)
-            else known
+        value = constraint.value
+        target = (
+            value.factor * reported_value(model, values, value.effect, value.parameter)
+            if isinstance(value, Tie)
+            else value
         )
         name = constraint.parameter.name
-        if constraint.quoted:
-            wanted = _internal_value(model, constraint, wanted, values)
+        if constraint.is_reported_differently:
+            target = _internal_value(model, constraint, target, values)
         values[constraint.effect.name][name] = (
-            wanted * q if _is_force_coefficient(constraint.effect, constraint.parameter) else wanted
+            target * q if _is_force_coefficient(constraint.effect, constraint.parameter) else target
         )
 
 
 def reported_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
     """The value of a parameter as it is quoted."""
-    of = next(e for e in model.effects if e.name == effect)
-    if parameter in of.quoted and of.quote is not None:
-        own, flat = _values_in_newtons(model, values, of)
-        return of.quote(own, flat)[parameter]
-    q = unit_of_mass(values) if _is_force_coefficient(of, of.parameter(parameter)) else 1.0
+    effect_of = next(e for e in model.effects if e.name == effect)
+    if parameter in effect_of.quoted and effect_of.quote is not None:
+        own, flat_values = _values_in_newtons(model, values, effect_of)
+        return effect_of.quote(own, flat_values)[parameter]
+    q = mass_unit_ratio(values) if _is_force_coefficient(effect_of, effect_of.parameter(parameter)) else 1.0
     return values[effect][parameter] / q
 
 
-def unit_of_mass(values: Mapping[str, Mapping[str, Any]]) -> Any:
+def mass_unit_ratio(values: Mapping[str, Mapping[str, Any]]) -> Any:
     """Unit of mass over the mass, q: forces are sought as q times themselves; 1 where the mass is known."""
     return 1.0 + values[MASS]["m"] if "m" in values.get(MASS, {}) else 1.0
 
 
 def _values_in_newtons(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any], dict[str, Any]]:
     """Values of one effect and of all, by address, forces in newtons."""
-    q = unit_of_mass(values)
-    flat = {
+    q = mass_unit_ratio(values)
+    flat_values = {
         f"{e.name}.{p.name}": values[e.name][p.name] / (q if _is_force_coefficient(e, p) else 1.0)
         for e in model.effects
         for p in e.parameters
         if p.name in values[e.name]
     }
-    return {p.name: flat[f"{effect.name}.{p.name}"] for p in effect.parameters if p.name in values[effect.name]}, flat
+    return {
+        p.name: flat_values[f"{effect.name}.{p.name}"] for p in effect.parameters if p.name in values[effect.name]
+    }, flat_values
 
 
 def _is_force_coefficient(effect: Effect, p: Parameter) -> bool:
     return p.linear and effect.acts_on == "force" and effect.name != MASS
 
 
-def _internal_value(model: Model, constraint: Constraint, wanted: Any, values: Values) -> Any:
+def _internal_value(model: Model, constraint: Constraint, target: Any, values: Values) -> Any:
     """What must be sought so that the parameter is quoted as `wanted`: quotes are straight lines or reciprocals."""
     name, quote = constraint.parameter.name, constraint.effect.quote
     assert quote is not None
-    own, flat = _values_in_newtons(model, values, constraint.effect)
+    own, flat_values = _values_in_newtons(model, values, constraint.effect)
     one, two, three = (
-        quote(own | {name: u}, flat | {f"{constraint.effect.name}.{name}": u})[name] for u in (1.0, 2.0, 3.0)
+        quote(own | {name: u}, flat_values | {f"{constraint.effect.name}.{name}": u})[name] for u in (1.0, 2.0, 3.0)
     )
     if np.allclose(three - two, two - one, rtol=1e-9):
-        return 1.0 + (wanted - one) / (two - one)
-    return one / wanted
+        return 1.0 + (target - one) / (two - one)
+    return one / target

@@ -71,15 +71,15 @@ class ParameterLayout:
         fixed: dict[tuple[str, str], float] = {}
         for effect in self.model.effects:
             for p in effect.parameters:
-                held = known_value(p, self.span)
-                if held is not None:
-                    fixed[effect.name, p.name] = held
-                if held is not None or p.tie is not None:
+                known = known_value(p, self.span)
+                if known is not None:
+                    fixed[effect.name, p.name] = known
+                if known is not None or p.tie is not None:
                     continue
-                for run in self._runs_of(effect, p.per_run):
+                for run in self._runs_with(effect, p.per_run):
                     bounds = search_bounds(p, self.span if run is None else self.spans[run])
                     slots.append(Slot(effect.name, p.name, run, p.linear, bounds, p.unit))
-        if len(self.run_names) > 1 and self.scales:
+        if len(self.run_names) > 1 and self.has_levels:
             slots += [Slot(LEVEL, "level", r, False, (0.05, 20.0), "1") for r in range(len(self.run_names))]
         object.__setattr__(self, "slots", tuple(slots))
         object.__setattr__(self, "fixed", fixed)
@@ -88,19 +88,21 @@ class ParameterLayout:
 
     def _leaders(self) -> list[int]:
         """Places of the unknowns that others follow."""
-        targets, whole = set(), False
+        targets, any_reported = set(), False
         for constraint in self.constraints:
-            whole = whole or constraint.quoted
+            any_reported = any_reported or constraint.is_reported_differently
             if isinstance(constraint.value, Tie):
                 targets.add((constraint.value.effect, constraint.value.parameter))
         scaled = any(not isinstance(r.value, Tie) for r in self.constraints)
         return [
             i
             for i, s in enumerate(self.slots)
-            if (whole and s.effect != LEVEL) or (s.effect, s.parameter) in targets or (scaled and s.effect == MASS)
+            if (any_reported and s.effect != LEVEL)
+            or (s.effect, s.parameter) in targets
+            or (scaled and s.effect == MASS)
         ]
 
-    def _runs_of(self, effect: Effect, per_run: bool) -> list[int | None]:
+    def _runs_with(self, effect: Effect, per_run: bool) -> list[int | None]:
         if not per_run:
             return [None]
         return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
@@ -111,13 +113,13 @@ class ParameterLayout:
         return common_span(self.spans)
 
     @property
-    def scales(self) -> bool:
+    def has_levels(self) -> bool:
         """Whether any effect follows the run's friction level, and no coefficient of its own says it for each run."""
-        own = any(p.loaded and p.per_run and not p.role for e in self.model.effects for p in e.parameters)
-        return not own and any(e.scales_with == "load" for e in self.model.effects)
+        has_run_values = any(p.loaded and p.per_run and not p.role for e in self.model.effects for p in e.parameters)
+        return not has_run_values and any(e.scales_with == "load" for e in self.model.effects)
 
     @property
-    def anchored(self) -> bool:
+    def has_scale_constraint(self) -> bool:
         """Whether a coefficient that carries the load is not free to be anything."""
         loaded = [p for e in self.model.effects for p in e.parameters if p.loaded]
         return any(not p.free or p.prior is not None or np.isfinite(p.bounds[1]) for p in loaded)
@@ -165,7 +167,7 @@ class ParameterLayout:
         apply_constraints(self.model, self.constraints, out)
         return out, level
 
-    def quoted(self, p: Array) -> dict[str, float]:
+    def reported_values(self, p: Array) -> dict[str, float]:
         """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
         q = 1.0 + sum(float(p[i]) for i, s in enumerate(self.slots) if s.effect == MASS)
         scaled = {e.name for e in self.model.effects if e.acts_on == "force" and e.name != MASS}
@@ -175,23 +177,23 @@ class ParameterLayout:
             if s.effect != LEVEL
         }
         out |= {f"{effect}.{name}": value for (effect, name), value in self.fixed.items()}
-        curved = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
-        each = [self.values(p, run)[0] for run in range(len(self.run_names))] if curved else []
-        for e, r in curved:
+        computed = [(e, r) for e in self.model.effects for r in e.parameters if r.tie or r.name in e.quoted]
+        each = [self.values(p, run)[0] for run in range(len(self.run_names))] if computed else []
+        for e, r in computed:
             found = [reported_value(self.model, values, e.name, r.name) for values in each]
-            if self.own(e, r):
-                there = [run for run in self._runs_of(e, True) if run is not None]
-                out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in there}
+            if self.has_run_values(e, r):
+                present = [run for run in self._runs_with(e, True) if run is not None]
+                out |= {f"{e.name}.{r.name}[{self.run_names[run]}]": float(found[run]) for run in present}
             else:
                 out[f"{e.name}.{r.name}"] = float(np.mean(found))
         return out
 
-    def tied(self) -> list[tuple[str, Tie, str]]:
+    def tied_parameters(self) -> list[tuple[str, Tie, str]]:
         """Address, tie and unit of every parameter that follows another one, run by run where that has its own."""
         out = []
         for e in self.model.effects:
             for p in (p for p in e.parameters if p.tie):
-                runs = [r for r in self._runs_of(e, True) if r is not None] if self.own(e, p) else [None]
+                runs = [r for r in self._runs_with(e, True) if r is not None] if self.has_run_values(e, p) else [None]
                 places = ["" if r is None else f"[{self.run_names[r]}]" for r in runs]
                 out += [(f"{e.name}.{p.name}{place}", Tie.read(str(p.tie)), p.unit) for place in places]
         return out
@@ -200,25 +202,27 @@ class ParameterLayout:
     def priors(self) -> tuple[Prior, ...]:
         """Priors of the unknowns, in order; one per run where the parameter has a value in every run."""
         effects = {e.name: e for e in self.model.effects}
-        weighed = MASS not in effects
-        made = []
+        mass_known = MASS not in effects
+        found_priors = []
         for i, slot in enumerate(self.slots):
             prior = None if slot.effect == LEVEL else effects[slot.effect].parameter(slot.parameter).prior
             if prior is not None:
                 effect = effects[slot.effect]
-                plain = slot.parameter not in effect.quoted and (weighed or not slot.linear)
-                made.append(Prior(self.names[i], *prior, i if plain else None, _role(effect, slot) == "phase"))
-        return tuple(made)
+                is_direct = slot.parameter not in effect.quoted and (mass_known or not slot.linear)
+                found_priors.append(
+                    Prior(self.names[i], *prior, i if is_direct else None, _role(effect, slot) == "phase")
+                )
+        return tuple(found_priors)
 
-    def own(self, effect: Effect, p: Parameter) -> bool:
+    def has_run_values(self, effect: Effect, p: Parameter) -> bool:
         """Whether a parameter has a value in every run; a tied one has where the one that it follows has."""
         if p.tie is None:
             return p.per_run and p.fixed is None
         tie = Tie.read(p.tie)
         leader = next(e for e in self.model.effects if e.name == tie.effect)
-        return self.own(leader, leader.parameter(tie.parameter))
+        return self.has_run_values(leader, leader.parameter(tie.parameter))
 
-    def seeks(self, effect: str, *parameters: str) -> bool:
+    def are_shared_unknowns(self, effect: str, *parameters: str) -> bool:
         """Whether all these parameters of an effect are unknowns that the runs share."""
         shared = {s.parameter for s in self.slots if s.effect == effect and s.run is None}
         return shared.issuperset(parameters)
@@ -309,10 +313,10 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     the motion does not change. What is known of a coefficient beside the runs already says what a level of one is.
     """
     levels = layout.levels
-    if not levels or layout.levels_free or layout.anchored:
+    if not levels or layout.levels_free or layout.has_scale_constraint:
         return p
-    few = len(levels) < MIN_RUNS_FOR_SCATTER
-    factor = float(np.mean(p[levels])) if few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
+    too_few = len(levels) < MIN_RUNS_FOR_SCATTER
+    factor = float(np.mean(p[levels])) if too_few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
     p = np.array(p)
     p[levels] /= factor
     loaded = [

@@ -31,18 +31,20 @@ class JacobianBasis:
     prior: Array  # (P', P'), to be divided by tau^2
     n_levels: int
     random: bool  # the level is a random effect; otherwise free up to its mean
-    held: Array | float = 0.0  # (P', P'), what priors of parameters add
+    prior_precision: Array | float = 0.0  # (P', P'), what priors of parameters add
 
     def shrink(self, tau: float) -> Array:
         """(I + prior / tau^2)^-1: what the prior leaves of the basis, (P', P')."""
         weight = 1 / tau**2 if self.random else 1e8
-        return np.asarray(np.linalg.inv(np.eye(len(self.prior)) + self.held + weight * self.prior), dtype=np.float64)
+        return np.asarray(
+            np.linalg.inv(np.eye(len(self.prior)) + self.prior_precision + weight * self.prior), dtype=np.float64
+        )
 
     def logdet(self, tau: float) -> float:
         """Determinant part of the restricted likelihood at this spread."""
         if not self.random:
             return 0.0
-        _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.held + self.prior / tau**2)
+        _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.prior_precision + self.prior / tau**2)
         return float(value) + 2 * self.n_levels * np.log(tau)
 
     def misfit(self, on_basis: Array, total: Array, tau: float) -> Array:
@@ -77,9 +79,9 @@ def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) ->
     seen, unseen = back[levels], (vt[~keep].T / norm[:, None])[levels]
     if not random and levels:
         seen, unseen = seen.mean(axis=0, keepdims=True), unseen.mean(axis=0, keepdims=True)
-    seen, gone = _levels_near_one(seen, unseen)
-    held = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
-    return JacobianBasis(u[:, keep], seen.T @ seen, len(levels) - gone, random, held)
+    seen, n_dropped = _levels_near_one(seen, unseen)
+    prior_precision = 0.0 if known is None or not len(known) else (known @ back).T @ (known @ back)
+    return JacobianBasis(u[:, keep], seen.T @ seen, len(levels) - n_dropped, random, prior_precision)
 
 
 def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
@@ -89,8 +91,8 @@ def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
     many of the levels' directions they take.
     """
     u, size, _ = np.linalg.svd(unseen, full_matrices=False)
-    taken = u[:, size > 1e-9 * max(float(np.abs(seen).max(initial=0.0)), 1e-300)]
-    return seen - taken @ (taken.T @ seen), taken.shape[1]
+    removable = u[:, size > 1e-9 * max(float(np.abs(seen).max(initial=0.0)), 1e-300)]
+    return seen - removable @ (removable.T @ seen), removable.shape[1]
 
 
 def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None) -> Array:
@@ -100,21 +102,23 @@ def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None
     matters only where the mass is fitted too.
     """
     levels = layout.levels
-    pick = np.zeros((len(levels), len(layout.slots)))
-    pick[np.arange(len(levels)), levels] = 1.0
+    level_rows = np.zeros((len(levels), len(layout.slots)))
+    level_rows[np.arange(len(levels)), levels] = 1.0
     if layout.levels_free or not levels:
-        held = pick[:0]
+        prior_precision = level_rows[:0]
     else:
-        held = pick / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else pick.mean(axis=0, keepdims=True) * 1e4
-    return np.vstack([held, prior_jacobian(layout, p)])
+        prior_precision = (
+            level_rows / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else level_rows.mean(axis=0, keepdims=True) * 1e4
+        )
+    return np.vstack([prior_precision, prior_jacobian(layout, p)])
 
 
 def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:
     """Departure of the unknowns p (P,) from what is known beside the runs, as `penalty_jacobian` weighs it, (m,)."""
-    at_one = np.array(p)
-    at_one[layout.levels] = 1.0
+    levels_at_one = np.array(p)
+    levels_at_one[layout.levels] = 1.0
     count = len(layout.priors)
-    levels = penalty_jacobian(layout, tau, p) @ (p - at_one)
+    levels = penalty_jacobian(layout, tau, p) @ (p - levels_at_one)
     return np.concatenate([levels[: len(levels) - count], prior_residual(layout, p)])
 
 
@@ -122,18 +126,18 @@ def prior_residual(layout: ParameterLayout, p: Array) -> Array:
     """Departure of every parameter that has a prior from its mean, in standard deviations, (m,)."""
     if not layout.priors:
         return np.empty(0)
-    shown = layout.quoted(p)
-    return np.array([(_wrapped(shown[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
+    reported = layout.reported_values(p)
+    return np.array([(_wrapped(reported[q.address] - q.mean, q.phase)) / q.std for q in layout.priors])
 
 
 def prior_jacobian(layout: ParameterLayout, p: Array | None = None) -> Array:
     """Derivative of `prior_residual` in the unknowns, (m, P)."""
     rows = np.zeros((len(layout.priors), len(layout.slots)))
-    curved = [q for q in layout.priors if q.slot is None]
+    needs_differences = [q for q in layout.priors if q.slot is None]
     for row, q in zip(rows, layout.priors, strict=True):
         if q.slot is not None:
             row[q.slot] = 1 / q.std
-    if curved:
+    if needs_differences:
         which = [i for i, q in enumerate(layout.priors) if q.slot is None]
         rows[which] = _differences(layout, _regular_point(layout) if p is None else p)[which]
     return rows
@@ -161,8 +165,8 @@ def prior_misfit(layout: ParameterLayout, points: Array) -> Array:
         if q.slot is not None:
             total += (_wrapped(points[:, q.slot] - q.mean, q.phase) / q.std) ** 2
     if any(q.slot is None for q in layout.priors):
-        curved = np.array([q.slot is None for q in layout.priors])
-        total += np.array([np.sum(prior_residual(layout, p)[curved] ** 2) for p in points])
+        needs_differences = np.array([q.slot is None for q in layout.priors])
+        total += np.array([np.sum(prior_residual(layout, p)[needs_differences] ** 2) for p in points])
     return total
 
 

@@ -31,7 +31,7 @@ MAX_RELAXED_MISFIT_RATIO = (
 )
 MAX_SLOW_PLACES = 5  # places of two slow waves that are followed down
 MAX_SLOW_PLACES_AGAIN = 8  # the same beside the best law
-FIRST, LAST = 4, 30  # steps before a law may be given up, and in all
+FIRST_STEPS, MAX_STEPS = 4, 30  # steps before a law may be given up, and in all
 MAX_MISFIT_RATIO = 4.0  # times the best misfit: given up after the first steps
 ROUGH_MIN_FALL = 1e-4  # of the misfit that a step must promise while laws are compared
 SAME_WAVE_PERIODS = 0.25  # periods in a run within which two waves are one
@@ -56,86 +56,92 @@ class ConstrainedVariableProjection:
         self.runs = sorted(separable.runs, key=lambda r: -length[r])
         self.single = {r: _single_run(separable, r, separable.layout.model) for r in self.runs}
         first = self.single[self.runs[0]]
-        commons = _shared_values(separable.layout, self.effect)
-        last = len(commons)
-        places = {max(last - k, 0) for k in SCAN_PLACES_FROM_END}
-        some = sorted(places | set(range(max(last - LAST_VALUES, 0), last)))
-        self.relaxed = [RelaxedWaves(first, self.effect, commons[i]) for i in some]
-        self.places = [r for i, r in zip(some, self.relaxed, strict=True) if i in places]
+        shared = _shared_values(separable.layout, self.effect)
+        last = len(shared)
+        start_places = {max(last - k, 0) for k in SCAN_PLACES_FROM_END}
+        scanned = sorted(start_places | set(range(max(last - LAST_VALUES, 0), last)))
+        self.relaxed = [RelaxedWaves(first, self.effect, shared[i]) for i in scanned]
+        self.slow_wave_positions = [r for i, r in zip(scanned, self.relaxed, strict=True) if i in start_places]
 
     def __call__(self, data: Array | None = None) -> SeparableSolution:
         """The law that explains data (M,), default the blocks' own, best."""
         data = self.separable.data if data is None else data
-        state = self._first(self._of(self.runs[0], data))
+        state = self._fit_longest_run(self._data_of_run(self.runs[0], data))
         first = self.single[self.runs[0]]
         if first is self.separable:
             return state
         found = dict(zip(first.layout.names, first.law(state.nonlinear_values, state.coefficients), strict=True))
         for run in self.runs[1:]:
-            found = self._own(run, found, self._of(run, data)) | found
+            found = self._fit_run(run, found, self._data_of_run(run, data)) | found
         problem = ProjectedProblem(self.separable, data, self.tau)
         nonlinear_values = np.array([found.get(name, 1.0) for name in self.separable.layout.names])
-        return problem.refine(problem.at(nonlinear_values), steps=LAST)
+        return problem.refine(problem.at(nonlinear_values), steps=MAX_STEPS)
 
     def unneeded_events(self, state: SeparableSolution, penalty: float) -> frozenset[tuple[str, int]]:
         """Events of single runs, (effect, run), that gain less than their price; the best of every effect stays."""
         return VariableProjection(self.separable, self.tau).unneeded_events(state, penalty)
 
-    def _own(self, run: int, found: dict[str, float], data: Array) -> dict[str, float]:
+    def _fit_run(self, run: int, found: dict[str, float], data: Array) -> dict[str, float]:
         """What is a run's own, by address, where all that it shares with the others is found."""
-        held = Model(tuple(_with_fixed_values(e, found) for e in self.separable.layout.model.effects))
-        separable = _single_run(self.separable, run, held)
-        effect = next(e for e in held.effects if e.relaxed)
-        common = {name: found.get(f"{effect.name}.{name}", v) for name, v in self.relaxed[0].common.items()}
-        relaxed = RelaxedWaves(separable, effect, common)
-        _, p = min(relaxed.laws(data), key=lambda law: law[0])
-        state = self._followed(ProjectedProblem(separable, data), [p, *(q for _, q in relaxed.places(p, data))], None)
+        fixed_model = Model(tuple(_with_fixed_values(e, found) for e in self.separable.layout.model.effects))
+        separable = _single_run(self.separable, run, fixed_model)
+        effect = next(e for e in fixed_model.effects if e.relaxed)
+        shared_values = {
+            name: found.get(f"{effect.name}.{name}", v) for name, v in self.relaxed[0].shared_values.items()
+        }
+        relaxed = RelaxedWaves(separable, effect, shared_values)
+        _, p = min(relaxed.free_amplitude_fits(data), key=lambda law: law[0])
+        state = self._best_refined(
+            ProjectedProblem(separable, data), [p, *(q for _, q in relaxed.slow_wave_positions(p, data))], None
+        )
         return dict(zip(separable.layout.names, separable.law(state.nonlinear_values, state.coefficients), strict=True))
 
-    def _of(self, run: int, data: Array) -> Array:
+    def _data_of_run(self, run: int, data: Array) -> Array:
         pairs = zip(self.separable.blocks, self.separable.slices, strict=True)
         return np.concatenate([data[s] for block, s in pairs if block.run == run])
 
-    def _first(self, data: Array) -> SeparableSolution:
+    def _fit_longest_run(self, data: Array) -> SeparableSolution:
         """The law of the longest run."""
         first = self.single[self.runs[0]]
         problem = ProjectedProblem(first, data)
         best: SeparableSolution | None = None
-        for misfit, p in self._starts(data):
+        for misfit, p in self._start_values(data):
             if best is not None and misfit > MAX_RELAXED_MISFIT_RATIO * best.misfit:
                 break
-            best = self._followed(problem, [p, *self._slow(p, data)[:MAX_SLOW_PLACES]], best)
+            best = self._best_refined(problem, [p, *self._other_slow_positions(p, data)[:MAX_SLOW_PLACES]], best)
         assert best is not None
         p = first.law(best.nonlinear_values, best.coefficients)
-        for q in [p, *self.relaxed[0].exchange_positions(p)]:
-            best = self._followed(problem, self._slow(q, data)[:MAX_SLOW_PLACES_AGAIN], best)
-        return problem.refine(best, steps=LAST)
+        for q in [p, *self.relaxed[0].with_waves_exchanged(p)]:
+            best = self._best_refined(problem, self._other_slow_positions(q, data)[:MAX_SLOW_PLACES_AGAIN], best)
+        return problem.refine(best, steps=MAX_STEPS)
 
-    def _starts(self, data: Array) -> list[tuple[float, Array]]:
+    def _start_values(self, data: Array) -> list[tuple[float, Array]]:
         """Misfits and numbers (P,) of the best relaxed laws, of every set of waves the best."""
-        found = sorted((law for r in self.places for law in r.laws(data)), key=lambda law: law[0])
+        found = sorted(
+            (law for r in self.slow_wave_positions for law in r.free_amplitude_fits(data)), key=lambda law: law[0]
+        )
         chosen: list[tuple[float, Array]] = []
         for misfit, p in found:
-            mine = self.relaxed[0].fast(p)
-            if all(np.any(np.abs(mine - self.relaxed[0].fast(q)) > SAME_WAVE_PERIODS) for _, q in chosen):
+            periods = self.relaxed[0].fast_periods(p)
+            if all(np.any(np.abs(periods - self.relaxed[0].fast_periods(q)) > SAME_WAVE_PERIODS) for _, q in chosen):
                 chosen.append((misfit, p))
         return chosen[:MAX_WAVE_SETS]
 
-    def _slow(self, p: Array, data: Array) -> list[Array]:
+    def _other_slow_positions(self, p: Array, data: Array) -> list[Array]:
         """A law (P,) with the slowest waves of two sums elsewhere, the place that looks best first."""
-        found = [place for r in self.relaxed for place in r.places(p, data)]
+        found = [place for r in self.relaxed for place in r.slow_wave_positions(p, data)]
         costs = np.array([c for c, _ in found])
         return [found[i][1] for i in np.argsort(costs)]
 
-    def _followed(
+    def _best_refined(
         self, problem: ProjectedProblem, trials: Iterable[Array], best: SeparableSolution | None
     ) -> SeparableSolution:
         for p in trials:
-            state = problem.refine(problem.at(p), steps=FIRST, enough=ROUGH_MIN_FALL)
+            state = problem.refine(problem.at(p), steps=FIRST_STEPS, enough=ROUGH_MIN_FALL)
             if best is not None and state.misfit > MAX_MISFIT_RATIO * best.misfit:
                 continue
-            below = np.inf if best is None else best.misfit
-            state = problem.refine(state, steps=LAST, enough=ROUGH_MIN_FALL, below=below)
+            limit = np.inf if best is None else best.misfit
+            state = problem.refine(state, steps=MAX_STEPS, enough=ROUGH_MIN_FALL, below=limit)
             if best is None or state.misfit < best.misfit:
                 best = state
         assert best is not None
@@ -161,11 +167,11 @@ def _with_fixed_values(effect: Effect, found: dict[str, float]) -> Effect:
 def _shared_values(layout: ParameterLayout, effect: Effect) -> list[dict[str, float]]:
     """Values worth trying of what several parts share."""
     shared = [q for q in effect.nonlinear if sum(q.name in part.names for part in effect.relaxed) > 1]
-    axes = [_axis(q, layout.span) for q in shared]
+    axes = [_values_to_try(q, layout.span) for q in shared]
     return [dict(zip((q.name for q in shared), map(float, values), strict=True)) for values in product(*axes)]
 
 
-def _axis(q: Parameter, span: Span) -> Sequence[float]:
+def _values_to_try(q: Parameter, span: Span) -> Sequence[float]:
     known = known_value(q, span)
     if known is not None:
         return [known]

@@ -21,10 +21,10 @@ from frictrack.records import Array
 MAX_SLOW_PERIODS = 2.1  # periods in a run up to which a wave counts as slow
 MAX_PAIR_PLACES = 3.0  # periods in a run within which one wave of a sum may be taken for one of the other
 RELATIVE_STEP = 0.1  # periods between the frequencies of a slow wave
-PHASES = 16  # round the circle
-TURN = np.arange(PHASES) * 2 * np.pi / PHASES - np.pi
+PHASE_COUNT = 16  # round the circle
+TRIAL_PHASES = np.arange(PHASE_COUNT) * 2 * np.pi / PHASE_COUNT - np.pi
 MIN_DIFFERENCE_SHARE = 1e-5  # of their squares: what must be left of two sums for both to count
-ROUND = np.array([np.cos(TURN), np.sin(TURN)])  # a wave of any phase from its two quadratures
+PHASE_ROTATIONS = np.array([np.cos(TRIAL_PHASES), np.sin(TRIAL_PHASES)])  # a wave of any phase from its two quadratures
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,17 @@ class Wave:
 class RelaxedWaves:
     """One run at given values of what the parts share."""
 
-    def __init__(self, whole: SeparableModel, effect: Effect, common: Mapping[str, float]) -> None:
-        self.whole, self.effect, self.common = whole, effect, common
+    def __init__(self, full_model: SeparableModel, effect: Effect, shared_values: Mapping[str, float]) -> None:
+        self.full_model, self.effect, self.shared_values = full_model, effect, shared_values
         self.parts = {f"{effect.name}.{part.effect.name}": part for part in effect.relaxed}
-        made = [_effect_of_part(name, part, effect, common) for name, part in self.parts.items()]
-        law = Model(tuple(q for e in whole.layout.model.effects for q in (made if e.name == effect.name else [e])))
-        self.separable = SeparableModel(replace(whole.layout, model=law), whole.blocks)
+        part_effects = [_effect_of_part(name, part, effect, shared_values) for name, part in self.parts.items()]
+        law = Model(
+            tuple(q for e in full_model.layout.model.effects for q in (part_effects if e.name == effect.name else [e]))
+        )
+        self.separable = SeparableModel(replace(full_model.layout, model=law), full_model.blocks)
         self.search = VariableProjection(self.separable)
         self.waves = list(self._waves())
-        self.slow = np.arange(RELATIVE_STEP / 2, MAX_SLOW_PERIODS, RELATIVE_STEP) / whole.layout.span.duration
+        self.slow = np.arange(RELATIVE_STEP / 2, MAX_SLOW_PERIODS, RELATIVE_STEP) / full_model.layout.span.duration
         self.groups = {w.g for w in self.waves}
         self._rows: dict[str, Array] = {}
         self._products: dict[tuple[str, str], tuple[Any, ...]] = {}
@@ -58,14 +60,14 @@ class RelaxedWaves:
             part = self.parts.get(group.names[0])
             if part is not None and group.is_sinusoid:
                 names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
-                own = [p for p in part.effect.nonlinear if names[p.name] not in self.common]
-                frequency = next(p for p in own if p.role != "phase")
-                phase = next(p for p in own if p.role == "phase")
+                own_parameters = [p for p in part.effect.nonlinear if names[p.name] not in self.shared_values]
+                frequency = next(p for p in own_parameters if p.role != "phase")
+                phase = next(p for p in own_parameters if p.role == "phase")
                 yield Wave(g, names[part.effect.linear[0].name], names[frequency.name], names[phase.name])
 
     # --- every wave with an amplitude of its own
 
-    def laws(self, data: Array) -> list[tuple[float, Array]]:
+    def free_amplitude_fits(self, data: Array) -> list[tuple[float, Array]]:
         """Laws of data (M,), as found and with waves of two sums exchanged: misfits, and numbers (P,) of the whole."""
         problem = ProjectedProblem(self.separable, data)
         state = self.search.start_solution(problem)
@@ -80,12 +82,12 @@ class RelaxedWaves:
                 nonlinear_values[[i, j]] = nonlinear_values[[j, i]]
                 moved = problem.at(nonlinear_values, state, {one.g, other.g})
                 found.append(problem.refine(moved, steps=ROUGH_STEPS, enough=1e-3))
-        return [(s.misfit, self._whole(s)) for s in found]
+        return [(s.misfit, self._in_full_model(s)) for s in found]
 
-    def _whole(self, state: SeparableSolution) -> Array:
+    def _in_full_model(self, state: SeparableSolution) -> Array:
         """Numbers (P,) of the whole law that has the waves of a relaxed one."""
         law = self.separable.law(state.nonlinear_values, state.coefficients)
-        known = {(self.effect.name, name): value for name, value in self.common.items()}
+        known = {(self.effect.name, name): value for name, value in self.shared_values.items()}
         for slot, value in zip(self.separable.layout.slots, law, strict=True):
             part = self.parts.get(slot.effect)
             if part is None:
@@ -93,43 +95,43 @@ class RelaxedWaves:
             else:
                 names = dict(zip((p.name for p in part.effect.parameters), part.names, strict=True))
                 known[self.effect.name, names[slot.parameter]] = float(value)
-        return np.array([known.get((s.effect, s.parameter), 1.0) for s in self.whole.layout.slots])
+        return np.array([known.get((s.effect, s.parameter), 1.0) for s in self.full_model.layout.slots])
 
     # --- waves that share their amplitudes
 
-    def fast(self, p: Array) -> Array:
+    def fast_periods(self, p: Array) -> Array:
         """Periods in the run of the waves that are not slow, sum after sum, (f,); slow ones count as none."""
-        duration = self.whole.layout.span.duration
+        duration = self.full_model.layout.span.duration
         out = []
         for size in dict.fromkeys(w.size for w in self.waves):
             periods = sorted(self._value(p, w.frequency) * duration for w in self.waves if w.size == size)
             out += [f if f > MAX_SLOW_PERIODS else 0.0 for f in periods]
         return np.array(out)
 
-    def exchange_positions(self, p: Array) -> Iterator[Array]:
+    def with_waves_exchanged(self, p: Array) -> Iterator[Array]:
         """A law (P,) with two waves of two sums exchanged that stand close to each other."""
         for one, other in combinations(self.waves, 2):
             f, g = (self._value(p, w.frequency) for w in (one, other))
-            near = abs(f - g) * self.whole.layout.span.duration < MAX_PAIR_PLACES
+            near = abs(f - g) * self.full_model.layout.span.duration < MAX_PAIR_PLACES
             if one.size != other.size and near and max(f, g) > self.slow[-1]:
                 q = p.copy()
-                self._put(q, one, g, self._value(p, other.phase))
-                self._put(q, other, f, self._value(p, one.phase))
+                self._set_wave(q, one, g, self._value(p, other.phase))
+                self._set_wave(q, other, f, self._value(p, one.phase))
                 yield q
 
-    def places(self, p: Array, data: Array) -> list[tuple[float, Array]]:
+    def slow_wave_positions(self, p: Array, data: Array) -> list[tuple[float, Array]]:
         """Where the slowest waves of two sums may stand, beside all others of a law (P,): misfits, and numbers (P,)."""
-        lowest = {}
+        slowest = {}
         for w in sorted(self.waves, key=lambda w: -self._value(p, w.frequency)):
-            lowest[w.size] = w
-        return [place for pair in combinations(lowest.values(), 2) for place in self._scanned(p, data, pair)]
+            slowest[w.size] = w
+        return [place for pair in combinations(slowest.values(), 2) for place in self._scan_pair(p, data, pair)]
 
-    def _scanned(self, p: Array, data: Array, pair: tuple[Wave, Wave]) -> list[tuple[float, Array]]:
+    def _scan_pair(self, p: Array, data: Array, pair: tuple[Wave, Wave]) -> list[tuple[float, Array]]:
         one, other = pair
-        plain = self._plain(p, pair)
-        a, b, aa, bb, ab = self._beside(pair, plain)
-        r, q = (_compressed_rows(_without_basis(self._others(p, w), plain)) for w in pair)
-        y = _compressed_rows(_without_basis(data, plain))
+        basis = self._other_effects_basis(p, pair)
+        a, b, aa, bb, ab = self._pair_products(pair, basis)
+        r, q = (_single_precision(_without_basis(self._other_waves(p, w), basis)) for w in pair)
+        y = _single_precision(_without_basis(data, basis))
         g11, u1 = (r @ r + 2 * _over_phases(a @ r) + aa)[:, None], (r @ y + _over_phases(a @ y))[:, None]
         g22, u2 = q @ q + 2 * _over_phases(b @ q) + bb, q @ y + _over_phases(b @ y)
         g12 = ab + (r @ q + _over_phases(a @ q))[:, None]
@@ -138,49 +140,63 @@ class RelaxedWaves:
         c1, c2 = g22 * u1 - g12 * u2, g11 * u2 - g12 * u1
         gain = (c1 * u1 + c2 * u2) / det
         gain[(c1 <= 0) | (c2 <= 0)] = 0.0
-        cost = (y @ y - gain).reshape(len(a), PHASES, len(b), PHASES).transpose(0, 2, 1, 3).reshape(len(a), len(b), -1)
-        turn = cost.argmin(axis=-1)
+        cost = (
+            (y @ y - gain)
+            .reshape(len(a), PHASE_COUNT, len(b), PHASE_COUNT)
+            .transpose(0, 2, 1, 3)
+            .reshape(len(a), len(b), -1)
+        )
+        phase_index = cost.argmin(axis=-1)
         least = cost.min(axis=-1)
         out = []
         for i, j in np.argwhere(least == minimum_filter(least, 3, mode="nearest")):
             q = p.copy()
-            self._put(q, one, self.slow[i], TURN[turn[i, j] // PHASES])
-            self._put(q, other, self.slow[j], TURN[turn[i, j] % PHASES])
-            for name, value in self.common.items():
-                k = self.whole.position(self.effect.name, name)
+            self._set_wave(q, one, self.slow[i], TRIAL_PHASES[phase_index[i, j] // PHASE_COUNT])
+            self._set_wave(q, other, self.slow[j], TRIAL_PHASES[phase_index[i, j] % PHASE_COUNT])
+            for name, value in self.shared_values.items():
+                k = self.full_model.position(self.effect.name, name)
                 if k is not None:
                     q[k] = value
             out.append((float(least[i, j]), q))
         return out
 
-    def _beside(self, pair: tuple[Wave, Wave], plain: Array) -> tuple[Any, ...]:
+    def _pair_products(self, pair: tuple[Wave, Wave], basis: Array) -> tuple[Any, ...]:
         """Both waves at all slow frequencies beside the rest of the law, and their products at all phases.
 
         They depend on the motion alone, and are kept as long as the rest stays the same.
         """
         key = pair[0].frequency, pair[1].frequency
-        if key not in self._products or not np.array_equal(self._products[key][0], plain):
-            a, b = (_compressed_rows(_without_basis(self._form(w), plain)) for w in pair)
-            aa, bb = (np.einsum("ap,fab,bp->fp", ROUND, x @ x.transpose(0, 2, 1), ROUND).ravel() for x in (a, b))
+        if key not in self._products or not np.array_equal(self._products[key][0], basis):
+            a, b = (_single_precision(_without_basis(self._slow_quadratures(w), basis)) for w in pair)
+            aa, bb = (
+                np.einsum("ap,fab,bp->fp", PHASE_ROTATIONS, x @ x.transpose(0, 2, 1), PHASE_ROTATIONS).ravel()
+                for x in (a, b)
+            )
             n = a.shape[-1]
-            across = (a.reshape(-1, n) @ b.reshape(-1, n).T).reshape(len(a), 2, len(b), 2)
-            ab = np.einsum("ap,fagb,bq->fpgq", _compressed_rows(ROUND), across, _compressed_rows(ROUND), optimize=True)
-            self._products[key] = plain, a, b, aa, bb, np.ascontiguousarray(ab.reshape(len(a) * PHASES, -1))
+            cross_products = (a.reshape(-1, n) @ b.reshape(-1, n).T).reshape(len(a), 2, len(b), 2)
+            ab = np.einsum(
+                "ap,fagb,bq->fpgq",
+                _single_precision(PHASE_ROTATIONS),
+                cross_products,
+                _single_precision(PHASE_ROTATIONS),
+                optimize=True,
+            )
+            self._products[key] = basis, a, b, aa, bb, np.ascontiguousarray(ab.reshape(len(a) * PHASE_COUNT, -1))
         return self._products[key][1:]
 
-    def _put(self, q: Array, w: Wave, frequency: float, phase: float) -> None:
+    def _set_wave(self, q: Array, w: Wave, frequency: float, phase: float) -> None:
         for name, value in ((w.frequency, frequency), (w.phase, phase)):
-            k = self.whole.position(self.effect.name, name)
+            k = self.full_model.position(self.effect.name, name)
             if k is not None:
                 q[k] = value
 
     def _value(self, p: Array, name: str) -> float:
-        k = self.whole.position(self.effect.name, name)
-        return self.whole.layout.fixed[self.effect.name, name] if k is None else float(p[k])
+        k = self.full_model.position(self.effect.name, name)
+        return self.full_model.layout.fixed[self.effect.name, name] if k is None else float(p[k])
 
-    def _form(self, w: Wave) -> Array:
+    def _slow_quadratures(self, w: Wave) -> Array:
         """Both quadratures (F, 2, M) of a wave at every slow frequency, of a fixed one at its own."""
-        fixed = self.whole.layout.fixed.get((self.effect.name, w.frequency))
+        fixed = self.full_model.layout.fixed.get((self.effect.name, w.frequency))
         key = w.size if fixed is None else w.frequency
         if key not in self._rows:
             self._rows[key] = self._quadratures(w, self.slow if fixed is None else np.array([fixed]))
@@ -193,7 +209,7 @@ class RelaxedWaves:
         rows = [self.separable.rows(w.g, b, nonlinear_values) for b in range(len(self.separable.blocks))]
         return np.concatenate(rows, axis=2)
 
-    def _others(self, p: Array, w: Wave) -> Array:
+    def _other_waves(self, p: Array, w: Wave) -> Array:
         """The other waves of the sum of `w`, (M,)."""
         out = np.zeros(self.separable.size)
         for q in self.waves:
@@ -203,9 +219,9 @@ class RelaxedWaves:
                 out += np.cos(phase) * rows[0] + np.sin(phase) * rows[1]
         return out
 
-    def _plain(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
+    def _other_effects_basis(self, p: Array, pair: tuple[Wave, Wave]) -> Array:
         """An orthonormal basis (k, M) of all that stands beside two sums, at the numbers of a law (P,)."""
-        known = {(s.effect, s.parameter): float(v) for s, v in zip(self.whole.layout.slots, p, strict=True)}
+        known = {(s.effect, s.parameter): float(v) for s, v in zip(self.full_model.layout.slots, p, strict=True)}
         nonlinear_values = np.array([[known.get((s.effect, s.parameter), 1.0) for s in self.separable.layout.slots]])
         rows = []
         for g in set(range(len(self.separable.groups))) - self.groups:
@@ -213,9 +229,15 @@ class RelaxedWaves:
             rows.append(np.concatenate(each, axis=1))
         for size in dict.fromkeys(w.size for w in self.waves if w.size not in {w.size for w in pair}):
             w = next(w for w in self.waves if w.size == size)
-            own = self._quadratures(w, np.array([self._value(p, w.frequency)]))[0]
-            turn = self._value(p, w.phase)
-            rows.append((self._others(p, w) + np.cos(turn) * own[0] + np.sin(turn) * own[1])[None])
+            own_parameters = self._quadratures(w, np.array([self._value(p, w.frequency)]))[0]
+            phase_index = self._value(p, w.phase)
+            rows.append(
+                (
+                    self._other_waves(p, w)
+                    + np.cos(phase_index) * own_parameters[0]
+                    + np.sin(phase_index) * own_parameters[1]
+                )[None]
+            )
         if not rows:
             return np.zeros((0, self.separable.size))
         q, _ = np.linalg.qr(np.concatenate(rows).T)
@@ -227,24 +249,24 @@ def _without_basis(rows: Array, basis: Array) -> Array:
     return np.asarray(rows - (rows @ basis.T) @ basis)
 
 
-def _compressed_rows(rows: Array) -> Array:
+def _single_precision(rows: Array) -> Array:
     """In single precision: it only says where to look."""
     return rows.astype(np.float32)
 
 
 def _over_phases(products: Array) -> Array:
     """Products of waves at all phases, (F PHASES,), from those of their quadratures (F, 2)."""
-    return np.asarray((products @ _compressed_rows(ROUND)).ravel())
+    return np.asarray((products @ _single_precision(PHASE_ROTATIONS)).ravel())
 
 
-def _effect_of_part(name: str, part: Part, effect: Effect, common: Mapping[str, float]) -> Effect:
+def _effect_of_part(name: str, part: Part, effect: Effect, shared_values: Mapping[str, float]) -> Effect:
     """A part as it is searched: bounds and fixed values of the whole, what is shared held."""
-    own = []
-    for q, called in zip(part.effect.parameters, part.names, strict=True):
-        asked = effect.parameter(called)
-        held = common.get(called, asked.fixed)
+    own_parameters = []
+    for q, reported_name in zip(part.effect.parameters, part.names, strict=True):
+        parameter = effect.parameter(reported_name)
+        fixed_value = shared_values.get(reported_name, parameter.fixed)
         if q.role == "amplitude":
-            own.append(q)
+            own_parameters.append(q)
         else:
-            own.append(replace(q, bounds=asked.bounds, scan=asked.scan, fixed=held))
-    return replace(part.effect, name=name, parameters=tuple(own))
+            own_parameters.append(replace(q, bounds=parameter.bounds, scan=parameter.scan, fixed=fixed_value))
+    return replace(part.effect, name=name, parameters=tuple(own_parameters))

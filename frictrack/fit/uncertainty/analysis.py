@@ -26,8 +26,8 @@ class UncertaintyAnalysis:
     @property
     def intervals(self) -> dict[str, Interval]:
         """Intervals by address: a profile's, else the bootstrap's."""
-        drawn: dict[str, Interval] = {} if self.bootstrap is None else dict(self.bootstrap.intervals)
-        return drawn | {p.address: (p.low, p.high) for p in self.profiles}
+        from_bootstrap: dict[str, Interval] = {} if self.bootstrap is None else dict(self.bootstrap.intervals)
+        return from_bootstrap | {p.address: (p.low, p.high) for p in self.profiles}
 
     def summary(self) -> dict[str, Any]:
         """JSON: `profiles` and `bootstrap`, what there is of them."""
@@ -56,18 +56,20 @@ def analyse_uncertainty(
         raise FrictrackError("expected the fit of one group for its profiles; leave out --per group", usage=True)
     slots = result.solution.problem.layout.slots if profiles else ()
     addresses = [f"{s.effect}.{s.parameter}" for s in slots if s.run is None]
-    made = []
+    profile_list = []
     for k, address in enumerate(addresses):
-        made.append(profile(result, address))
+        profile_list.append(profile(result, address))
         if progress is not None:
             progress(k + 1, len(addresses), "profiles")
-    drawn = bootstrap(result, draws, seed=seed, progress=progress) if draws else None
-    return UncertaintyAnalysis(tuple(made), drawn)
+    from_bootstrap = bootstrap(result, draws, seed=seed, progress=progress) if draws else None
+    return UncertaintyAnalysis(tuple(profile_list), from_bootstrap)
 
 
 def merge_uncertainty(summary: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON of a fit with that of its `Certainty`: every parameter gets its interval."""
-    drawn = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
-    ends = drawn | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}
-    told = {k: p | ({"interval": ends[k]} if k in ends else {}) for k, p in summary["parameters"].items()}
-    return {**summary, "parameters": told, **found}
+    from_bootstrap = {name: b["interval"] for name, b in found.get("bootstrap", {}).get("parameters", {}).items()}
+    intervals = from_bootstrap | {name: [p["low"], p["high"]] for name, p in found.get("profiles", {}).items()}
+    parameters = {
+        k: p | ({"interval": intervals[k]} if k in intervals else {}) for k, p in summary["parameters"].items()
+    }
+    return {**summary, "parameters": parameters, **found}

@@ -75,9 +75,9 @@ def with_misfit(found: Estimates, solution: Solution, covariance: Array) -> Esti
     """
     layout = solution.problem.layout
     _, jacobian = reported_values_and_jacobian(solution.problem, solution.p)
-    more = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
+    added_variance = np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian)
     parameters = dict(found.parameters)
-    for i, added in zip(reported_slots(layout), more, strict=True):
+    for i, added in zip(reported_slots(layout), added_variance, strict=True):
         old = parameters[layout.names[i]]
         if old.std is not None:
             std = float(np.sqrt(old.std**2 + max(added, 0.0)))
@@ -91,7 +91,7 @@ def estimate_parameters(solution: Solution, *, profile: bool = True) -> Estimate
     `profile` also looks whether the profiles of the non-linear parameters are bounded, which takes further fits.
     """
     covariance, unseen = covariance_of(solution)
-    reasons = _absorbed(solution, unseen) | (undetermined_reasons(solution, covariance) if profile else {})
+    reasons = _unseen_reasons(solution, unseen) | (undetermined_reasons(solution, covariance) if profile else {})
     return estimates_from_covariance(solution, covariance, reasons)
 
 
@@ -101,21 +101,24 @@ def estimates_from_covariance(solution: Solution, covariance: Array, reasons: di
     values, jacobian = reported_values_and_jacobian(solution.problem, p)
     std = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
     low, high = layout.bounds
-    near = 1e-6 * np.maximum(1.0, np.abs(p))
-    at_bound = (p <= low + near) | (p >= high - near)
+    tolerance = 1e-6 * np.maximum(1.0, np.abs(p))
+    at_bound = (p <= low + tolerance) | (p >= high - tolerance)
     out: dict[str, Estimate] = {}
     for i, value, deviation in zip(reported_slots(layout), values, std, strict=True):
         reason = reasons.get(names[i])
-        number, spread = (None, None) if reason else (float(value), float(deviation))
-        out[names[i]] = Estimate(number, spread, layout.slots[i].unit, bool(at_bound[i]), reason)
+        value_or_none, std_or_none = (None, None) if reason else (float(value), float(deviation))
+        out[names[i]] = Estimate(value_or_none, std_or_none, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
         unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
-    out |= _tied(solution, covariance, out)
-    alike = correlations(names, reported_slots(layout), covariance)
-    said = identifiability_remarks(solution, alike, list(reasons))
+    out |= _tied_estimates(solution, covariance, out)
+    correlated = correlations(names, reported_slots(layout), covariance)
+    remarks = identifiability_remarks(solution, correlated, list(reasons))
     return Estimates(
-        out, covariance, alike, [*said, *negative_force_remark(solution, out), *correlated_noise_remark(solution)]
+        out,
+        covariance,
+        correlated,
+        [*remarks, *negative_force_remark(solution, out), *correlated_noise_remark(solution)],
     )
 
 
@@ -146,28 +149,28 @@ def negative_force_remark(solution: Solution, found: dict[str, Estimate]) -> Ite
                 )
 
 
-def _tied(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
+def _tied_estimates(solution: Solution, covariance: Array, known: dict[str, Estimate]) -> dict[str, Estimate]:
     """Parameters that follow others, as well known as these."""
     layout = solution.problem.layout
     out: dict[str, Estimate] = {}
-    for address, tie, unit in layout.tied():
+    for address, tie, unit in layout.tied_parameters():
         value, gradient = reported_gradient(solution.problem, solution.p, address)
         leader = known.get(f"{tie.effect}.{tie.parameter}")
-        lost = leader is not None and leader.value is None
+        is_undetermined = leader is not None and leader.value is None
         std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
-        why = f"tied to {tie}" if not lost else f"tied to {tie}, which these runs do not determine"
-        out[address] = Estimate(None if lost else value, None if lost else std, unit, False, why)
+        why = f"tied to {tie}" if not is_undetermined else f"tied to {tie}, which these runs do not determine"
+        out[address] = Estimate(None if is_undetermined else value, None if is_undetermined else std, unit, False, why)
     return out
 
 
-def _absorbed(solution: Solution, unseen: Array) -> dict[str, str]:
+def _unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
     """Unknowns that the linearised model does not see at all, with the reason."""
     layout, names = solution.problem.layout, solution.problem.layout.names
-    massless = MASS in layout.model and unseen[layout.index(MASS, "m")]
+    mass_undetermined = MASS in layout.model and unseen[layout.index(MASS, "m")]
     out = {
         names[i]: "these runs do not determine the mass, and no force without it"
         for i in reported_slots(layout)
-        if massless and layout.slots[i].linear
+        if mass_undetermined and layout.slots[i].linear
     }
     return out | {names[i]: correlated_partners(solution, i) for i in reported_slots(layout) if unseen[i]}
 

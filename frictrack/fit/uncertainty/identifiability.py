@@ -15,13 +15,13 @@ from frictrack.fit.uncertainty.reported_values import parse_quantity, reported_s
 from frictrack.models import Model
 from frictrack.records import Array
 
-MIN_EVIDENCE, FAR = (
+MIN_EVIDENCE, MIN_DISTANCE_STD = (
     8.0,
     20.0,
 )  # standard deviations of an effect's size from zero, of a parameter from its bounds: no question
 UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad, deviation of a phase whose interval goes all the way round
 MAX_INFLATION = 300.0  # times worse than alone: from here on a law as a whole is called nearly unidentifiable
-MAX_NAMES = 6  # told of one group
+MAX_NAMES_LISTED = 6  # told of one group
 
 
 def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str]:
@@ -32,8 +32,10 @@ def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str
     """
     out: dict[str, str] = {}
     for effect in solution.problem.model.effects:
-        whole = effect.kind == "stribeck" and solution.problem.layout.seeks(effect.name, "F_s", "v_s")
-        why = _stribeck(solution, covariance, effect) if whole else None
+        whole_address = effect.kind == "stribeck" and solution.problem.layout.are_shared_unknowns(
+            effect.name, "F_s", "v_s"
+        )
+        why = _undetermined_stribeck(solution, covariance, effect) if whole_address else None
         if why:
             free = [p.name for p in effect.parameters if p.free]
             out |= {f"{effect.name}.{name}": why for name in free}
@@ -42,23 +44,30 @@ def undetermined_reasons(solution: Solution, covariance: Array) -> dict[str, str
     return out
 
 
-def _stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | None:
+def _undetermined_stribeck(solution: Solution, covariance: Array, effect: Effect) -> str | None:
     """Why F_s and v_s are not to be printed."""
     layout = solution.problem.layout
     rise = layout.index(effect.name, "F_s")
-    settled = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
+    advice_text = f"the slowest speed seen is {layout.span.v_min:.2g} m/s: film a run that slows to a stop"
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     speed = layout.index(effect.name, "v_s")
-    if solution.p[rise] > MIN_EVIDENCE * std[rise] and _from_bounds(solution, speed) > FAR * std[speed]:
+    if (
+        solution.p[rise] > MIN_EVIDENCE * std[rise]
+        and _distance_to_bounds(solution, speed) > MIN_DISTANCE_STD * std[speed]
+    ):
         return None
-    whole = f"{effect.name}.F_s"
-    beside = layout.seeks("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
-    walk = ProfileSearch(solution, parse_quantity(layout, f"{whole} - coulomb.F_c" if beside else whole), covariance)
-    level = 0.0 if beside else layout.quoted(solution.p).get("coulomb.F_c", 0.0)
-    if solution.p[rise] <= 0 or not walk.excluded(level):
-        return f"F_s - F_c is not distinguishable from zero; {settled}"
-    why = _unbounded(solution, covariance, speed)
-    return f"v_s is not bounded on both sides: {why}; {settled}" if why else None
+    whole_address = f"{effect.name}.F_s"
+    has_coulomb_level = layout.are_shared_unknowns("coulomb", "F_c")  # a level that is fixed is no unknown to subtract
+    search = ProfileSearch(
+        solution,
+        parse_quantity(layout, f"{whole_address} - coulomb.F_c" if has_coulomb_level else whole_address),
+        covariance,
+    )
+    level = 0.0 if has_coulomb_level else layout.reported_values(solution.p).get("coulomb.F_c", 0.0)
+    if solution.p[rise] <= 0 or not search.excluded(level):
+        return f"F_s - F_c is not distinguishable from zero; {advice_text}"
+    why = _reason_unbounded(solution, covariance, speed)
+    return f"v_s is not bounded on both sides: {why}; {advice_text}" if why else None
 
 
 def _unbounded_parameters(solution: Solution, covariance: Array, effect: Effect) -> Iterator[tuple[str, str]]:
@@ -72,15 +81,18 @@ def _unbounded_parameters(solution: Solution, covariance: Array, effect: Effect)
         if slot.parameter in sizes:
             continue
         own = [k for k in mine if layout.slots[k].parameter in sizes and _same_wave(layout.slots[k], slot)]
-        clear = [abs(solution.p[k]) / max(std[k], 1e-300) for k in own]
+        significance = [abs(solution.p[k]) / max(std[k], 1e-300) for k in own]
         if effect.parameter(slot.parameter).role == "phase":
             why = f"any phase fits (± {std[i]:.2g} rad)" if std[i] > UNDETERMINED_PHASE_STD else None
-        elif min(clear, default=0.0) > MIN_EVIDENCE and _from_bounds(solution, i) > FAR * std[i]:
+        elif (
+            min(significance, default=0.0) > MIN_EVIDENCE
+            and _distance_to_bounds(solution, i) > MIN_DISTANCE_STD * std[i]
+        ):
             continue
         else:
-            why = _unbounded(solution, covariance, i)
+            why = _reason_unbounded(solution, covariance, i)
         if why:
-            yield layout.names[i], f"{why}; {lower(effect.confirm)}" if effect.confirm else why
+            yield layout.names[i], f"{why}; {as_clause(effect.confirm)}" if effect.confirm else why
 
 
 def _same_wave(size: Slot, slot: Slot) -> bool:
@@ -88,24 +100,24 @@ def _same_wave(size: Slot, slot: Slot) -> bool:
     return size.run is None or slot.run is None or size.run == slot.run
 
 
-def _from_bounds(solution: Solution, i: int) -> float:
+def _distance_to_bounds(solution: Solution, i: int) -> float:
     low, high = solution.problem.layout.slots[i].bounds
     return float(min(solution.p[i] - low, high - solution.p[i]))
 
 
-def _unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
+def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | None:
     """Why the profile of one unknown is open; None where it ends on both sides."""
-    walk = ProfileSearch(
+    search = ProfileSearch(
         solution, parse_quantity(solution.problem.layout, solution.problem.layout.names[i]), covariance
     )
     try:
-        found = [walk.bounded(side) for side in (-1, 1)]
+        found = [search.bounded(side) for side in (-1, 1)]
     except (FrictrackError, np.linalg.LinAlgError):
         return "its misfit cannot be followed"
     return next((why for ends, why in found if not ends), None)
 
 
-def lower(sentence: str) -> str:
+def as_clause(sentence: str) -> str:
     """A sentence as part of another one."""
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
@@ -121,32 +133,36 @@ def correlated_partners(solution: Solution, i: int) -> str:
     null = vt[s <= MIN_SINGULAR_VALUE * s[0]]
     weight = np.max(np.abs(null), axis=0, initial=0.0)
     others = [int(j) for j in np.flatnonzero(weight > 0.05) if j != i and layout.slots[j].effect != LEVEL]
-    told = f"these runs cannot tell it from {listed([layout.names[j] for j in others[:3]]) or 'the other parameters'}"
+    text = (
+        f"these runs cannot tell it from {join_words([layout.names[j] for j in others[:3]]) or 'the other parameters'}"
+    )
     advice = deciding_experiment(layout.model, [layout.slots[j].effect for j in (i, *others)])
-    return f"{told}; {lower(advice)}" if advice else told
+    return f"{text}; {as_clause(advice)}" if advice else text
 
 
 def identifiability_remarks(
-    solution: Solution, correlations: Sequence[tuple[str, str, float]], lost: Sequence[str]
+    solution: Solution, correlations: Sequence[tuple[str, str, float]], undetermined: Sequence[str]
 ) -> list[str]:
     """What a person should know of the parameters as a whole: who trades places with whom, and what would part them.
 
     `lost` are the addresses that have no value.
     """
-    groups = _groups(correlations)
-    said = [_trade_remark(solution.problem.model, group, correlations) for group in groups]
-    return said + list(_near_degeneracy_remarks(inflation(solution), groups, lost))
+    groups = _correlated_groups(correlations)
+    remarks = [_trade_remark(solution.problem.model, group, correlations) for group in groups]
+    return remarks + list(_near_degeneracy_remarks(inflation(solution), groups, undetermined))
 
 
-def _near_degeneracy_remarks(worst: float, groups: Sequence[Sequence[str]], lost: Sequence[str]) -> Iterator[str]:
+def _near_degeneracy_remarks(
+    inflation_factor: float, groups: Sequence[Sequence[str]], undetermined: Sequence[str]
+) -> Iterator[str]:
     """Whether the law as a whole is nearly unidentifiable, and by what that shows."""
-    open_ones = [name for name in lost if any(name in group for group in groups)]
-    beside = [n for g in groups if set(g) & set(open_ones) for n in g if n not in lost]
-    if open_ones:
-        with_it = f", and {_listed_few(beside)} {'goes' if len(beside) == 1 else 'go'} with it" if beside else ""
-        why = f"{_listed_few(open_ones)} {'is' if len(open_ones) == 1 else 'are'} not determined{with_it}"
-    elif worst > MAX_INFLATION:
-        why = f"some of its parameters are known {worst:.0f} times worse together than each would be alone"
+    lost = [name for name in undetermined if any(name in group for group in groups)]
+    linked = [n for g in groups if set(g) & set(lost) for n in g if n not in undetermined]
+    if lost:
+        with_it = f", and {_listed_few(linked)} {'goes' if len(linked) == 1 else 'go'} with it" if linked else ""
+        why = f"{_listed_few(lost)} {'is' if len(lost) == 1 else 'are'} not determined{with_it}"
+    elif inflation_factor > MAX_INFLATION:
+        why = f"some of its parameters are known {inflation_factor:.0f} times worse together than each would be alone"
     else:
         return
     yield (
@@ -158,7 +174,9 @@ def _near_degeneracy_remarks(worst: float, groups: Sequence[Sequence[str]], lost
 def _listed_few(names: Sequence[str]) -> str:
     """Addresses as a sentence has them: runs left out, of many the first few."""
     own = list(dict.fromkeys(name.split("[")[0] for name in names))
-    return listed(own if len(own) <= MAX_NAMES else [*own[:MAX_NAMES], f"{len(own) - MAX_NAMES} more"])
+    return join_words(
+        own if len(own) <= MAX_NAMES_LISTED else [*own[:MAX_NAMES_LISTED], f"{len(own) - MAX_NAMES_LISTED} more"]
+    )
 
 
 def inflation(solution: Solution) -> float:
@@ -168,7 +186,7 @@ def inflation(solution: Solution) -> float:
     return float(np.max(np.sqrt(np.diag(covariance)) * np.linalg.norm(jac, axis=0), initial=0.0))
 
 
-def _groups(correlations: Sequence[tuple[str, str, float]]) -> list[list[str]]:
+def _correlated_groups(correlations: Sequence[tuple[str, str, float]]) -> list[list[str]]:
     """Parameters that are linked by correlations, directly or by way of others."""
     groups: list[list[str]] = []
     for a, b, _ in correlations:
@@ -183,22 +201,22 @@ def _trade_remark(model: Model, group: Sequence[str], correlations: Sequence[tup
     strongest = max((r for a, _, r in correlations if a in group), key=abs)
     own = list(dict.fromkeys(name.split("[")[0] for name in group))
     kinds = list(dict.fromkeys(name.split(".")[0] for name in own))
-    named = _listed_few(group)
+    confirming = _listed_few(group)
     how = f"(correlation up to {strongest:+.3f})".replace("-", "\N{MINUS SIGN}")
     if len(own) == 1:
-        return f"{named} of different runs go together {how}."
+        return f"{confirming} of different runs go together {how}."
     if len(kinds) == 1 and len(own) == 2 and _has_phase(model, own):
-        return f"{named} go together {how}, because a phase is counted at release."
-    why, advice = trade_advice(model, kinds), deciding_experiment(model, kinds)
+        return f"{confirming} go together {how}, because a phase is counted at release."
+    why, advice = confusion_remark(model, kinds), deciding_experiment(model, kinds)
     each = "either" if len(own) == 2 else "each"
-    told = f"{named} trade places {how}: these runs fix a combination of them better than {each}"
-    return f"{told}{f'; {why}' if why else ''}.{f' To part them: {lower(advice)}.' if advice else ''}"
+    text = f"{confirming} trade places {how}: these runs fix a combination of them better than {each}"
+    return f"{text}{f'; {why}' if why else ''}.{f' To part them: {as_clause(advice)}.' if advice else ''}"
 
 
-def trade_advice(model: Model, names: Sequence[str]) -> str:
+def confusion_remark(model: Model, names: Sequence[str]) -> str:
     """What the library says of a pair among these effects: that one is mistaken for the other."""
     pair = next(_confused_effects(model, names), None)
-    return "" if pair is None else f"{pair[0].kind.replace('_', ' ')} is mistaken for {lower(pair[0].mistaken_for)}"
+    return "" if pair is None else f"{pair[0].kind.replace('_', ' ')} is mistaken for {as_clause(pair[0].mistaken_for)}"
 
 
 def _has_phase(model: Model, addresses: Sequence[str]) -> bool:
@@ -209,10 +227,10 @@ def _has_phase(model: Model, addresses: Sequence[str]) -> bool:
 
 def deciding_experiment(model: Model, names: Sequence[str]) -> str:
     """The run that would part these effects: as a known pair says, else the last one of the model that says any."""
-    known = list(_confused_effects(model, names))
-    named = [a.confirm for a, b in known if b.kind.replace("_", " ") in a.confirm.lower()]
-    told = [e.confirm for e in model.effects if e.name in names and e.confirm]
-    return next(iter((*named, *(a.confirm for a, _ in known), *reversed(told))), "")
+    confused = list(_confused_effects(model, names))
+    confirming = [a.confirm for a, b in confused if b.kind.replace("_", " ") in a.confirm.lower()]
+    text = [e.confirm for e in model.effects if e.name in names and e.confirm]
+    return next(iter((*confirming, *(a.confirm for a, _ in confused), *reversed(text))), "")
 
 
 def _confused_effects(model: Model, names: Sequence[str]) -> Iterator[tuple[Effect, Effect]]:
@@ -224,6 +242,6 @@ def _confused_effects(model: Model, names: Sequence[str]) -> Iterator[tuple[Effe
                 yield first, second
 
 
-def listed(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """``a, b and c``."""
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)

@@ -29,7 +29,9 @@ def _undetermined_stribeck(solution: Solution, covariance: Array) -> dict[str, s
     layout = solution.problem.layout
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     out: dict[str, str] = {}
-    for effect in (e for e in layout.model.effects if e.kind == "stribeck" and layout.seeks(e.name, "F_s", "v_s")):
+    for effect in (
+        e for e in layout.model.effects if e.kind == "stribeck" and layout.are_shared_unknowns(e.name, "F_s", "v_s")
+    ):
         rise, speed = layout.index(effect.name, "F_s"), layout.index(effect.name, "v_s")
         why = None
         if solution.p[rise] < MIN_STD * std[rise]:

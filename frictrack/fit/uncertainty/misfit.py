@@ -38,7 +38,7 @@ MIN_EVIDENCE_SHARE = 0.5  # of the best evidence that a force over another axis 
 MIN_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
 JITTER = 1e-8
 MIN_AXIS_RANGE = 1e-6  # of an axis' largest value: a narrower one holds no knots
-REJECTED = (
+REJECTION_REMARK = (
     "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
     "holds for a missing force of the size that the residual shows"
 )
@@ -58,7 +58,7 @@ class Misfit:
 
     def summary(self) -> dict[str, Any]:
         """JSON `misfit` of a fit."""
-        return {"axis": self.axis, "evidence": self.evidence, "words": REJECTED}
+        return {"axis": self.axis, "evidence": self.evidence, "words": REJECTION_REMARK}
 
 
 def misfit_of(solution: Solution) -> Misfit | None:
@@ -73,31 +73,31 @@ def misfit_of(solution: Solution) -> Misfit | None:
     if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
         return None
     law = model_projection(solution)
-    bread, _ = white_noise_covariance(solution)
-    found = []
-    for axis, made, alike in _force_bases(solution):
-        trace = np.zeros((len(law.r), made[0].shape[1]))
-        for rows, response, force in zip(law.rows, solution.responses, made, strict=True):
+    inverse_hessian, _ = white_noise_covariance(solution)
+    candidates = []
+    for axis, force_basis, covariances in _force_bases(solution):
+        trace = np.zeros((len(law.r), force_basis[0].shape[1]))
+        for rows, response, force in zip(law.rows, solution.responses, force_basis, strict=True):
             trace[rows] = displacement_response(response, force)
-        clean = trace - law.u @ (law.u.T @ trace)
-        evidence, covariance = _most_likely(clean, law.r, alike)
-        pull = bread @ (solution.jac.T @ trace[: len(solution.residual)])
-        found.append(Misfit(axis, evidence, pull @ covariance @ pull.T))
-    best = max(found, key=lambda m: m.evidence)
+        unexplained = trace - law.u @ (law.u.T @ trace)
+        evidence, covariance = _maximise_evidence(unexplained, law.r, covariances)
+        gradient = inverse_hessian @ (solution.jac.T @ trace[: len(solution.residual)])
+        candidates.append(Misfit(axis, evidence, gradient @ covariance @ gradient.T))
+    best = max(candidates, key=lambda m: m.evidence)
     return (
-        _widest_covariance(best, [m for m in found if m.evidence > MIN_EVIDENCE_SHARE * best.evidence])
+        _widest_covariance(best, [m for m in candidates if m.evidence > MIN_EVIDENCE_SHARE * best.evidence])
         if best.evidence > MIN_EVIDENCE
         else None
     )
 
 
-def _widest_covariance(best: Misfit, likely: list[Misfit]) -> Misfit:
+def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
     """The most likely force, its covariance scaled to the largest deviation of every unknown under any likely one.
 
     Which axis the force goes with is not known for sure, and deviations must hold whichever it is.
     """
     own = np.sqrt(np.maximum(np.diag(best.covariance), 1e-300))
-    largest = np.sqrt(np.max([np.diag(m.covariance) for m in likely], axis=0))
+    largest = np.sqrt(np.max([np.diag(m.covariance) for m in plausible], axis=0))
     scale = np.maximum(largest / own, 1.0)
     return Misfit(best.axis, best.evidence, best.covariance * scale[:, None] * scale)
 
@@ -109,18 +109,18 @@ def dispersion(solution: Solution) -> float:
     the residual is alike, since frames that are alike say the same thing.
     """
     free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
-    each = solution.chi2 / free
-    if each < MAX_NOISE_CHI2:
+    chi2_per_frame = solution.chi2 / free
+    if chi2_per_frame < MAX_NOISE_CHI2:
         return 1.0
-    return max(each * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
+    return max(chi2_per_frame * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
 
 
-def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Array]:
+def _maximise_evidence(unexplained: Array, r: Array, covariances: list[Array]) -> tuple[float, Array]:
     """Twice the rise of the log restricted likelihood at the best length and size, and the covariance (K, K) there."""
-    gram, data = clean.T @ clean, clean.T @ r
+    gram, data = unexplained.T @ unexplained, unexplained.T @ r
     best = (0.0, np.zeros_like(gram))
-    for shape in alike:
-        root = np.linalg.cholesky(shape + JITTER * np.eye(len(shape)))
+    for covariance_shape in covariances:
+        root = np.linalg.cholesky(covariance_shape + JITTER * np.eye(len(covariance_shape)))
         values, vectors = np.linalg.eigh(root.T @ gram @ root)
         values = np.maximum(values, 0.0)
         unit = float(values.max()) or 1.0
@@ -135,28 +135,36 @@ def _most_likely(clean: Array, r: Array, alike: list[Array]) -> tuple[float, Arr
 
 def _force_bases(solution: Solution) -> Iterator[tuple[str, list[Array], list[Array]]]:
     """Forces through knots (m_i, K) along every piece, N, and how alike they are at two knots for every length."""
-    at = [_motion_at_nodes(solution, r) for r in solution.responses]
-    each = int(np.clip(MAX_KNOTS // len(at), MIN_KNOTS, KNOTS_A_RUN))
-    wide = [np.zeros((len(t), each * len(at))) for t, *_ in at]
-    for i, (t, *_) in enumerate(at):
-        wide[i][:, i * each : (i + 1) * each] = linear_interpolation_matrix(t, np.linspace(t[0], t[-1], each))
-    one = np.linspace(0.0, 1.0, each)
+    motions = [_motion_at_nodes(solution, r) for r in solution.responses]
+    chi2_per_frame = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
+    per_run_basis = [np.zeros((len(t), chi2_per_frame * len(motions))) for t, *_ in motions]
+    for i, (t, *_) in enumerate(motions):
+        per_run_basis[i][:, i * chi2_per_frame : (i + 1) * chi2_per_frame] = linear_interpolation_matrix(
+            t, np.linspace(t[0], t[-1], chi2_per_frame)
+        )
+    unit_knots = np.linspace(0.0, 1.0, chi2_per_frame)
     yield (
         "t",
-        wide,
-        [np.asarray(np.kron(np.eye(len(at)), matern_covariance(one, length))) for length in CORRELATION_LENGTHS],
+        per_run_basis,
+        [
+            np.asarray(np.kron(np.eye(len(motions)), matern_covariance(unit_knots, length)))
+            for length in CORRELATION_LENGTHS
+        ],
     )
-    for axis, values in (("x", [q[1] for q in at]), ("v", [np.abs(q[2]) for q in at])):
+    for axis, values in (("x", [q[1] for q in motions]), ("v", [np.abs(q[2]) for q in motions])):
         low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
         if not high - low > MIN_AXIS_RANGE * max(abs(low), abs(high)):
             continue
         knots = np.linspace(low, high, KNOTS[axis])
-        alike = [matern_covariance((knots - low) / (high - low), length) for length in CORRELATION_LENGTHS]
-        for factor in ([q[3] for q in at], [np.sign(q[3]) if axis == "v" else np.ones_like(q[3]) for q in at]):
+        covariances = [matern_covariance((knots - low) / (high - low), length) for length in CORRELATION_LENGTHS]
+        for factor in (
+            [q[3] for q in motions],
+            [np.sign(q[3]) if axis == "v" else np.ones_like(q[3]) for q in motions],
+        ):
             yield (
                 axis,
                 [linear_interpolation_matrix(v, knots) * f[:, None] for v, f in zip(values, factor, strict=True)],
-                alike,
+                covariances,
             )
 
 

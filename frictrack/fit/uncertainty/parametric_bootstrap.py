@@ -136,7 +136,7 @@ def bootstrap(  # noqa: PLR0913 - named settings, all optional
         )
     rng = rng or np.random.default_rng(seed)
     solution, compared = result.solution, result.compared
-    blocks = [_block(r) for r in solution.responses]
+    blocks = [_block_length(r) for r in solution.responses]
     found: list[tuple[Array, Array, float]] = []
     reasons: list[str] = []
     for k in range(draws):
@@ -210,8 +210,8 @@ def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) 
         count = batch_count(solution)
         sizes = [len(part) for part in np.array_split(np.arange(len(blocks)), count)]
         signs = np.repeat(rng.choice([-1.0, 1.0], count), sizes)
-        grown = np.sqrt(count / (count - 1))
-        return [grown * sign * r.r_full for sign, r in zip(signs, solution.responses, strict=True)]
+        inflation = np.sqrt(count / (count - 1))
+        return [inflation * sign * r.r_full for sign, r in zip(signs, solution.responses, strict=True)]
     return [_wild_residual(r, block, rng) for r, block in zip(solution.responses, blocks, strict=True)]
 
 
@@ -220,19 +220,19 @@ def _wild_residual(response: PieceResponse, block: int, rng: np.random.Generator
     if not block:
         return rng.standard_normal(n)
     first = rng.integers(block)  # blocks begin elsewhere in every draw
-    of = (np.arange(n) + first) // block
-    grown = np.sqrt(n / max(n - len(response.active) - 2, 1))
-    return np.asarray(grown * rng.choice([-1.0, 1.0], of[-1] + 1)[of] * response.r_full)
+    block_of_frame = (np.arange(n) + first) // block
+    inflation = np.sqrt(n / max(n - len(response.active) - 2, 1))
+    return np.asarray(inflation * rng.choice([-1.0, 1.0], block_of_frame[-1] + 1)[block_of_frame] * response.r_full)
 
 
-def _block(response: PieceResponse) -> int:
+def _block_length(response: PieceResponse) -> int:
     """Frames in a block of a correlated residual: three times the reach of its correlation; 0 where it is white."""
     r = response.r_full
     n = len(r)
-    most = min(MAX_LAG_FRAMES, n // 4)
-    own = np.array([r[k:] @ r[: n - k] for k in range(most + 1)]) / max(float(r @ r), 1e-300)
-    if np.all(np.abs(own[1:4]) < WHITE_LIMIT / np.sqrt(n)):
+    max_lag = min(MAX_LAG_FRAMES, n // 4)
+    autocorrelation = np.array([r[k:] @ r[: n - k] for k in range(max_lag + 1)]) / max(float(r @ r), 1e-300)
+    if np.all(np.abs(autocorrelation[1:4]) < WHITE_LIMIT / np.sqrt(n)):
         return 0
-    below = np.flatnonzero(own < WHITE_LIMIT / np.sqrt(n) / 2)
-    reach = int(below[0]) if len(below) else most
+    uncorrelated = np.flatnonzero(autocorrelation < WHITE_LIMIT / np.sqrt(n) / 2)
+    reach = int(uncorrelated[0]) if len(uncorrelated) else max_lag
     return int(min(max(3 * reach, 3), max(n // MIN_BLOCKS, 1)))

@@ -123,15 +123,17 @@ class ProfileSearch:
 
     def __post_init__(self) -> None:
         s = self.solution
-        naive, _ = white_noise_covariance(s)
+        white_noise, _ = white_noise_covariance(s)
         g = self.quantity.gradient(s.problem, s.p)
-        curved, stated = float(g @ naive @ g), float(g @ self.covariance @ g)
-        self.scale = stated / curved if curved > 0 and stated > 0 else 1.0  # of the rise
-        self.pull = naive @ g / curved if curved > 0 else np.zeros(len(s.p))
+        white_noise_variance, stated_variance = float(g @ white_noise @ g), float(g @ self.covariance @ g)
+        self.scale = (
+            stated_variance / white_noise_variance if white_noise_variance > 0 and stated_variance > 0 else 1.0
+        )  # of the rise
+        self.direction = white_noise @ g / white_noise_variance if white_noise_variance > 0 else np.zeros(len(s.p))
         self.best = ProfilePoint(self.quantity.value(s.problem, s.p), 0.0, s.p, s.starts)
-        self.std = float(np.sqrt(stated)) if stated > 0 else 0.1 * max(abs(self.best.c), 1e-3)
+        self.std = float(np.sqrt(stated_variance)) if stated_variance > 0 else 0.1 * max(abs(self.best.c), 1e-3)
         self.target = float(norm.ppf(0.5 + self.level / 2))
-        self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(naive)))
+        self.pivot = pivot_of(self.quantity, s, np.sqrt(np.diag(white_noise)))
         self.phases = np.array([_is_phase(s, i) for i in range(len(s.p))])
         self.points.append(self.best)
 
@@ -166,26 +168,26 @@ class ProfileSearch:
         near, *more = sorted(side, key=lambda q: abs(q.c - c))
         more = [q for q in more if q.c != near.c]
         if not more:
-            return near.p + self.pull * (c - near.c), near.starts
+            return near.p + self.direction * (c - near.c), near.starts
         share = (c - near.c) / (near.c - more[0].c)
-        moved = near.p - more[0].p
-        moved[self.phases] = (moved[self.phases] + np.pi) % (2 * np.pi) - np.pi
-        return near.p + share * moved, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
+        change = near.p - more[0].p
+        change[self.phases] = (change[self.phases] + np.pi) % (2 * np.pi) - np.pi
+        return near.p + share * change, [a + share * (a - b) for a, b in zip(near.starts, more[0].starts, strict=True)]
 
     def profile(self) -> Profile:
         """Both sides, and a point beyond either end for its picture."""
         (low, why_low), (high, why_high) = self.end(-1), self.end(1)
         for end in (low, high):
             if end is not None:
-                self._tried(float(np.clip(self.best.c + PROFILE_MARGIN * (end - self.best.c), *self.bounds)))
-        told = sorted(self.points, key=lambda q: q.c)
+                self._try(float(np.clip(self.best.c + PROFILE_MARGIN * (end - self.best.c), *self.bounds)))
+        points = sorted(self.points, key=lambda q: q.c)
         return Profile(
             address=self.quantity.address,
             unit=self.quantity.unit,
             value=self.best.c,
             level=self.level,
-            values=np.array([q.c for q in told]),
-            rise=np.array([q.z**2 for q in told]),
+            values=np.array([q.c for q in points]),
+            rise=np.array([q.z**2 for q in points]),
             low=low,
             high=high,
             why_low=why_low,
@@ -194,81 +196,81 @@ class ProfileSearch:
             refinements=len(self.points) - 1,
         )
 
-    def end(self, side: int, most: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
+    def end(self, side: int, max_refinements: int = MAX_REFINEMENTS) -> tuple[float | None, str]:
         """Where the profile passes the quantile on one side (-1 or 1); None and why where it does not."""
         last = inner = self.best
-        outer, barred, wall = None, side * np.inf, self.bounds[side > 0]
-        for _ in range(most):
-            c = self._outward(side, last, inner) if outer is None else _between(inner, outer, self.target)
-            c = side * min(side * c, side * wall, 0.5 * side * (inner.c + barred))
+        outer, failed_at, bound = None, side * np.inf, self.bounds[side > 0]
+        for _ in range(max_refinements):
+            c = self._next_outward(side, last, inner) if outer is None else _between(inner, outer, self.target)
+            c = side * min(side * c, side * bound, 0.5 * side * (inner.c + failed_at))
             if abs(c - inner.c) < SAME_VALUE_STD * min(self.std, abs((outer or inner).c - self.best.c) or self.std):
                 break
-            point = self._tried(c)
+            point = self._try(c)
             if point is None:
-                barred = c
+                failed_at = c
             elif point.z >= self.target:
                 outer = point
             else:
                 last, inner = inner, point
-            if self._passed(inner, outer) or self._huge(inner.c):
+            if self._has_converged(inner, outer) or self._is_unlimited(inner.c):
                 break
         if outer is not None or inner.z > (1 - QUANTILE_TOLERANCE) * self.target:
-            return self._crossing(inner, outer or inner), ""
-        return None, self._open(inner, wall, barred)
+            return self._interpolated_end(inner, outer or inner), ""
+        return None, self._reason_open(inner, bound, failed_at)
 
     def excluded(self, value: float) -> bool:
         """Whether the interval does not hold a value."""
-        point = self._tried(value)
+        point = self._try(value)
         return point is not None and point.z >= self.target
 
     def bounded(self, side: int) -> tuple[bool, str]:
         """Whether the profile passes the quantile on one side, without finding where: mostly in one refinement."""
-        far, wall = self.best.c + side * PROBE_STD * self.std, self.bounds[side > 0]
-        point = self._tried(side * min(side * far, side * wall))
+        probe, bound = self.best.c + side * PROBE_STD * self.std, self.bounds[side > 0]
+        point = self._try(side * min(side * probe, side * bound))
         if point is not None and point.z >= self.target:
             return True, ""
-        if point is not None and point.c == wall:
-            return False, self._open(point, wall, side * np.inf)
+        if point is not None and point.c == bound:
+            return False, self._reason_open(point, bound, side * np.inf)
         end, why = self.end(side, MAX_PROBES)
         return end is not None, why
 
-    def _tried(self, c: float) -> ProfilePoint | None:
+    def _try(self, c: float) -> ProfilePoint | None:
         try:
             return self.at(c)
         except (FrictrackError, np.linalg.LinAlgError):
             return None
 
-    def _passed(self, inner: ProfilePoint, outer: ProfilePoint | None) -> bool:
+    def _has_converged(self, inner: ProfilePoint, outer: ProfilePoint | None) -> bool:
         near = QUANTILE_TOLERANCE * self.target
         return self.target - inner.z < near or (outer is not None and outer.z - self.target < near)
 
-    def _outward(self, side: int, last: ProfilePoint, here: ProfilePoint) -> float:
+    def _next_outward(self, side: int, last: ProfilePoint, current: ProfilePoint) -> float:
         """Where the quantile is expected, from the two outermost points; the first step is one deviation."""
-        if here is self.best:
-            return here.c + side * self.std
-        slope = (here.z - last.z) / abs(here.c - last.c)
-        gone = abs(here.c - self.best.c)
-        step = (1.02 * self.target - here.z) / slope if slope > 0 else np.inf
-        return here.c + side * min(step, (MAX_STEP_FACTOR - 1) * gone)
+        if current is self.best:
+            return current.c + side * self.std
+        slope = (current.z - last.z) / abs(current.c - last.c)
+        distance = abs(current.c - self.best.c)
+        step = (1.02 * self.target - current.z) / slope if slope > 0 else np.inf
+        return current.c + side * min(step, (MAX_STEP_FACTOR - 1) * distance)
 
-    def _crossing(self, inner: ProfilePoint, outer: ProfilePoint) -> float:
+    def _interpolated_end(self, inner: ProfilePoint, outer: ProfilePoint) -> float:
         share = (self.target - inner.z) / (outer.z - inner.z) if outer.z != inner.z else 1.0
         return inner.c + share * (outer.c - inner.c)
 
-    def _huge(self, c: float) -> bool:
+    def _is_unlimited(self, c: float) -> bool:
         return abs(c - self.best.c) > UNLIMITED_RATIO * max(abs(self.best.c), self.std, 1e-12)
 
-    def _open(self, reached: ProfilePoint, wall: float, barred: float) -> str:
+    def _reason_open(self, reached: ProfilePoint, bound: float, failed_at: float) -> str:
         unit = self.quantity.unit
-        bound = abs(reached.c - wall) < SAME_VALUE_STD * self.std
-        told = f"{wall if bound else reached.c:.4g} {unit}".removesuffix(" 1")
+        at_bound = abs(reached.c - bound) < SAME_VALUE_STD * self.std
+        points = f"{bound if at_bound else reached.c:.4g} {unit}".removesuffix(" 1")
         rise = f"the misfit rises by {reached.z**2:.2g} only"
         if self.phases[self.quantity.slot]:
             return f"at the opposite phase {rise}"
-        if bound:
-            return f"up to its bound {told} {rise}"
-        stopped = " and no law beyond can be integrated" if np.isfinite(barred) else ""
-        return f"up to {told} {rise}{stopped}"
+        if at_bound:
+            return f"up to its bound {points} {rise}"
+        stopped = " and no law beyond can be integrated" if np.isfinite(failed_at) else ""
+        return f"up to {points} {rise}{stopped}"
 
 
 def _between(inner: ProfilePoint, outer: ProfilePoint, target: float) -> float:

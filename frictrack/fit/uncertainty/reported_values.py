@@ -23,7 +23,7 @@ def reported_slots(layout: ParameterLayout) -> list[int]:
 def reported_values(problem: LeastSquaresProblem, p: Array) -> Array:
     """The quoted unknowns of a law p (P,), (A,), in the order of `quoted_slots`."""
     layout = problem.layout
-    known = layout.quoted(p) | {"mass.m": problem.pieces[0].mass / mass_ratio(layout, p)}
+    known = layout.reported_values(p) | {"mass.m": problem.pieces[0].mass / mass_ratio(layout, p)}
     return np.array([known[layout.names[i]] for i in reported_slots(layout)])
 
 
@@ -41,13 +41,13 @@ def reported_values_and_jacobian(problem: LeastSquaresProblem, p: Array) -> tupl
 
 def reported_gradient(problem: LeastSquaresProblem, p: Array, address: str) -> tuple[float, Array]:
     """A parameter that follows others, as it is quoted, and its derivative in the unknowns, (P,)."""
-    base = problem.layout.quoted(p)[address]
+    base = problem.layout.reported_values(p)[address]
     gradient = np.zeros(len(p))
     for j in range(len(p)):
         step = 1e-6 * max(abs(p[j]), 1e-3)
         moved = p.copy()
         moved[j] += step
-        gradient[j] = (problem.layout.quoted(moved)[address] - base) / step
+        gradient[j] = (problem.layout.reported_values(moved)[address] - base) / step
     return base, gradient
 
 
