@@ -269,7 +269,7 @@ class TestRefinement:
         p = np.ones(len(made.layout.slots))
         p[made.free] = 0.7, 60.5
         state = problem.at(p)
-        _, gradient = problem._linearised(state, made.free)
+        _, gradient = problem._normal_equations(state, made.free)
         for j, i in enumerate(made.free):
             step = np.zeros_like(p)
             step[i] = 1e-4 * p[i]

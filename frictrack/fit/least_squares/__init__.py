@@ -1,4 +1,7 @@
-"""Least squares of the simulated motion: problem, Gauss-Newton, covariance, projection of residuals, held-out error."""
+"""Fit a model by least squares of the simulated motion (output error), and quantify the result.
+
+The modules: the problem and its sensitivities, Gauss-Newton, covariance, projection of residuals, held-out error.
+"""
 
 from frictrack.fit.least_squares.covariance import (
     MIN_SINGULAR_VALUE,

@@ -1,4 +1,4 @@
-"""How well the unknowns of a fitted law are known: their covariance from the linearised model."""
+"""Compute the covariance of the fitted unknowns from the linearised model."""
 
 from __future__ import annotations
 
@@ -19,9 +19,22 @@ MIN_SINGULAR_VALUE = 1e-8  # singular value, over the largest, below which a dir
 
 
 def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
-    """Covariance of the unknowns (P, P) as white noise and a known spread make it, and which are not seen, (P,).
+    """Compute the covariance of the unknowns for white noise and a known scatter of the levels.
 
-    It is what the curvature of the misfit says: a profile of the linearised law rises by one per such variance.
+    It is the inverse curvature of the objective: a profile of the linearised model rises by one per variance.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
     """
     return inverse_normal_matrix(
         np.vstack([solution.jac, penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)])
@@ -29,12 +42,29 @@ def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
 
 
 def covariance_of(solution: Solution) -> tuple[Array, Array]:
-    """Covariance of the unknowns (P, P), and which of them the data do not see, (P,).
+    """Compute the covariance of the unknowns with all known sources of error.
 
-    The noise is told by the frames themselves, so a variance is known as well as it is: Student's t with as many
-    degrees of freedom as fifth differences leave. It is also known as well as the spread of few runs is, as far as it
-    follows it: (runs - 1)/share^2 degrees, share = d log variance / d log spread^2 (Satterthwaite 1946). What a film is
-    off by beside its noise comes on top.
+    The noise level is estimated from fifth differences, so the variances are widened to Student's t with that many
+    degrees of freedom. A variance that depends on the scatter of few runs is widened likewise, with (runs -
+    1)/share^2 degrees, share = d log variance / d log tau^2 (Satterthwaite). Systematic tracking errors are added. If
+    a run is cut into segments, the covariance comes from batches of segments.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
+    References
+    ----------
+    Satterthwaite, F. E. (1946). Biometrics Bulletin 2, 110-114.
+
     """
     layout = solution.problem.layout
     tau = solution.tau or 0.03
@@ -57,7 +87,7 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
 
 def _systematic_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) that slow errors of a tracker and what is left of a camera shake add."""
+    """Covariance (P, P) that slow tracking errors and the remaining camera shake add."""
     gradients = [np.zeros((0, len(solution.p)))]
     for r in solution.responses:
         gradient = _systematic_gradients(r)
@@ -68,9 +98,9 @@ def _systematic_covariance(solution: Solution, bread: Array) -> Array:
 
 
 def _systematic_gradients(r: PieceResponse) -> Array:
-    """What each of a piece's errors beside its noise, one standard deviation of it, pulls the law to, (m, A).
+    """Gradient (m, A) of the objective under each systematic error of a piece, one standard deviation of each.
 
-    None where the law is compared behind a filter, whose rows are no frames.
+    Empty where the model is compared behind a filter, whose rows are not frames.
     """
     piece = r.piece
     blocks = [np.zeros((0, r.jac.shape[1]))]
@@ -90,17 +120,23 @@ def _systematic_gradients(r: PieceResponse) -> Array:
 
 
 def batch_count(solution: Solution) -> int:
-    """Into how many batches the segments go: as many as there are segments in each, but enough for the unknowns."""
+    """Compute the number of batches of segments: about the square root of the segments, but enough for the unknowns."""
     n = len(solution.responses)
     return int(min(max(round(np.sqrt(n)), MIN_BATCHES_PER_UNKNOWN * len(solution.p)), n))
 
 
 def _batch_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) where segments hold more than noise: the scatter of what batches of them pull the law to.
+    """Covariance (P, P) from the scatter of the gradients of batches of segments (cluster-robust sandwich).
 
-    What is not modelled is alike within a segment (Liang & Zeger 1986, Biometrika 73) and often in its neighbours too:
-    as many batches as there are segments in each (batch means; Flegal & Jones 2010, Annals of Statistics 38), known
-    as well as so many scatter (Student's t).
+    Unmodelled forces are correlated within a segment and often with its neighbours. With as many batches as segments
+    per batch, batches are nearly independent. Widened to Student's t for the number of batches.
+
+    References
+    ----------
+    Liang, K.-Y. & Zeger, S. L. (1986). Longitudinal data analysis. Biometrika 73, 13-22.
+    White, H. (1980). Econometrica 48, 817-838.
+    Flegal, J. M. & Jones, G. L. (2010). Batch means. Annals of Statistics 38, 1034-1070.
+
     """
     gradients = np.zeros((len(solution.responses), len(solution.p)))
     for gradient, r in zip(gradients, solution.responses, strict=True):
@@ -113,7 +149,27 @@ def _batch_covariance(solution: Solution, bread: Array) -> Array:
 
 
 def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:
-    """(J'J)^-1 in the directions that the data see, (P, P), and which unknowns they do not see, (P,)."""
+    """Compute (J'J)^-1 in the directions that the data determine.
+
+    Parameters
+    ----------
+    jac : array of shape (N, P)
+        Whitened Jacobian.
+
+    Returns
+    -------
+    inverse : array of shape (P, P)
+        Pseudo-inverse of the normal matrix, its columns scaled before the cut-off.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
+    Examples
+    --------
+    >>> inverse, unseen = inverse_normal_matrix(np.array([[2.0, 0.0], [0.0, 0.0], [0.0, 0.0]]))
+    >>> inverse[0, 0].item(), unseen.tolist()
+    (0.25, [False, True])
+
+    """
     norm = np.linalg.norm(jac, axis=0)
     dead = norm == 0
     norm[dead] = 1.0

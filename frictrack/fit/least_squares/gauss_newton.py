@@ -1,4 +1,13 @@
-"""Output-error Gauss-Newton: re-simulate, linearise, step, until the law stops moving."""
+"""Fit by output-error Gauss-Newton: simulate, linearise, step, until the parameters stop changing.
+
+Steps are damped (Levenberg-Marquardt) and bounded. The scatter of the friction levels is estimated in between.
+
+References
+----------
+Levenberg, K. (1944). Quarterly of Applied Mathematics 2, 164-168.
+Marquardt, D. W. (1963). SIAM J. Appl. Math. 11, 431-441.
+
+"""
 
 from __future__ import annotations
 
@@ -34,7 +43,24 @@ MIN_CHI2_FALL_REVERSALS = (
 
 @dataclass(frozen=True)
 class Solution:
-    """Where Gauss-Newton came to rest: unknowns p (P,), starts, spread tau, and the model linearised there."""
+    """Where Gauss-Newton converged, and the model linearised there.
+
+    Attributes
+    ----------
+    problem : LeastSquaresProblem
+        What was fitted.
+    p : array of shape (P,)
+        The unknowns.
+    starts : list of array of shape (2,)
+        Start position (m) and speed (m/s) of every piece.
+    tau : float
+        Relative standard deviation of the friction levels.
+    responses : list of PieceResponse
+        Residuals and sensitivities of all pieces.
+    objective : float
+        Chi-squared plus penalties.
+
+    """
 
     problem: LeastSquaresProblem
     p: Array
@@ -50,12 +76,12 @@ class Solution:
 
     @property
     def jac(self) -> Array:
-        """Whitened Jacobian of all frames, starts removed, (N, P)."""
+        """Whitened Jacobian of all frames, starts projected out, (N, P)."""
         return stacked_jacobian(self.responses, len(self.p))
 
     @property
     def residual(self) -> Array:
-        """Whitened residual of all frames, starts removed, (N,)."""
+        """Whitened residual of all frames, starts projected out, (N,)."""
         return np.concatenate([r.r for r in self.responses])
 
     @property
@@ -65,9 +91,9 @@ class Solution:
         return jacobian_basis(self.jac, layout.levels, prior_jacobian(layout, self.p))
 
     def random_effect_data(self) -> Array:
-        """Residual with the fitted departures of the levels from one put back: data of the random effect, (N,).
+        """Return the residual with the fitted deviations of levels and priors added back, (N,).
 
-        Departures from priors of parameters are put back likewise.
+        These are the data from which the scatter of the levels is estimated.
         """
         layout = self.problem.layout
         departure = np.zeros(len(self.p))
@@ -78,7 +104,7 @@ class Solution:
 
 
 def stacked_jacobian(responses: Sequence[PieceResponse], n_unknowns: int) -> Array:
-    """Jacobians of all pieces one under the other, in the full set of unknowns."""
+    """Stack the Jacobians of all pieces, (N, n_unknowns)."""
     blocks = []
     for r in responses:
         full = np.zeros((len(r.r), n_unknowns))
@@ -89,7 +115,7 @@ def stacked_jacobian(responses: Sequence[PieceResponse], n_unknowns: int) -> Arr
 
 @dataclass(frozen=True)
 class _Refinement:
-    """What holds during one refinement: the problem, the spread of the levels, and which way each unknown may go."""
+    """The constant settings of one refinement: problem, scatter of the levels, and bounds of the unknowns."""
 
     problem: LeastSquaresProblem
     tau: float
@@ -98,21 +124,22 @@ class _Refinement:
     all_free: bool  # every unknown may move
 
     def at(self, p: Array, starts: list[Array]) -> Solution:
-        """The law at p, brought within the bounds and to its plain form, the levels about one."""
+        """The solution at p, clipped to the bounds and brought to canonical form."""
         p = canonical_form(self.problem.layout, np.clip(p, self.low, self.high))
         return _solution_at(
             self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, self.tau
         )
 
     def after_step(self, state: Solution, step: Array) -> Solution:
-        """The law after a step, its starts moved along."""
+        """The solution after a step, its starts adjusted."""
         pairs = zip(state.starts, state.responses, strict=True)
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs])
 
     def after_trial(self, state: Solution, step: Array) -> Solution:
-        """The law after a trial step.
+        """The solution after a trial step.
 
-        Where it went too far, the coefficients are solved again for its non-linear parameters (variable projection).
+        If the step went too far, the coefficients are solved again for its non-linear parameters (variable
+        projection).
         """
         trial = self.after_step(state, step)
         linear = self.problem.layout.coefficients
@@ -134,9 +161,35 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
     max_steps: int = 20,
     min_fall: float = MIN_CHI2_FALL,
 ) -> Solution:
-    """Bounded Levenberg-Marquardt on the simulated motion from p (P,), at a given spread of the levels.
+    """Minimise chi-squared plus penalties by bounded Levenberg-Marquardt, at a given scatter of the friction levels.
 
-    `free` (P,) tells which unknowns may move; default all. A step that promises less than `enough` is not taken.
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        What is fitted.
+    p : array of shape (P,)
+        First unknowns.
+    starts : sequence of array of shape (2,)
+        First starts of the pieces.
+    tau : float
+        Relative standard deviation of the friction levels.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all.
+    max_steps : int
+        Largest number of steps.
+    min_fall : float
+        A step is not taken if it is predicted to lower chi-squared by less.
+
+    Returns
+    -------
+    Solution
+        The refined unknowns.
+
+    Raises
+    ------
+    FrictrackError
+        If the motion at p cannot be integrated.
+
     """
     refinement = _make_refinement(problem, p, tau, free)
     return _run_refinement(refinement, refinement.at(p, list(starts)), max_steps, min_fall)
@@ -145,7 +198,7 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
 def refine_further(
     solution: Solution, tau: float, *, free: Mask | None = None, max_steps: int = 20, min_fall: float = MIN_CHI2_FALL
 ) -> Solution:
-    """Refine a law further from where it stands, at another spread of the levels; nothing is simulated again there."""
+    """Continue the refinement of a solution at another scatter of the levels, without simulating it again."""
     penalty = penalty_residual(solution.problem.layout, solution.p, tau)
     objective = sum(float(r.r_full @ r.r_full) for r in solution.responses) + float(penalty @ penalty)
     state = replace(solution, tau=tau, objective=objective)
@@ -155,14 +208,17 @@ def refine_further(
 def predicted_objective(
     problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], *, tau: float, free: Mask | None = None
 ) -> tuple[float, Solution]:
-    """The objective that the first step from p (P,) promises, and the law at p; one simulation of each piece."""
+    """Compute the objective that the first step from p (P,) is predicted to reach, and the solution at p.
+
+    Every piece is simulated once.
+    """
     refinement = _make_refinement(problem, p, tau, free)
     state = refinement.at(p, list(starts))
     return state.objective - _step(state, FIRST_DAMPING, (refinement.low, refinement.high))[1], state
 
 
 def _make_refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: Mask | None) -> _Refinement:
-    """A refinement in which only what is `free` may move; default all."""
+    """A refinement in which only the `free` unknowns may change; default all."""
     low, high = problem.layout.bounds
     if free is not None:
         low, high = np.where(free, low, p), np.where(free, high, p)
@@ -170,7 +226,7 @@ def _make_refinement(problem: LeastSquaresProblem, p: Array, tau: float, free: M
 
 
 def _run_refinement(refinement: _Refinement, state: Solution, max_steps: int, min_fall: float) -> Solution:
-    """Steps of Levenberg and Marquardt from a state until one promises less than `enough`."""
+    """Levenberg-Marquardt steps from a state until one is predicted to gain less than `min_fall`."""
     problem, (low, high), damping = refinement.problem, (refinement.low, refinement.high), FIRST_DAMPING
     if any(getattr(piece, "turns", False) for piece in problem.pieces):
         min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
@@ -202,7 +258,7 @@ def _solution_at(problem: LeastSquaresProblem, p: Array, starts: list[Array], ta
 
 
 def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple[Array, float]:
-    """Bounded damped least-squares step of the unknowns, and the fall of the objective that it promises."""
+    """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
     n = len(state.p)
     layout = state.problem.layout
     rows, right = _triangular(state.responses, n)
@@ -229,7 +285,7 @@ def _step(state: Solution, damping: float, bounds: tuple[Array, Array]) -> tuple
 
 
 def _triangular(responses: Sequence[PieceResponse], n: int) -> tuple[Array, Array]:
-    """The same least-squares problem in few rows: R factors of every piece's (Jacobian, residual)."""
+    """The same least-squares problem in few rows: R factors of (Jacobian, residual) of every piece."""
     rows, right = [], []
     for r in responses:
         k = len(r.active)
@@ -250,18 +306,40 @@ def fit_with_scatter(
     max_steps: int = 20,
     min_fall: float = MIN_CHI2_FALL,
 ) -> Solution:
-    """Refine the law and the spread of the levels in turn until the spread stays."""
+    """Refine the unknowns and the scatter of the friction levels in turn until the scatter converges.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        What is fitted.
+    p : array of shape (P,)
+        First unknowns.
+    starts : sequence of array of shape (2,)
+        First starts of the pieces.
+    tau : float
+        First relative standard deviation of the levels.
+    max_steps : int
+        Steps per refinement.
+    min_fall : float
+        See `refine`.
+
+    Returns
+    -------
+    Solution
+        Unknowns at the restricted-maximum-likelihood estimate of tau.
+
+    """
     solution = refine(problem, p, starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
     return _with_converged_scatter(solution, max_steps, min_fall)
 
 
 def refit_with_scatter(solution: Solution, tau: float) -> Solution:
-    """The same from a law that was simulated already, to the end."""
+    """Refine an existing solution and the scatter of its levels to convergence."""
     return _with_converged_scatter(refine_further(solution, tau), 20, MIN_CHI2_FALL)
 
 
 def _with_converged_scatter(solution: Solution, max_steps: int, min_fall: float) -> Solution:
-    """The spread of the levels and the law at it in turn, from a law refined at some spread."""
+    """Alternate between the scatter of the levels and the solution at that scatter."""
     for _ in range(MAX_SCATTER_ESTIMATES):
         basis = solution.basis
         if not basis.random or solution.problem.layout.levels_free:

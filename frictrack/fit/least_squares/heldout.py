@@ -1,11 +1,16 @@
-"""Held-out error: what the law says of frames that it has not seen.
+"""Compute the held-out error: the error of the model at frames that were not used to fit it.
 
-By run: the shared parameters come from the other runs, the run's own (start, level, phases, event times) from its
-even frames, and the odd frames are scored. Where the others cannot determine a shared parameter well enough to
-predict the run, even frames of all runs fit and odd frames score. What was chosen is returned with the figure.
+By run: the shared parameters come from the other runs. The run's own parameters (start, level, phases, event times)
+come from its even frames, and its odd frames are scored. Where the other runs cannot determine a shared parameter
+well enough, the even frames of all runs are fitted and the odd ones scored. The result states which was used.
 
-All of it is linear algebra about the fitted law: without some frames a law moves by little, and what it says of them
-moves by its sensitivities times that (one Gauss-Newton step; Cook & Weisberg 1982, Residuals and Influence, ch. 5).
+Everything is linear algebra about the fitted model: leaving out frames changes the parameters little, so one
+Gauss-Newton step suffices.
+
+References
+----------
+Cook, R. D. & Weisberg, S. (1982). Residuals and Influence in Regression, ch. 5. Chapman & Hall.
+
 """
 
 from __future__ import annotations
@@ -30,7 +35,10 @@ MIN_SINGULAR_VALUE = 1e-7  # singular value, over the largest, of a direction th
 
 @dataclass(frozen=True)
 class _LinearRun:
-    """One run about the fitted law: whitened residual (n,), sensitivities (n, P), starts (n, 2 s), and its pieces."""
+    """One run about the fitted model, its s pieces stacked.
+
+    Whitened residual (n,), sensitivities (n, P) and starts (n, 2 s).
+    """
 
     residual: Array
     jac: Array
@@ -39,16 +47,29 @@ class _LinearRun:
     odd: Mask
 
     def odd_frame_errors(self, residual: Array) -> Array:
-        """What a whitened residual (n,) comes to at the odd frames, m."""
+        """Convert a whitened residual (n,) to errors in m at the odd frames."""
         ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
         errors = [p.coloured(own) for p, own in zip(self.pieces, np.split(residual, ends), strict=True)]
         return np.asarray(np.concatenate(errors)[self.odd])
 
 
 def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
-    """Root mean square of the held-out residual, m, and how it was held out: "run" or "frames".
+    """Compute the root mean square of the held-out residual.
 
-    `by` asks for one of the two; None takes "run" wherever the other runs can predict each run.
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    by : {"run", "frames"}, optional
+        What is held out. By default runs, wherever the other runs can predict every run.
+
+    Returns
+    -------
+    rms : float
+        Held-out error, m.
+    by : str
+        What was held out: "run" or "frames".
+
     """
     runs = _linear_runs(solution)
     if by == "frames" or len(runs) < 2 or (by is None and not is_predictable(solution)):
@@ -57,7 +78,7 @@ def heldout_rms(solution: Solution, by: str | None = None) -> tuple[float, str]:
 
 
 def _linear_runs(solution: Solution) -> dict[int, _LinearRun]:
-    """Every run about the fitted law, its pieces one under the other."""
+    """Every run about the fitted model, its pieces stacked."""
     pieces: dict[int, list[PieceResponse]] = {}
     for r in solution.responses:
         pieces.setdefault(r.piece.run, []).append(r)
@@ -83,7 +104,7 @@ def _join_pieces(pieces: Sequence[PieceResponse], unknowns: int) -> _LinearRun:
 
 
 def _own_unknowns(solution: Solution, run: int) -> Mask:
-    """Which unknowns are the run's own."""
+    """Which unknowns belong to the run alone."""
     return np.array([s.run == run for s in solution.problem.layout.slots])
 
 
@@ -102,7 +123,7 @@ def _residuals_left_out(solution: Solution, runs: dict[int, _LinearRun], run: in
 
 
 def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> list[Array]:
-    """Residuals, m, at the odd frames of every run, the whole law fitted to the even ones."""
+    """Residuals, m, at the odd frames of every run, the whole model fitted to the even ones."""
     layout, tau = solution.problem.layout, solution.tau or 0.03
     even_rows = []
     for r in runs.values():  # a start is each piece's own: what it explains of the even frames goes first
@@ -121,7 +142,10 @@ def _residuals_odd_frames(solution: Solution, runs: dict[int, _LinearRun]) -> li
 
 
 def _least_squares(rows: Array, right: Array, whole: Array) -> Array:
-    """Least squares of columns; what these rows hardly see, beside the `whole` (n, k) they are of, stays as it is."""
+    """Least-squares coefficients (k,) of columns.
+
+    Directions that these rows hardly determine, compared with the columns of `whole` (n, k), stay 0.
+    """
     norm = np.linalg.norm(whole, axis=0)
     norm[norm == 0] = 1.0
     return np.asarray(np.linalg.lstsq(rows / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm)
@@ -132,7 +156,7 @@ def _rms(parts: Sequence[Array]) -> float:
 
 
 def is_predictable(solution: Solution) -> bool:
-    """Whether the other runs know the shared parameters well enough to predict every run."""
+    """Return whether the other runs determine the shared parameters well enough to predict every run."""
     layout = solution.problem.layout
     rows = penalty_jacobian(layout, solution.tau or 0.03)
     jac = {run: r.jac for run, r in _linear_runs(solution).items()}

@@ -1,4 +1,4 @@
-"""Runs turned into what is fitted: the simulated motion of their pieces, residuals and sensitivities."""
+"""The least-squares problem: simulate the motion of every piece, compare it with the measurement, and linearise it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,33 @@ SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # of a path, one value 
 
 @dataclass(frozen=True)
 class PieceResponse:
-    """One piece under a model: its motion, whitened residual and sensitivities, start position and speed removed.
+    """One piece under a model: motion, whitened residual and sensitivities, start position and speed projected out.
 
-    r (n,), jac (n, A) for the `active` unknowns, start (n, 2) for x0 and v0; `q`, `t` their QR factors.
+    Attributes
+    ----------
+    piece : Piece
+        The piece of a run.
+    motion : Motion6
+        The simulated motion.
+    linear : Response
+        Linear response of the motion to a change of acceleration or start.
+    active : list of int
+        Positions of the A unknowns that affect the piece.
+    model_y : array of shape (n,)
+        Modelled measurement, m.
+    shift_slope : array of shape (n,)
+        Derivative of the measurement shift with respect to x.
+    r : array of shape (n,)
+        Whitened residual without the part that another start explains.
+    jac : array of shape (n, A)
+        Whitened sensitivities, start projected out.
+    q, upper : array of shape (n, 2) and (2, 2)
+        QR factors of the whitened sensitivities to the start.
+    on_start : array of shape (2, A)
+        Part of the sensitivities that a change of start explains, in coordinates of `q`.
+    r_full : array of shape (n,)
+        Whitened residual.
+
     """
 
     piece: Piece
@@ -39,16 +63,16 @@ class PieceResponse:
     r_full: Array
 
     def start_step(self, step: Array) -> Array:
-        """Change of (x0, v0) that goes with a step of the active unknowns."""
+        """Compute the change of (x0, v0) that goes with a step (A,) of the active unknowns."""
         left = self.q.T @ self.r_full - self.on_start @ step
         return np.asarray(np.linalg.solve(self.upper, left), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class _PreviousMotion:
-    """The last motion of a piece, from which the next one sets out: unknowns p, start, and accelerations a (3 p,).
+    """The previous motion of a piece, used as a starting point: unknowns p, start, and accelerations a (3 p,).
 
-    `pushed` (3 p, A + 2) is their change per unit of the `active` unknowns and of the start.
+    `acceleration_change` (3 p, A + 2) is the derivative of the accelerations by the active unknowns and the start.
     """
 
     p: Array | None
@@ -58,7 +82,7 @@ class _PreviousMotion:
     active: list[int]
 
     def extrapolated(self, p: Array, start: Array) -> Array | None:
-        """Accelerations (3 p,) at other unknowns to first order; None where that is further than they themselves."""
+        """Accelerations (3 p,) at other unknowns to first order; None if they change by more than their size."""
         if self.p is None or len(p) != len(self.p):
             return None
         change = self.acceleration_change @ np.concatenate([(p - self.p)[self.active], start - self.start])
@@ -66,9 +90,22 @@ class _PreviousMotion:
 
 
 class LeastSquaresProblem:
-    """A model over some runs: evaluates every piece for given unknowns and starts.
+    """A model over pieces of runs: evaluates residuals and sensitivities for given unknowns and starts.
 
-    It `simulates` the motion, unless the measured one is taken as it is.
+    Parameters
+    ----------
+    model : Model
+        The model, its unknowns as in the layout.
+    layout : ParameterLayout
+        Map of the parameter vector.
+    pieces : sequence of Piece
+        The pieces of all runs.
+
+    Raises
+    ------
+    FrictrackError
+        If the runs lack what an effect needs.
+
     """
 
     simulates = True
@@ -83,23 +120,43 @@ class LeastSquaresProblem:
         ]
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
-        """The same kind of measurement under another layout, or over other pieces."""
+        """Create the same kind of problem for another layout or other pieces."""
         return LeastSquaresProblem(layout.model, layout, pieces)
 
     @property
     def n_frames(self) -> int:
-        """Frames over all pieces."""
+        """Frames of all pieces."""
         return sum(len(p.t) for p in self.pieces)
 
     def first_starts(self) -> list[Array]:
-        """Start position and speed of every piece, read off the smoothed motion."""
+        """Return start position (m) and speed (m/s) of every piece, from the smoothed motion."""
         return [np.array([np.interp(p.t[0], p.panels.t, p.x_hat), p.v_hat[0]]) for p in self.pieces]
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
-        """Simulate every piece and linearise it about the unknowns p (P,) and the starts [(2,)]."""
+        """Simulate every piece and linearise it.
+
+        Parameters
+        ----------
+        p : array of shape (P,)
+            The unknowns.
+        starts : sequence of array of shape (2,)
+            Start position (m) and speed (m/s) of every piece.
+
+        Returns
+        -------
+        list of PieceResponse
+            One per piece.
+
+        Raises
+        ------
+        FrictrackError
+            If a motion cannot be integrated.
+
+        """
         return [self._respond(i, p, starts[i]) for i in range(len(self.pieces))]
 
     def _respond(self, i: int, p: Array, start: Array) -> PieceResponse:
+        """Simulate and linearise piece i."""
         piece = self._with_clock(self.pieces[i], p)
         motion, linear = self._simulate(i, piece, p, start)
         acceleration_change, motion_sensitivities = self.sensitivities(piece, p, motion, linear)
@@ -109,7 +166,7 @@ class LeastSquaresProblem:
         return self._linearised_response(piece, p, (motion, linear), (motion.x_edge[piece.at], motion_sensitivities))
 
     def _with_clock(self, piece: Piece, p: Array) -> Piece:
-        """A piece by the clock that the law gives to its run."""
+        """A piece with the clock rate that the model gives to its run."""
         if all(e.clock is None for e in self.model.effects):
             return piece
         return piece.with_clock(self.model.clock(self.layout.values(p, piece.run)[0]))
@@ -117,16 +174,31 @@ class LeastSquaresProblem:
     def linearised_response(
         self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], x: Array
     ) -> PieceResponse:
-        """What a camera sees of the motion x (n,) at the frames, and how it answers the unknowns.
+        """Compute residual and sensitivities of one piece, linearised about a given motion.
 
-        `about` is the motion at which the law is linearised, and its linear response.
+        Parameters
+        ----------
+        piece : Piece
+            The piece.
+        p : array of shape (P,)
+            The unknowns.
+        about : tuple of (Motion6, Response)
+            The motion at which the model is linearised, and its linear response.
+        x : array of shape (n,)
+            Modelled position at the frames, m.
+
+        Returns
+        -------
+        PieceResponse
+            The response with `x` as its motion at the frames.
+
         """
         return self._linearised_response(piece, p, about, (x, self.sensitivities(piece, p, *about)[1]))
 
     def _linearised_response(
         self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], seen_motion: tuple[Array, Array]
     ) -> PieceResponse:
-        """The same with the change (n, 2, A + 2) of the motion per unit of every active unknown and of the start."""
+        """The same from the sensitivities (n, 2, A + 2) of the motion to the active unknowns and the start."""
         (motion, linear), (x, motion_sensitivities) = about, seen_motion
         active = self.layout.active(piece.run)
         x_sens = motion_sensitivities[:, 0, :]
@@ -154,7 +226,7 @@ class LeastSquaresProblem:
         )
 
     def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
-        """The law along one piece: x'' at places x, velocities v and times t."""
+        """Return the model's acceleration along one piece as a function of x, v and t."""
         memory, (values, level) = self.model.memory, self.layout.values(p, piece.run)
         states = self._initial_states(piece, values)
 
@@ -169,9 +241,15 @@ class LeastSquaresProblem:
     def sensitivities(
         self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
     ) -> tuple[Array, Array]:
-        """Change of the acceleration at the nodes (3 p, A + 2), and of position and speed at the frames (n, 2, A + 2).
+        """Compute the sensitivities of one piece to every active unknown and to the start.
 
-        Each is per unit of every active unknown, and of the start.
+        Returns
+        -------
+        accelerations : array of shape (3 p, A + 2)
+            Change of the acceleration at the nodes.
+        motion : array of shape (n, 2, A + 2)
+            Change of position and speed at the frames.
+
         """
         active = self.layout.active(piece.run)
         g = self._acceleration_sensitivities(piece, p, motion, active)
@@ -181,10 +259,11 @@ class LeastSquaresProblem:
         return acceleration_change, edges[piece.at]
 
     def motion_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse) -> Array:
-        """Change (n, 2, A + 2) of position and speed per unit of every active unknown and of the start."""
+        """Compute the sensitivities (n, 2, A + 2) of position and speed to the active unknowns and to the start."""
         return self.sensitivities(piece, p, motion, linear)[1]
 
     def _simulate(self, i: int, piece: Piece, p: Array, start: Array) -> tuple[CollocationSolution, MotionResponse]:
+        """Solve the motion of a piece, from the extrapolated previous one where that is close enough."""
         initial = float(start[0]), float(start[1])
         acceleration, memory, previous = self.acceleration(piece, p), self.model.memory, self._previous[i]
         extrapolated = previous.extrapolated(p, start)
@@ -196,7 +275,7 @@ class LeastSquaresProblem:
         return solve_motion(acceleration, piece.panels, initial, previous.a, memory=memory)
 
     def _initial_states(self, piece: Piece, values: Values) -> dict[str, Array]:
-        """What the law remembers of the motion before a piece, worked out once for all motions through the piece."""
+        """States of effects with memory after the motion before a piece; computed once for all motions through it."""
         path = piece.path
         if (
             not (self.simulates and self.model.memory)
@@ -210,7 +289,7 @@ class LeastSquaresProblem:
         return {e.name: states[e.name] for e in self.model.effects if e.turns}
 
     def _solved_path(self, piece: Piece, motion: CollocationSolution, level: float) -> Path:
-        """The path of a solved motion: its nodes, with memory after the start."""
+        """The path of a solved motion at its nodes; with memory it begins at the start."""
         if not self.model.memory:
             return piece.path_at_nodes(motion.x, motion.v, level)
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
@@ -239,16 +318,16 @@ class LeastSquaresProblem:
         return -g[-len(motion.x) :] / piece.mass
 
     def column(self, effect: str, parameter: str) -> int:
-        """Which column of an effect a linear parameter multiplies."""
+        """Return which column of an effect a linear parameter multiplies."""
         of = next(e for e in self.model.effects if e.name == effect)
         return [q.name for q in of.linear].index(parameter)
 
     def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
     ) -> tuple[Array, Array, Array]:
-        """Measurement shift at the frames, its slope in x, and its change per unit of every active unknown.
+        """Measurement shift at the frames, its derivative in x, and its change per unit of every active unknown.
 
-        What a clock is off stands in the times of the piece: only its change shifts the picture.
+        A clock error is already in the times of the piece. Only its change shifts the measurement.
         """
         x = motion.x_edge[piece.at]
         v = motion.v_edge[piece.at]

@@ -1,8 +1,8 @@
-"""What a force that the law lacks would leave in the runs, beside all that the law could still take up of it.
+"""Project a force that the model lacks onto what the model cannot explain: its trace in the residual.
 
-A law that lacks something bends to make up for it elsewhere, so its residual is not the missing force: it is that
-force's trace in the displacement less the trace's projection on the law's own sensitivities. Here the law is linear:
-starts, coefficients, non-linear parameters and friction levels as far as their scatter lets them.
+A model that lacks a force compensates with its own parameters. Its residual is therefore not the missing force but
+the trace of that force in the displacement minus its projection on the model's sensitivities. The model is linear
+here: starts, coefficients, non-linear parameters, and friction levels as far as their scatter permits.
 """
 
 from __future__ import annotations
@@ -25,9 +25,19 @@ MIN_SCATTER = 1e-3  # of the friction levels
 
 @dataclass(frozen=True)
 class ModelProjection:
-    """The linearised law over all N frames and the m rows that hold it, and the residual beside it.
+    """The linearised model over all N frames and m penalty rows, and the residual orthogonal to it.
 
-    `u` (N + m, P') is an orthonormal basis of the law, `r` (N + m,) what it leaves, whitened; `rows` of every piece.
+    Attributes
+    ----------
+    solution : Solution
+        The fit.
+    rows : list of slice
+        Rows of every piece.
+    u : array of shape (N + m, P')
+        Orthonormal basis of the model.
+    r : array of shape (N + m,)
+        Whitened residual orthogonal to `u`.
+
     """
 
     solution: Solution
@@ -37,11 +47,11 @@ class ModelProjection:
 
     @property
     def responses(self) -> list[PieceResponse]:
-        """The pieces."""
+        """Responses of the pieces."""
         return self.solution.responses
 
     def with_columns(self, columns: Array) -> ModelProjection:
-        """The same with further columns (N + m, k) in the law."""
+        """Return the projection with further columns (N + m, k) in the model."""
         left = columns - self.u @ (self.u.T @ columns)
         left -= self.u @ (self.u.T @ left)
         q, upper = np.linalg.qr(left)
@@ -50,7 +60,21 @@ class ModelProjection:
 
 
 def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> ModelProjection:
-    """The law of a solution, linearised where it came to rest; with `kept`, only these of its unknowns."""
+    """Compute the projection of a fitted model, linearised where it converged.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    kept : sequence of int, optional
+        Use only these unknowns.
+
+    Returns
+    -------
+    ModelProjection
+        Basis and residual.
+
+    """
     layout = solution.problem.layout
     tau = max(solution.tau, MIN_SCATTER)
     law = np.vstack([solution.jac, penalty_jacobian(layout, tau, solution.p)])
@@ -66,9 +90,22 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
 
 
 def displacement_response(response: PieceResponse, force: Array) -> Array:
-    """What forces (3 p, k), N at the nodes of one piece, leave in it: whitened, start removed, (n, k).
+    """Compute the trace of forces in the displacement of one piece: whitened, start projected out.
 
-    A law with memory answers as if it had none: over the reach of a local force that is near enough.
+    A model with memory responds here as if it had none; that is accurate enough over the range of a local force.
+
+    Parameters
+    ----------
+    response : PieceResponse
+        The piece under the model.
+    force : array of shape (3 p, k)
+        Forces at the nodes, N.
+
+    Returns
+    -------
+    array of shape (n, k)
+        Traces at the frames, in standard deviations.
+
     """
     linear, piece = response.linear, response.piece
     if isinstance(linear, KrylovResponse):
@@ -81,6 +118,6 @@ def displacement_response(response: PieceResponse, force: Array) -> Array:
 
 
 def position_and_velocity(response: PieceResponse) -> tuple[Array, Array]:
-    """Place and velocity of the law's own motion at the frames of one piece, m and m/s."""
+    """Return position (m) and velocity (m/s) of the simulated motion at the frames of one piece, (n,) each."""
     piece = response.piece
     return response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]

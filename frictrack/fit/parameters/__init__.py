@@ -1,4 +1,9 @@
-"""The parameter vector: its layout, constraints between parameters, friction levels of the runs, an unknown mass."""
+"""The parameter vector of a fit: its layout, constraints, priors, friction levels of the runs, and an unknown mass.
+
+The unknowns of a model over several runs form one vector p (P,). `ParameterLayout` maps it to the parameter values of
+every run. The internal value of a parameter may differ from the reported one: F_s is fitted as F_s - F_c, and with an
+unknown mass every force is fitted as a multiple of itself.
+"""
 
 from frictrack.fit.parameters.constraints import MASS, apply_constraints, reported_value
 from frictrack.fit.parameters.layout import (

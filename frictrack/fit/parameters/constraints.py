@@ -1,7 +1,7 @@
-"""What follows from other unknowns: ties, and fixed values of what is quoted otherwise than it is sought.
+"""Apply constraints between parameters: ties, and fixed values of parameters that are not reported as fitted.
 
-F_s is sought as its rise over F_c, and where the mass is fitted too every force is sought as q times itself (`mass`).
-A value that a person fixes or ties is the quoted one; here it is turned into the one that is sought.
+F_s is fitted as its rise over F_c. Where the mass is fitted too, every force is fitted as q times itself (see
+`mass`). Users fix and tie reported values; here they are converted to internal ones.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; n
 
 @dataclass(frozen=True)
 class Constraint:
-    """One parameter that is not sought: its quoted value, or the parameter that it is tied to."""
+    """One parameter that is not an unknown: its reported value, or the tie that it follows."""
 
     effect: Effect
     parameter: Parameter
@@ -31,12 +31,29 @@ class Constraint:
 
     @property
     def is_reported_differently(self) -> bool:
-        """Whether it is quoted otherwise than it is sought."""
+        """Whether the reported value differs from the internal one."""
         return self.parameter.name in self.effect.quoted
 
 
 def constraints_of(model: Model) -> tuple[Constraint, ...]:
-    """Rules in the order in which they can be followed; `Model.check_ties` has looked for circles."""
+    """Collect the constraints of a model in an order in which they can be applied.
+
+    Parameters
+    ----------
+    model : Model
+        The model. Its ties have been checked for circles by `check_ties`.
+
+    Returns
+    -------
+    tuple of Constraint
+        Constraints; a parameter follows only parameters before it.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the ties form a circle.
+
+    """
     constraints = []
     for effect in model.effects:
         for p in effect.parameters:
@@ -59,7 +76,18 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
 
 
 def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values: Values) -> None:
-    """Fill in what the constraints say, in place."""
+    """Fill in the constrained values of one run, in place.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    constraints : tuple of Constraint
+        Its constraints, from `constraints_of`.
+    values : dict
+        Effect name to parameter name to internal value; numbers, or arrays (P,) of a population.
+
+    """
     q = mass_unit_ratio(values)
     for constraint in constraints:
         value = constraint.value
@@ -77,7 +105,23 @@ def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values:
 
 
 def reported_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
-    """The value of a parameter as it is quoted."""
+    """Compute the reported value of a parameter from the internal values of one run.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    values : dict
+        Internal values, as for `apply_constraints`.
+    effect, parameter : str
+        Names of the effect and its parameter.
+
+    Returns
+    -------
+    float or array
+        The reported value, in the unit of the parameter.
+
+    """
     effect_of = next(e for e in model.effects if e.name == effect)
     if parameter in effect_of.quoted and effect_of.quote is not None:
         own, flat_values = _values_in_newtons(model, values, effect_of)
@@ -87,12 +131,12 @@ def reported_value(model: Model, values: Values, effect: str, parameter: str) ->
 
 
 def mass_unit_ratio(values: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Unit of mass over the mass, q: forces are sought as q times themselves; 1 where the mass is known."""
+    """Compute q, the unit of mass over the mass. Forces are fitted as q times themselves; q is 1 for a known mass."""
     return 1.0 + values[MASS]["m"] if "m" in values.get(MASS, {}) else 1.0
 
 
 def _values_in_newtons(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Values of one effect and of all, by address, forces in newtons."""
+    """Values of one effect and of all effects by address, forces in newtons."""
     q = mass_unit_ratio(values)
     flat_values = {
         f"{e.name}.{p.name}": values[e.name][p.name] / (q if _is_force_coefficient(e, p) else 1.0)
@@ -110,7 +154,7 @@ def _is_force_coefficient(effect: Effect, p: Parameter) -> bool:
 
 
 def _internal_value(model: Model, constraint: Constraint, target: Any, values: Values) -> Any:
-    """What must be sought so that the parameter is quoted as `wanted`: quotes are straight lines or reciprocals."""
+    """Internal value at which the parameter is reported as `target`. Reported values are linear or reciprocal in it."""
     name, quote = constraint.parameter.name, constraint.effect.quote
     assert quote is not None
     own, flat_values = _values_in_newtons(model, values, constraint.effect)

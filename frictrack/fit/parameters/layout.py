@@ -1,4 +1,4 @@
-"""Where every unknown stands in the parameter vector: shared, per run, or the run's own friction level."""
+"""The layout of the parameter vector: which unknowns are shared, which belong to one run, and the friction levels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_RUNS_FOR_SCATTER = 4  # fewer cannot tell how levels scatter: theirs are fre
 
 @dataclass(frozen=True)
 class Slot:
-    """One unknown: a parameter of an effect, shared (run is None) or of one run (its index)."""
+    """One unknown: a parameter of an effect, shared by all runs (run is None) or of one run (its index)."""
 
     effect: str
     parameter: str
@@ -30,14 +30,17 @@ class Slot:
     unit: str
 
     def name(self, runs: Sequence[str]) -> str:
-        """Address: `vibration.frequency`, `vibration.phase[v3]`."""
+        """Return the address of the unknown: `vibration.frequency`, `vibration.phase[v3]`."""
         where = "" if self.run is None else f"[{runs[self.run]}]"
         return f"{self.effect}.{self.parameter}{where}"
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a parameter beside the runs; `slot` is its place, None where it is quoted otherwise."""
+    """Prior knowledge of a parameter: mean and standard deviation of its reported value.
+
+    `slot` is its position in the parameter vector, None if the reported value differs from the internal one.
+    """
 
     address: str
     mean: float
@@ -50,9 +53,27 @@ class Prior:
 class ParameterLayout:
     """The unknowns of a model over some runs.
 
-    `fixed` holds values that are known; `constraints` say what follows from unknowns (ties). `leaders` are the places
-    of unknowns that others follow: the law answers them with more than their own columns. `absent` holds pairs
-    (effect, run) of per-run causes that a run does not show: their coefficient is zero there.
+    Attributes
+    ----------
+    model : Model
+        The model; parameters whose value the runs determine beforehand are fixed.
+    run_names : tuple of str
+        Names of the runs.
+    spans : tuple of Span
+        Duration, places and speeds that each run covers.
+    absent : frozenset of (str, int)
+        Pairs (effect, run) of per-run events that a run does not show. Their coefficients are zero there.
+    levels_free : bool
+        Leave the friction levels without penalty, as for a run that the others predict.
+    slots : tuple of Slot
+        The P unknowns in order.
+    fixed : dict
+        (effect, parameter) to fixed value.
+    constraints : tuple of Constraint
+        Ties and converted fixed values.
+    leaders : frozenset of int
+        Positions of unknowns that other parameters follow. The model responds to them through these as well.
+
     """
 
     model: Model
@@ -87,7 +108,7 @@ class ParameterLayout:
         object.__setattr__(self, "leaders", frozenset(self._leaders()))
 
     def _leaders(self) -> list[int]:
-        """Places of the unknowns that others follow."""
+        """Positions of the unknowns that other parameters follow."""
         targets, any_reported = set(), False
         for constraint in self.constraints:
             any_reported = any_reported or constraint.is_reported_differently
@@ -103,24 +124,25 @@ class ParameterLayout:
         ]
 
     def _runs_with(self, effect: Effect, per_run: bool) -> list[int | None]:
+        """Runs in which an effect has a value: [None] for a shared parameter."""
         if not per_run:
             return [None]
         return [r for r in range(len(self.run_names)) if (effect.name, r) not in self.absent]
 
     @property
     def span(self) -> Span:
-        """How far all runs reach together."""
+        """Duration, places and speeds that all runs together cover."""
         return common_span(self.spans)
 
     @property
     def has_levels(self) -> bool:
-        """Whether any effect follows the run's friction level, and no coefficient of its own says it for each run."""
+        """Whether an effect scales with the run's friction level and no per-run coefficient replaces it."""
         has_run_values = any(p.loaded and p.per_run and not p.role for e in self.model.effects for p in e.parameters)
         return not has_run_values and any(e.scales_with == "load" for e in self.model.effects)
 
     @property
     def has_scale_constraint(self) -> bool:
-        """Whether a coefficient that carries the load is not free to be anything."""
+        """Whether a fixed value, prior or upper bound of a coefficient determines the scale of the friction levels."""
         loaded = [p for e in self.model.effects for p in e.parameters if p.loaded]
         return any(not p.free or p.prior is not None or np.isfinite(p.bounds[1]) for p in loaded)
 
@@ -136,7 +158,7 @@ class ParameterLayout:
 
     @property
     def coefficients(self) -> Mask:
-        """Which unknowns the motion follows nearly linearly: coefficients and levels, (P,)."""
+        """Which unknowns the motion depends on nearly linearly: coefficients and friction levels, (P,)."""
         return np.array([s.linear or s.effect == LEVEL for s in self.slots], dtype=bool)
 
     @property
@@ -146,11 +168,27 @@ class ParameterLayout:
         return low, high
 
     def active(self, run: int) -> list[int]:
-        """Positions of the unknowns that touch one run."""
+        """Return the positions of the unknowns that affect one run."""
         return [i for i, s in enumerate(self.slots) if s.run in (None, run)]
 
     def values(self, p: Array, run: int) -> tuple[dict[str, dict[str, float]], float]:
-        """Values of every parameter in one run, and the run's friction level."""
+        """Compute the internal parameter values of one run.
+
+        Parameters
+        ----------
+        p : array of shape (P,)
+            The unknowns.
+        run : int
+            Index of the run.
+
+        Returns
+        -------
+        values : dict
+            Effect name to parameter name to value, constraints applied.
+        level : float
+            Friction level of the run, 1 where it has none.
+
+        """
         out: dict[str, dict[str, float]] = {e.name: {} for e in self.model.effects}
         for (effect, name), value in self.fixed.items():
             out[effect][name] = value
@@ -168,7 +206,7 @@ class ParameterLayout:
         return out, level
 
     def reported_values(self, p: Array) -> dict[str, float]:
-        """Every parameter of the law as it is quoted, by address: sought, fixed and tied ones."""
+        """Compute the reported value of every parameter by address: fitted, fixed and tied ones."""
         q = 1.0 + sum(float(p[i]) for i, s in enumerate(self.slots) if s.effect == MASS)
         scaled = {e.name for e in self.model.effects if e.acts_on == "force" and e.name != MASS}
         out = {
@@ -189,7 +227,7 @@ class ParameterLayout:
         return out
 
     def tied_parameters(self) -> list[tuple[str, Tie, str]]:
-        """Address, tie and unit of every parameter that follows another one, run by run where that has its own."""
+        """Return address, tie and unit of every tied parameter, run by run where it has a value per run."""
         out = []
         for e in self.model.effects:
             for p in (p for p in e.parameters if p.tie):
@@ -200,7 +238,7 @@ class ParameterLayout:
 
     @cached_property
     def priors(self) -> tuple[Prior, ...]:
-        """Priors of the unknowns, in order; one per run where the parameter has a value in every run."""
+        """Priors of the unknowns, in order; one per run where the parameter has a value per run."""
         effects = {e.name: e for e in self.model.effects}
         mass_known = MASS not in effects
         found_priors = []
@@ -215,7 +253,7 @@ class ParameterLayout:
         return tuple(found_priors)
 
     def has_run_values(self, effect: Effect, p: Parameter) -> bool:
-        """Whether a parameter has a value in every run; a tied one has where the one that it follows has."""
+        """Return whether a parameter has a value per run. A tied parameter has, if the one that it follows has."""
         if p.tie is None:
             return p.per_run and p.fixed is None
         tie = Tie.read(p.tie)
@@ -223,12 +261,12 @@ class ParameterLayout:
         return self.has_run_values(leader, leader.parameter(tie.parameter))
 
     def are_shared_unknowns(self, effect: str, *parameters: str) -> bool:
-        """Whether all these parameters of an effect are unknowns that the runs share."""
+        """Return whether all these parameters of an effect are unknowns that the runs share."""
         shared = {s.parameter for s in self.slots if s.effect == effect and s.run is None}
         return shared.issuperset(parameters)
 
     def index(self, effect: str, parameter: str, run: int | None = None) -> int:
-        """Position of one unknown."""
+        """Return the position of one unknown; raise KeyError if there is none."""
         for i, s in enumerate(self.slots):
             if (s.effect, s.parameter, s.run) == (effect, parameter, run):
                 return i
@@ -236,7 +274,7 @@ class ParameterLayout:
 
 
 def _with_known_values(model: Model, span: Span) -> Model:
-    """The model with those parameters fixed that the runs tell."""
+    """The model with those parameters fixed that the runs determine beforehand."""
     known = [
         e.adjusted(
             **{
@@ -251,12 +289,12 @@ def _with_known_values(model: Model, span: Span) -> Model:
 
 
 def known_value(p: Parameter, span: Span) -> float | None:
-    """The value of a parameter that is fixed, or that the runs tell; None where it is free."""
+    """Return the fixed value of a parameter, or the one that the runs determine; None if it is free."""
     return p.fixed if p.fixed is not None or p.known is None else p.known(span)
 
 
 def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
-    """Bounds of a parameter for these runs: its own, and where it has none, one step beyond its scan."""
+    """Compute the bounds of a parameter for these runs: its own, or one step beyond its scan where it has none."""
     low, high = p.bounds
     if p.scan is None:
         return low, high
@@ -269,7 +307,7 @@ def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
 
 
 def common_span(spans: Sequence[Span]) -> Span:
-    """The span of several runs."""
+    """Compute the span that several runs cover together."""
     return Span(
         duration=max(s.duration for s in spans),
         x_min=min(s.x_min for s in spans),
@@ -283,9 +321,22 @@ def common_span(spans: Sequence[Span]) -> Span:
 
 
 def canonical_form(layout: ParameterLayout, p: Array) -> Array:
-    """The same law in its plain form: amplitudes positive, phases between -pi and pi.
+    """Bring unknowns to their canonical form: amplitudes positive, phases between -pi and pi.
 
-    What others follow, and a phase between narrower bounds, stays as it is.
+    Unknowns that others follow, and phases with bounds narrower than 2 pi, are left unchanged.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        The layout.
+    p : array of shape (P,)
+        The unknowns.
+
+    Returns
+    -------
+    array of shape (P,)
+        Unknowns of the same model in canonical form.
+
     """
     p = np.array(p, dtype=float)
     for effect in layout.model.effects:
@@ -307,10 +358,23 @@ def canonical_form(layout: ParameterLayout, p: Array) -> Array:
 
 
 def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
-    """The same law with levels about one: their common factor is given to the coefficients that carry the load.
+    """Scale the friction levels to about one and the coefficients that carry the load by the inverse factor.
 
-    The factor is the one that brings the levels closest to one, or their mean where too few runs leave only that held;
-    the motion does not change. What is known of a coefficient beside the runs already says what a level of one is.
+    The factor brings the levels closest to one in least squares. With too few runs for a scatter it is their mean.
+    The motion does not change. Levels stay as they are where a coefficient already determines their scale.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        The layout.
+    p : array of shape (P,)
+        The unknowns.
+
+    Returns
+    -------
+    array of shape (P,)
+        Unknowns of the same motion.
+
     """
     levels = layout.levels
     if not levels or layout.levels_free or layout.has_scale_constraint:

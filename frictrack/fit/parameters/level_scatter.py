@@ -1,7 +1,13 @@
-"""Run-to-run scatter of the friction level: a random effect whose spread is estimated (REML).
+"""Estimate the scatter tau of friction levels between runs: a random effect, by restricted maximum likelihood (REML).
 
-Everything is done in the orthonormal basis of the linearised model, so any spread tau costs only P x P algebra.
-Patterson & Thompson 1971 (REML); Searle, Casella & McCulloch, Variance Components, ch. 6.
+All computations use the orthonormal basis of the linearised model, so that another tau costs only P x P algebra.
+Priors of parameters enter as further rows.
+
+References
+----------
+Patterson, H. D. & Thompson, R. (1971). Recovery of inter-block information. Biometrika 58, 545-554.
+Searle, S. R., Casella, G. & McCulloch, C. E. (1992). Variance Components, ch. 6. Wiley.
+
 """
 
 from __future__ import annotations
@@ -21,10 +27,23 @@ SCATTER_BOUNDS = (1e-4, 0.5)  # where the relative spread of the level is looked
 
 @dataclass(frozen=True)
 class JacobianBasis:
-    """A linearised model J (N, P): its orthonormal basis and the prior on the friction levels in it.
+    """An orthonormal basis of a linearised model J (N, P), with the prior of the friction levels expressed in it.
 
-    Directions that the data do not see at all are dropped, the levels following along them. `prior` is the level rows
-    seen from the basis; `n_levels` how many of their directions are left.
+    Directions that the data do not determine are dropped; the levels are adjusted along them.
+
+    Attributes
+    ----------
+    u : array of shape (N, P')
+        The basis.
+    prior : array of shape (P', P')
+        Precision of the levels in the basis, to be divided by tau^2.
+    n_levels : int
+        Number of level directions that are left.
+    random : bool
+        Whether the levels are a random effect. Otherwise only their mean is constrained.
+    prior_precision : array of shape (P', P') or float
+        Precision that the priors of parameters add.
+
     """
 
     u: Array  # (N, P')
@@ -34,25 +53,55 @@ class JacobianBasis:
     prior_precision: Array | float = 0.0  # (P', P'), what priors of parameters add
 
     def shrink(self, tau: float) -> Array:
-        """(I + prior / tau^2)^-1: what the prior leaves of the basis, (P', P')."""
+        """Compute the shrinkage matrix (I + prior/tau^2)^-1 of the basis coordinates, (P', P')."""
         weight = 1 / tau**2 if self.random else 1e8
         return np.asarray(
             np.linalg.inv(np.eye(len(self.prior)) + self.prior_precision + weight * self.prior), dtype=np.float64
         )
 
     def logdet(self, tau: float) -> float:
-        """Determinant part of the restricted likelihood at this spread."""
+        """Compute the determinant term of the restricted likelihood at this tau."""
         if not self.random:
             return 0.0
         _, value = np.linalg.slogdet(np.eye(len(self.prior)) + self.prior_precision + self.prior / tau**2)
         return float(value) + 2 * self.n_levels * np.log(tau)
 
     def misfit(self, on_basis: Array, total: Array, tau: float) -> Array:
-        """Chi-squared left by the model: total (D,) minus what the basis takes; on_basis is u' e, (P', D)."""
+        """Compute the chi-squared that the model leaves of several data series.
+
+        Parameters
+        ----------
+        on_basis : array of shape (P', D)
+            Coordinates u' e of the series in the basis.
+        total : array of shape (D,)
+            Sums of squares of the series.
+        tau : float
+            Standard deviation of the levels.
+
+        Returns
+        -------
+        array of shape (D,)
+            Chi-squared of every series.
+
+        """
         return total - np.einsum("pd,pq,qd->d", on_basis, self.shrink(tau), on_basis)
 
     def spread(self, on_basis: Array, total: float) -> float:
-        """Restricted maximum likelihood of tau for one series; zero when the levels are free."""
+        """Estimate tau of one series by restricted maximum likelihood.
+
+        Parameters
+        ----------
+        on_basis : array of shape (P',)
+            Coordinates of the series in the basis.
+        total : float
+            Its sum of squares.
+
+        Returns
+        -------
+        float
+            Relative standard deviation of the levels; 0 where they are not a random effect.
+
+        """
         if not self.random:
             return 0.0
 
@@ -66,9 +115,22 @@ class JacobianBasis:
 
 
 def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) -> JacobianBasis:
-    """Orthonormal basis of a whitened Jacobian (N, P) whose columns `levels` are friction levels.
+    """Compute an orthonormal basis of a whitened Jacobian.
 
-    `known` (m, P) are the rows of parameters' priors.
+    Parameters
+    ----------
+    jac : array of shape (N, P)
+        Whitened Jacobian.
+    levels : list of int
+        Columns of the friction levels.
+    known : array of shape (m, P), optional
+        Rows of the priors of parameters.
+
+    Returns
+    -------
+    JacobianBasis
+        The basis with its priors.
+
     """
     norm = np.linalg.norm(jac, axis=0)
     norm[norm == 0] = 1.0
@@ -85,10 +147,10 @@ def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) ->
 
 
 def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
-    """Levels per unit of the basis (m, P') where directions that no data see bring them as near to one as they can.
+    """Level rows (m, P') of the basis after a shift along undetermined directions, and the number of such directions.
 
-    `unseen` (m, d) are levels per unit of such directions: all levels up and Coulomb friction down is one. Also how
-    many of the levels' directions they take.
+    `unseen` (m, d) are the level changes per unit of an undetermined direction, such as all levels up and Coulomb
+    friction down. Such a shift brings the levels as near to one as possible.
     """
     u, size, _ = np.linalg.svd(unseen, full_matrices=False)
     removable = u[:, size > 1e-9 * max(float(np.abs(seen).max(initial=0.0)), 1e-300)]
@@ -96,10 +158,24 @@ def _levels_near_one(seen: Array, unseen: Array) -> tuple[Array, int]:
 
 
 def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None) -> Array:
-    """Rows (m, P) of what is known beside the runs: the levels about one, then the priors of parameters.
+    """Compute the Jacobian of the penalties: friction levels about one, then the priors of parameters.
 
-    Each level to within tau, or their mean when there are too few runs. `p` (P,) is where priors are linearised, which
-    matters only where the mass is fitted too.
+    Each level is held to within tau. With too few runs only their mean is held.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        The layout.
+    tau : float
+        Relative standard deviation of the levels.
+    p : array of shape (P,), optional
+        Where priors are linearised; it matters only where the mass is fitted too.
+
+    Returns
+    -------
+    array of shape (m, P)
+        One row per penalty, in standard deviations.
+
     """
     levels = layout.levels
     level_rows = np.zeros((len(levels), len(layout.slots)))
@@ -114,7 +190,7 @@ def penalty_jacobian(layout: ParameterLayout, tau: float, p: Array | None = None
 
 
 def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:
-    """Departure of the unknowns p (P,) from what is known beside the runs, as `penalty_jacobian` weighs it, (m,)."""
+    """Compute the residuals (m,) of the penalties at unknowns p (P,), weighted as in `penalty_jacobian`."""
     levels_at_one = np.array(p)
     levels_at_one[layout.levels] = 1.0
     count = len(layout.priors)
@@ -123,7 +199,7 @@ def penalty_residual(layout: ParameterLayout, p: Array, tau: float) -> Array:
 
 
 def prior_residual(layout: ParameterLayout, p: Array) -> Array:
-    """Departure of every parameter that has a prior from its mean, in standard deviations, (m,)."""
+    """Compute the deviation of every parameter with a prior from its mean, in standard deviations, (m,)."""
     if not layout.priors:
         return np.empty(0)
     reported = layout.reported_values(p)
@@ -131,7 +207,7 @@ def prior_residual(layout: ParameterLayout, p: Array) -> Array:
 
 
 def prior_jacobian(layout: ParameterLayout, p: Array | None = None) -> Array:
-    """Derivative of `prior_residual` in the unknowns, (m, P)."""
+    """Compute the derivative of `prior_residual` with respect to the unknowns, (m, P)."""
     rows = np.zeros((len(layout.priors), len(layout.slots)))
     needs_differences = [q for q in layout.priors if q.slot is None]
     for row, q in zip(rows, layout.priors, strict=True):
@@ -144,7 +220,7 @@ def prior_jacobian(layout: ParameterLayout, p: Array | None = None) -> Array:
 
 
 def _regular_point(layout: ParameterLayout) -> Array:
-    """Unknowns (P,) at which no quotient vanishes, the mass as it is counted."""
+    """Unknowns (P,) at which no reported value is singular."""
     return np.array([0.0 if s.effect == MASS else 1.0 for s in layout.slots])
 
 
@@ -159,7 +235,7 @@ def _differences(layout: ParameterLayout, p: Array) -> Array:
 
 
 def prior_misfit(layout: ParameterLayout, points: Array) -> Array:
-    """Sum of squared departures from priors of a population of unknowns (n, P), shape (n,)."""
+    """Compute the sum of squared prior residuals for a population of unknowns (n, P), shape (n,)."""
     total = np.zeros(len(points))
     for q in layout.priors:
         if q.slot is not None:
@@ -171,5 +247,5 @@ def prior_misfit(layout: ParameterLayout, points: Array) -> Array:
 
 
 def _wrapped(departure: Any, phase: bool) -> Any:
-    """A departure, that of a phase the short way round."""
+    """A deviation; that of a phase wrapped to (-pi, pi]."""
     return (departure + np.pi) % (2 * np.pi) - np.pi if phase else departure

@@ -1,11 +1,11 @@
-"""A mass that nobody weighed: where the drive is measured, 1/m is one more linear coefficient.
+"""Fit an unknown mass: where the drive is measured, 1/m is one more linear coefficient.
 
-The equation of motion is held in units of a guessed mass m_ref, its coefficients are those of
+The equation of motion is written in units of a guessed mass m_ref:
 
-    m_ref x'' = q D - q F + m_ref g,     q = m_ref/m,     g the gravity along the course, which no mass changes,
+    m_ref x'' = q D - q F + m_ref g,     q = m_ref/m,     g the gravity along the track, independent of the mass
 
-so q - 1 multiplies the drive, and every coefficient of a force is fitted as q times itself. Once the law stands, m_ref
-is set to the mass that was found: q is 1 there, and all that reads the law finds kilograms and newtons.
+So q - 1 multiplies the drive, and every force coefficient is fitted as q times itself. After the fit m_ref is set to
+the fitted mass: then q = 1, and all values are in kilograms and newtons.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MIN_MASS_RATIO = 1e-6  # q at the heaviest mass that is looked for
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
-    """-D, shape (n, 1): N per unit of q - 1; zero where nothing drives."""
+    """Return -D, shape (n, 1): N per unit of q - 1; zero without a drive."""
     return -(np.zeros_like(path.t) if path.drive is None else path.drive)[:, None]
 
 
@@ -42,9 +42,13 @@ MASS_EFFECT = Effect(
 
 
 def is_mass_unknown(runs: Sequence[Run]) -> bool:
-    """Whether the mass of these runs is to be fitted.
+    """Return whether the mass of these runs is to be fitted.
 
-    Raises FrictrackError when that cannot be: no measured drive, or only some runs were weighed.
+    Raises
+    ------
+    FrictrackError
+        If the mass cannot be fitted: no measured drive, or only some runs have a mass.
+
     """
     unknown = [r.name for r in runs if r.mass is None]
     undriven = [r.name for r in runs if r.mass is None and r.drive is None]
@@ -62,9 +66,13 @@ def is_mass_unknown(runs: Sequence[Run]) -> bool:
 
 
 def with_mass(model: Model) -> Model:
-    """The law with its mass among the unknowns.
+    """Add the mass to the unknowns of a model.
 
-    Raises FrictrackError (usage) for bounds in newtons, which say nothing before the mass is known.
+    Raises
+    ------
+    FrictrackError
+        (usage) For bounds in newtons, which cannot be applied before the mass is known.
+
     """
     for effect in (e for e in model.effects if e.acts_on == "force"):
         for p in effect.linear:
@@ -78,18 +86,34 @@ def with_mass(model: Model) -> Model:
 
 
 def without_mass(model: Model) -> Model:
-    """The law without its mass."""
+    """Return the model without the mass among its effects."""
     return Model(tuple(e for e in model.effects if e.name != MASS))
 
 
 def mass_ratio(layout: ParameterLayout, p: Array) -> float:
-    """Unit of mass over the mass, q, for unknowns p (P,); 1 where the mass is known."""
+    """Compute q, the unit of mass over the mass, from unknowns p (P,); 1 for a known mass."""
     found = [i for i, s in enumerate(layout.slots) if s.effect == MASS]
     return 1.0 + float(p[found[0]]) if found else 1.0
 
 
 def rescale_to_mass(layout: ParameterLayout, p: Array, q: float) -> Array:
-    """Unknowns p (P,) of the same law once the mass is counted in units q times smaller."""
+    """Convert unknowns to a unit of mass that is q times smaller.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        The layout.
+    p : array of shape (P,)
+        The unknowns.
+    q : float
+        Old unit of mass over the new one.
+
+    Returns
+    -------
+    array of shape (P,)
+        Unknowns of the same model in the new unit.
+
+    """
     out = np.array(p, dtype=float)
     forces = {e.name for e in layout.model.effects if e.acts_on == "force"}
     for i, s in enumerate(layout.slots):
@@ -101,5 +125,5 @@ def rescale_to_mass(layout: ParameterLayout, p: Array, q: float) -> Array:
 
 
 def with_fitted_mass(run: Run, mass: float) -> Run:
-    """The run with the fitted mass, where it had none."""
+    """Return the run with the fitted mass (kg) if it had none."""
     return run if run.mass is not None or run.drive is None else replace(run, mass=mass)
