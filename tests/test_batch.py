@@ -102,7 +102,7 @@ def test_a_batch_begun_again_does_what_is_missing(tmp_path: Path, inline: Inline
     slide(folder / "day_2" / "r0.csv", 77, force=0.9)
     third = batch([str(folder)], stem)
     assert third["kept"] == 2
-    assert inline.given[3][:2] == ("begin", str(folder / "day_2" / "study.toml"))
+    assert inline.given[3][:2] == ("begin_study", str(folder / "day_2" / "study.toml"))
     values = pd.read_csv(stem.with_name("all.csv"))["coulomb.F_c"]
     assert values.tolist() == pytest.approx([0.6, 0.9, 0.6], rel=0.02)
     (folder / "day_3" / "study_results" / "study.h5").unlink()  # what came of it counts too
@@ -158,12 +158,12 @@ def test_the_journal_bears_a_line_that_was_cut_off(tmp_path: Path) -> None:
     study.write_text("")
     files = {str(study): [0, study.stat().st_mtime_ns]}
     journal = Journal(tmp_path / "all.jsonl")
-    journal.note(StudyOutcome(str(study), {"runs": 1}, [{"run": "a"}], files=files))
+    journal.append(StudyOutcome(str(study), {"runs": 1}, [{"run": "a"}], files=files))
     whole = journal.path.read_bytes()
     for cut in range(len(whole)):
         journal.path.write_bytes(whole[:cut])
         assert set(journal.finished([study], 0)) <= {study}
-        journal.note(StudyOutcome(str(study), {"runs": 2}, [{"run": "b"}], files=files))
+        journal.append(StudyOutcome(str(study), {"runs": 2}, [{"run": "b"}], files=files))
         assert journal.finished([study], 0)[study].summary == {"runs": 2}
     journal.path.write_bytes(b'\xff\x00{"version": 1}\n[]\n' + whole.replace(b'"version": "', b'"version": "9'))
     assert journal.finished([study], 0) == {}
@@ -182,13 +182,13 @@ def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch:
         seen.append((name, *(run.name for run in study.runs)))
         return "no light" if name == "r0" else None
 
-    monkeypatch.setattr(tasks, "_measured", measured)
+    monkeypatch.setattr(tasks, "_measure_run", measured)
     monkeypatch.setattr(tasks.Session, "run", lambda session, seed: (_ for _ in ()).throw(FrictrackError("not asked")))
-    crew_ = Inline(room=2)
+    pool = Inline(room=2)
     state = BatchState(1)
     looks: list[int] = []
-    done = list(Scheduler([path], 0, crew_, state).worked(lambda s: looks.append(len(s.under_way))))
-    assert [given[0] for given in crew_.given] == ["begin", "measure", "measure", "conclude"]
+    done = list(Scheduler([path], 0, pool, state).run(lambda s: looks.append(len(s.under_way))))
+    assert [given[0] for given in pool.given] == ["begin_study", "measure_film", "measure_film", "finish_study"]
     assert seen[:4] == [
         ("r0", "r0", "r1", "r2", "r3"),
         ("r1", "r1", "r2", "r3"),
@@ -199,7 +199,7 @@ def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch:
     assert done[0].failures == [{"run": "", "reason": "not asked"}, {"run": "r0", "reason": "no light"}]
 
 
-def test_a_crew_that_gives_up(tmp_path: Path) -> None:
+def test_workers_that_give_up(tmp_path: Path) -> None:
     class Leaving(Inline):
         def submit(self, of: Callable[..., Any], *told: Any) -> Future[Any]:
             future: Future[Any] = Future()
@@ -208,8 +208,8 @@ def test_a_crew_that_gives_up(tmp_path: Path) -> None:
             return future
 
     path = campaign(tmp_path, 1) / "day_1" / "study.toml"
-    done = list(Scheduler([path], 0, Leaving(), BatchState(1)).worked(lambda state: None))
-    assert "gave it up" in done[0].failures[0]["reason"]
+    done = list(Scheduler([path], 0, Leaving(), BatchState(1)).run(lambda state: None))
+    assert "cancelled the task" in done[0].failures[0]["reason"]
 
 
 def test_a_moment_of_a_batch_is_shown() -> None:

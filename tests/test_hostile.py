@@ -158,7 +158,7 @@ def test_a_log_that_cannot_be(tmp_path: Path) -> None:
     for text in (line % "", line % ', "before": 3', "[" * 100_000 + "\n", "3\n"):
         (tmp_path / "log.jsonl").write_text(text)
         with pytest.raises(FrictrackError, match="is damaged; move it away"):
-            CommandHistory(tmp_path).stacks()
+            CommandHistory(tmp_path).undo_stacks()
 
 
 # ---- what a study file says

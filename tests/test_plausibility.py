@@ -558,7 +558,7 @@ def test_an_incline_of_the_wrong_sign_ends_the_work_before_the_fit(tmp_path: Pat
     with pytest.raises(FrictrackError) as caught:
         Session(open_study(path)).fit()
     assert str(caught.value).count('the sign is wrong: give incline = "-22 deg"') == 1
-    assert str(caught.value).endswith('likewise in "b"')  # both runs at once
+    assert str(caught.value).endswith('the same in "b"')  # both runs at once
     edit(path, 'incline = "22 deg"', 'incline = "22 deg"\nplausible = "checked"')
     Session(open_study(path)).bring_up_to("friction")
     edit(path, 'incline = "22 deg"\nplausible = "checked"', 'incline = "-22 deg"')
@@ -588,7 +588,7 @@ def test_a_missing_incline_is_proposed_instead_of_asking_for_the_free_section(tm
     with pytest.raises(FrictrackError) as caught:
         Session(open_study(path)).fit()
     assert str(caught.value).count("the mass speeds up by itself with 1.8") == 1
-    assert str(caught.value).endswith('likewise in "b"')
+    assert str(caught.value).endswith('the same in "b"')
     assert 'incline = "11 deg"' in str(caught.value)
     with pytest.raises(FrictrackError, match="the mass speeds up by itself"):
         Session(open_study(path)).runs[0].get("friction")

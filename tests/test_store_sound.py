@@ -275,9 +275,9 @@ def test_the_page_tells_of_all_that_is_there(study_file: Path, monkeypatch: pyte
                     assert row.split("|")[4].strip() == unit
                     assert kind.startswith(str(item.dtype)), row
     with h5py.File(results / "study.h5") as file:
-        assert set(file) <= set(written.ASIDE)
+        assert set(file) <= set(written.STUDY_GROUPS)
         (model,) = file["models"].values()
-        assert {*model, *model.attrs} - own <= set(written.MODEL)
+        assert {*model, *model.attrs} - own <= set(written.MODEL_MEMBERS)
         for part, kind in (("curves", "curves/<number>_<run>"), ("motion", "motion/<run>")):
             section = page.split(f"### `{kind}`")[1].split("###")[0]
             for group in model[part].values():

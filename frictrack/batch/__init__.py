@@ -1,11 +1,14 @@
-"""Many studies at once: on this machine's processors, or on the workers of a Dask cluster.
+"""Run many studies side by side: on the processors of this machine, or on the workers of a Dask cluster.
 
-from frictrack.batch import batch
-result = batch(["campaign/"], Path("frictrack_batch"))
+    from frictrack.batch import batch
+    result = batch(["campaign/"], Path("frictrack_batch"))
 
-A failed run never stops the rest; it is listed with its reason. What was finished and has not changed since is not
-done again. Beside ``frictrack_batch.csv`` (and ``.parquet``) stand a page that shows them, ``frictrack_batch.html``,
-and the journal by which the next batch knows what is missing, ``frictrack_batch.jsonl``.
+A run that fails never stops the others; it is listed with its reason. A study that was finished before and has not
+changed since is not computed again.
+
+    frictrack_batch.csv, .parquet    one row per run
+    frictrack_batch.html             the page
+    frictrack_batch.jsonl            the journal of finished studies
 """
 
 from frictrack.batch.driver import batch

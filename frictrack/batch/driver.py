@@ -1,4 +1,4 @@
-"""A batch from the beginning to its page."""
+"""Run a batch: find the studies, skip finished ones, run the others, write tables and page."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from frictrack.report import write_campaign
 from frictrack.results import to_builtins
 from frictrack.workers import cluster_workers, local_workers
 
-MIN_TABLE_INTERVAL_S = 10.0  # s between two tables while studies are being done
-MAX_TABLE_TIME_SHARE = 0.05  # of the time that tables may take
+MIN_TABLE_INTERVAL_S = 10.0  # between two tables while studies are running
+MAX_TABLE_TIME_SHARE = 0.05  # of the whole time
 
 
 def batch(
@@ -33,39 +33,56 @@ def batch(
     scheduler: str | None = None,
     watch: Callable[[BatchState], None] = lambda state: None,
 ) -> dict[str, Any]:
-    """Run every study that is not finished and write the tables and the page: JSON of `batch`.
+    """Run every study that is not finished, and write tables, page and journal: JSON of `frictrack batch`.
 
-    `stem` is the path of what is written, without an ending. Works on `workers` processes of this machine, or with a
-    `scheduler` on the workers of a Dask cluster; `watch` is told how far it is. Raises `FrictrackError` (usage)
-    where a pattern finds no study, and where no scheduler answers.
+    Parameters
+    ----------
+    patterns
+        Study files, folders and globs.
+    stem
+        Path of the output files without suffix.
+    seed
+        Seed of the diagnoses.
+    workers
+        Number of processes of this machine; as many as there are processors if None.
+    scheduler
+        Address of a Dask scheduler, whose workers are used instead.
+    watch
+        Called several times a second with the state of the batch.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a pattern matches no study, or no scheduler answers.
+
     """
     paths = find_studies(patterns)
     labels = {path.resolve(): path for path in paths}
     journal = Journal(stem.with_name(f"{stem.name}.jsonl"))
-    done = journal.finished(labels, seed)
-    state = BatchState(len(labels), kept=len(done))
-    todo = [path for path in labels if path not in done]
-    output = _BatchOutput(stem, labels, done)
+    outcomes = journal.finished(labels, seed)
+    state = BatchState(len(labels), kept=len(outcomes))
+    todo = [path for path in labels if path not in outcomes]
+    output = _BatchOutput(stem, labels, outcomes)
     if todo:
         with cluster_workers(scheduler) if scheduler else local_workers(workers) as pool:
             for one in Scheduler(todo, seed, pool, state).run(watch):
                 journal.append(one)
-                done[Path(one.study)] = one
+                outcomes[Path(one.study)] = one
                 output.write_if_due()
     return output.write_all(state)
 
 
 @dataclass
 class _BatchOutput:
-    """What is written of a batch."""
+    """Write the files of a batch."""
 
     stem: Path
     labels: dict[Path, Path]  # a study file from the root -> as the user named it
-    done: dict[Path, StudyOutcome]
+    outcomes: dict[Path, StudyOutcome]
     _next: float = 0.0
 
     def write_if_due(self) -> None:
-        """The table of what is there, unless it was written just now."""
+        """Write the table of the finished studies, unless it was written shortly before."""
         start = time.monotonic()
         if start >= self._next:
             write_table(self._rows(), self.stem)
@@ -73,9 +90,9 @@ class _BatchOutput:
             self._next = end + max(MIN_TABLE_INTERVAL_S, (end - start) / MAX_TABLE_TIME_SHARE)
 
     def write_all(self, state: BatchState) -> dict[str, Any]:
-        """Tables and page of all: JSON of `batch`."""
+        """Write tables and page; return the JSON of `batch`."""
         files = write_table(self._rows(), self.stem)
-        kept = [(label, self.done[path]) for path, label in self.labels.items() if path in self.done]
+        kept = [(label, self.outcomes[path]) for path, label in self.labels.items() if path in self.outcomes]
         studies = [{"study": str(label), **one.summary} for label, one in kept]
         found = find_trends([one for _, one in kept])
         result: dict[str, Any] = to_builtins(
@@ -95,15 +112,15 @@ class _BatchOutput:
         return result | {"output": str(output)}
 
     def _rows(self) -> list[dict[str, Any]]:
-        kept = ((label, self.done.get(path)) for path, label in self.labels.items())
+        kept = ((label, self.outcomes.get(path)) for path, label in self.labels.items())
         return [{"study": str(label), **row} for label, one in kept if one for row in one.rows]
 
     def _links(self) -> dict[str, str]:
-        """Where the report of a study is, seen from the page."""
+        """Return the path of every report, relative to the page."""
         folder = self.stem.resolve().parent
         reports = {
-            str(label): Path(self.done[path].summary["results"]) / "report.html"
+            str(label): Path(self.outcomes[path].summary["results"]) / "report.html"
             for path, label in self.labels.items()
-            if path in self.done and self.done[path].summary.get("results")
+            if path in self.outcomes and self.outcomes[path].summary.get("results")
         }
         return {name: Path(os.path.relpath(report, folder)).as_posix() for name, report in reports.items()}

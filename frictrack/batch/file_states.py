@@ -1,4 +1,4 @@
-"""Whether the files of a study are those of last time: by size and time of change, without reading any."""
+"""Record size and modification time of a study's files, to find out without reading them whether they changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ FileStates = dict[str, list[int]]  # path -> size, time of change in ns
 
 
 def file_states(study: Study) -> FileStates:
-    """What a study rests on, and what it has come to, as the files are now."""
+    """Return the states of all files of a study: study file, recordings, results.
+
+    Returns
+    -------
+    dict of str to list of int
+        By path: size, bytes, and modification time, ns; empty for a file that does not exist.
+
+    """
     pipelines = [run_pipeline(study, run) for run in study.runs]
     inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
     results = [pipeline.path for pipeline in pipelines] + [study.output / name for name in ("study.h5", "report.html")]
@@ -21,7 +28,7 @@ def file_states(study: Study) -> FileStates:
 
 
 def are_unchanged(files: FileStates) -> bool:
-    """Whether all is as it was seen."""
+    """Return whether all files have the recorded states; False for no files."""
     return bool(files) and all(_state(_file(path)) == state for path, state in files.items())
 
 
@@ -30,7 +37,7 @@ def _file(text: str) -> Path | RemoteFile:
 
 
 def _state(path: Path | RemoteFile) -> list[int]:
-    """Size and time of change; of a folder the number and size of its files, and the last change of any."""
+    """Return size and modification time; of a folder the number and total size of its files, and the latest time."""
     if isinstance(path, RemoteFile):
         return path.state()
     try:

@@ -1,4 +1,4 @@
-"""The journal of a batch: a line for every study that was worked on, so that the next batch does what is missing."""
+"""Keep the journal of a batch: one line per finished study, so that the next batch runs only the others."""
 
 from __future__ import annotations
 
@@ -15,25 +15,48 @@ from frictrack.version import __version__
 
 
 class Journal:
-    """Lines of JSON, only ever appended; a last one that was cut off is none."""
+    """A file of JSON lines that is only appended to; an incomplete last line is ignored.
+
+    Parameters
+    ----------
+    path
+        The file; it is created when the first study is appended.
+
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def finished(self, studies: Iterable[Path], seed: int) -> dict[Path, StudyOutcome]:
-        """Studies of which nothing has changed since they were finished with this seed by this version."""
+        """Return the studies whose files have not changed since this version finished them with this seed.
+
+        Parameters
+        ----------
+        studies
+            Paths of study files.
+        seed
+            Seed of the diagnoses.
+
+        """
         held = self._lines()
         kept = ((path, held.get(str(path))) for path in studies)
         return {path: done for path, done in kept if done and done.seed == seed and are_unchanged(done.files)}
 
     def append(self, done: StudyOutcome) -> None:
-        """Put down what came of a study. Raises `FrictrackError` where the journal cannot be written."""
+        """Append the outcome of a study.
+
+        Raises
+        ------
+        FrictrackError
+            If the journal cannot be written.
+
+        """
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("ab") as file:
                 if file.tell() and not _ended(self.path):
-                    file.write(b"\n")  # after a line that was cut off
+                    file.write(b"\n")  # after an incomplete line
                 file.write(line.encode() + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
@@ -43,7 +66,7 @@ class Journal:
             ) from e
 
     def _lines(self) -> dict[str, StudyOutcome]:
-        """The last line of every study that this version has written."""
+        """Return the last outcome of every study that this version has written."""
         try:
             lines = self.path.read_bytes().split(b"\n")
         except FileNotFoundError:
@@ -57,7 +80,7 @@ class Journal:
                 if raw.pop("version") == __version__:
                     held[raw["study"]] = StudyOutcome(**raw)
             except (ValueError, TypeError, KeyError, AttributeError):
-                continue  # cut off or not ours: the study is done again
+                continue  # incomplete or not ours: the study is run again
         return held
 
 

@@ -1,4 +1,4 @@
-"""The table of a batch: a row for every run, as CSV and, where pyarrow is installed, as Parquet."""
+"""Write the table of a batch: one row per run, as CSV and, if pyarrow is installed, as Parquet."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FIRST_COLUMNS = ("study", "run", "role", "verdict", "missing", "reason", "model"
 
 
 def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """The rows as a table; what a row does not have is empty."""
+    """Return the rows as a table; missing values are empty."""
     import pandas as pd  # noqa: PLC0415 - slow to load
 
     names = list(dict.fromkeys([*FIRST_COLUMNS, *(name for row in rows for name in row)]))
@@ -27,9 +27,25 @@ def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
 
 def write_table(rows: Sequence[dict[str, Any]], stem: Path) -> list[Path]:
-    """Write ``stem.csv`` and, where pyarrow is installed, ``stem.parquet``, each whole or not at all; their paths.
+    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``.
 
-    Raises `FrictrackError` where one cannot be written.
+    Parameters
+    ----------
+    rows
+        One dictionary per run.
+    stem
+        Path without suffix.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    FrictrackError
+        If a file cannot be written.
+
     """
     table = make_table(rows)
     paths = [stem.with_name(f"{stem.name}.csv")]

@@ -1,4 +1,4 @@
-"""Many studies at once: films measured side by side, studies concluded as their films are there."""
+"""Schedule the tasks of a batch: the films of a study in parallel, then its fit, diagnosis and report."""
 
 from __future__ import annotations
 
@@ -22,29 +22,48 @@ from frictrack.batch.tasks import (
 from frictrack.errors import FrictrackError
 from frictrack.workers import WorkerPool
 
-POLL_INTERVAL_S = 0.5  # s between two looks at what is under way
+POLL_INTERVAL_S = 0.5
 
 
 @dataclass
 class BatchState:
-    """How far a campaign is, for who watches."""
+    """The progress of a batch.
+
+    Attributes
+    ----------
+    studies
+        Number of studies.
+    kept
+        Number of studies that were finished before.
+    done
+        Studies that have ended, failed ones included.
+    runs
+        Number of runs of those.
+    failures
+        "study", "run" and "reason" of every failure.
+    under_way
+        Task -> time at which it began, s.
+    began
+        Time at which the batch began, s.
+
+    """
 
     studies: int
-    kept: int = 0  # studies that were finished before
-    done: list[str] = field(default_factory=list)  # studies that came to an end, failed ones too
-    runs: int = 0  # of the studies that were done now
-    failures: list[dict[str, str]] = field(default_factory=list)  # study, run, reason
-    under_way: dict[str, float] = field(default_factory=dict)  # what is worked on, and since when
+    kept: int = 0
+    done: list[str] = field(default_factory=list)
+    runs: int = 0
+    failures: list[dict[str, str]] = field(default_factory=list)
+    under_way: dict[str, float] = field(default_factory=dict)
     began: float = field(default_factory=time.monotonic)
 
     @property
     def seconds(self) -> float:
-        """Time since the beginning."""
+        """Time since the batch began, s."""
         return time.monotonic() - self.began
 
     @property
     def left(self) -> float | None:
-        """Seconds until the end, as fast as it went so far; None before the first study is done."""
+        """Estimated time to the end, s; None before the first study has ended."""
         todo = self.studies - self.kept - len(self.done)
         return self.seconds * todo / len(self.done) if self.done else None
 
@@ -54,36 +73,49 @@ Watch = Callable[[BatchState], None]
 
 @dataclass
 class _StudyProgress:
-    """One study under way."""
+    """A study that is being run."""
 
     path: Path
-    films: int = 0  # being measured
-    failed: dict[str, str] = field(default_factory=dict)
+    films: int = 0  # number of films that are being measured
+    failed: dict[str, str] = field(default_factory=dict)  # run -> reason
 
 
 @dataclass(frozen=True)
 class _Task:
-    """A piece of work on a study; of one of its films, where there is a name."""
+    """A call of a function of `frictrack.batch.tasks`; `run` names the film that it measures."""
 
-    case: _StudyProgress
+    study: _StudyProgress
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
     run: str = ""
 
 
 class Scheduler:
-    """Studies, and who works on them."""
+    """Submit the tasks of all studies to a pool of workers.
+
+    Parameters
+    ----------
+    studies
+        Paths of the study files.
+    seed
+        Seed of the diagnoses.
+    pool
+        The workers.
+    state
+        Is updated while the batch runs.
+
+    """
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
         self.seed = seed
         self.pool = pool
         self.state = state
         self._studies = deque(studies)
-        self._tasks: deque[_Task] = deque()  # what goes on comes before what begins
+        self._tasks: deque[_Task] = deque()  # of studies that have begun: they come before new studies
         self._running: dict[Future[Any], _Task] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
-        """Every study as it is done. `watch` is told a few times a second."""
+        """Yield the outcome of every study as it ends; call `watch` several times a second."""
         while self._fill() or self._running:
             watch(self.state)
             ended, _ = wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED)
@@ -97,7 +129,7 @@ class Scheduler:
         watch(self.state)
 
     def _fill(self) -> bool:
-        """Give as many pieces away as there is room for; whether any is left or under way."""
+        """Submit as many tasks as the pool has capacity for; return whether any task or study is left."""
         room = self.pool.capacity()
         while len(self._running) < room and (self._tasks or self._studies):
             task = self._tasks.popleft() if self._tasks else self._start_task(self._studies.popleft())
@@ -109,31 +141,33 @@ class Scheduler:
         return _Task(_StudyProgress(path), begin_study, (path, self.seed))
 
     def _on_task_end(self, task: _Task, future: Future[Any]) -> StudyOutcome | None:
-        """What a piece of work leads to; the study, where that was its last one."""
-        case = task.case
+        """Continue the study of a task that has ended; return the outcome if the study has ended."""
+        study = task.study
         error = _task_error(future)
         if task.function is measure_film:
             reason = describe_failure(error) if error is not None else future.result()
-            case.films -= 1
+            study.films -= 1
             if reason is not None:
-                case.failed[task.run] = reason
-            self._finish_if_measured(case)
+                study.failed[task.run] = reason
+            self._finish_if_measured(study)
             return None
         if error is not None:
-            return failed_study(case.path, case.failed, describe_failure(error))
+            return failed_study(study.path, study.failed, describe_failure(error))
         found = future.result()
         if isinstance(found, StudyStarted):
-            case.failed |= found.failed
-            case.films = len(found.others)
-            self._tasks += [_Task(case, measure_film, (case.path, run, dict(case.failed)), run) for run in found.others]
-            self._finish_if_measured(case)
+            study.failed |= found.failed
+            study.films = len(found.others)
+            self._tasks += [
+                _Task(study, measure_film, (study.path, run, dict(study.failed)), run) for run in found.others
+            ]
+            self._finish_if_measured(study)
             return None
         return found if isinstance(found, StudyOutcome) else None
 
-    def _finish_if_measured(self, case: _StudyProgress) -> None:
-        """Conclude a study once its films are there."""
-        if case.films == 0:
-            self._tasks.append(_Task(case, finish_study, (case.path, self.seed, dict(case.failed))))
+    def _finish_if_measured(self, study: _StudyProgress) -> None:
+        """Submit the last task of a study when all its films have been measured."""
+        if study.films == 0:
+            self._tasks.append(_Task(study, finish_study, (study.path, self.seed, dict(study.failed))))
 
     def _count(self, done: StudyOutcome) -> None:
         self.state.done.append(done.study)
@@ -142,15 +176,15 @@ class Scheduler:
 
 
 def _task_error(future: Future[Any]) -> BaseException | None:
-    """Why a piece of work has no result; None where it has one."""
+    """Return why a task has no result; None if it has one."""
     if future.cancelled():
         return FrictrackError(
-            "whoever worked on it gave it up, as a cluster does that is shut down; run the batch again"
+            "its worker cancelled the task, as happens when a cluster is shut down; run the batch again"
         )
     return future.exception()
 
 
 def _title(task: _Task) -> str:
-    """A piece of work as a person reads it."""
-    name = str(task.case.path)
+    """Return the name of a task for the user."""
+    name = str(task.study.path)
     return f"{name}, {task.run}" if task.run else name

@@ -1,4 +1,4 @@
-"""Study files behind what a user names."""
+"""Find the study files that a user names by files, folders or globs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,18 @@ from frictrack.errors import FrictrackError
 
 
 def find_studies(patterns: Sequence[str]) -> list[Path]:
-    """Study files behind files, folders (searched through) and globs, each once; ``run_10`` comes after ``run_9``.
+    """Find study files, each once, with numbers in names in numerical order (``run_9`` before ``run_10``).
 
-    Raises `FrictrackError` (usage) for a pattern that finds none.
+    Parameters
+    ----------
+    patterns
+        Study files, folders (searched with their subfolders) and globs.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a pattern matches no study file.
+
     """
     found: dict[Path, None] = {}
     for pattern in patterns:
@@ -32,6 +41,6 @@ def _studies(path: Path) -> list[Path]:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Numbers in a path count as numbers."""
+    """Return a sorting key by which numbers in a path count as numbers."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]

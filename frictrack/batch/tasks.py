@@ -1,4 +1,7 @@
-"""What one worker does: films of a study one by one, then the study itself. A failure comes back in words."""
+"""Define the tasks of a worker: measure the films of a study one by one, then fit, diagnose and report it.
+
+A task never raises; a failure is returned as a sentence.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,24 @@ Reasons = Mapping[str, str]  # run -> why it failed
 
 @dataclass
 class StudyOutcome:
-    """A study that was worked on: its line of the summary, a row for every run, and the files as they were."""
+    """The outcome of a study.
+
+    Attributes
+    ----------
+    study
+        Absolute path of the study file.
+    summary
+        The row of the study in the table of the page.
+    rows
+        One row per run.
+    units
+        Units of the parameters.
+    files
+        States of the study's files; empty if something failed, so that the next batch tries again.
+    seed, seconds
+        Seed of the diagnosis, and computing time, s.
+
+    """
 
     study: str  # the file, from the root
     summary: dict[str, Any]
@@ -30,20 +50,20 @@ class StudyOutcome:
 
     @property
     def failures(self) -> list[dict[str, str]]:
-        """Run and reason, wherever something failed; the run is empty where it is the study itself."""
+        """Run and reason of every failure; the run is empty if the study itself failed."""
         return [{"run": row.get("run", ""), "reason": row["reason"]} for row in self.rows if row.get("reason")]
 
 
 @dataclass
 class StudyStarted:
-    """A study whose first film was measured: the others can be, side by side."""
+    """A study whose first film was measured, so that the others can be measured in parallel."""
 
     others: list[str]
     failed: dict[str, str]
 
 
 def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
-    """Measure the first film, whose point of the body all others follow, or do all of a study that has no other."""
+    """Measure the first film, which defines the tracked point of all others; finish a study that has only one."""
     try:
         study = open_study(path)
     except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
@@ -60,7 +80,7 @@ def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
 
 
 def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
-    """Measure one film; the reason where that fails."""
+    """Measure one film; return the reason if that fails, else None."""
     try:
         study = without_runs(open_study(path), failed)
     except Exception as e:  # noqa: BLE001
@@ -69,7 +89,7 @@ def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
 
 
 def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
-    """Fit, diagnose and report a study, without the runs that failed."""
+    """Fit, diagnose and report a study without the runs that failed."""
     start, failed = time.perf_counter(), dict(failed)
     try:
         study = open_study(path)
@@ -90,24 +110,24 @@ def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
 
 
 def failed_study(path: Path, failed: Reasons, reason: str) -> StudyOutcome:
-    """A study that failed, and the runs of it that did."""
+    """Return the outcome of a study that failed, and of its runs that did."""
     rows = [{"reason": reason}, *({"run": run, "reason": why} for run, why in failed.items())]
     return StudyOutcome(str(path), {"runs": 0, "reason": reason}, rows)
 
 
 def describe_failure(e: BaseException) -> str:
-    """A failure in one line."""
-    said = str(e) if isinstance(e, FrictrackError) else f"{type(e).__name__}: {e}"
-    return " ".join(said.split())
+    """Return a failure in one line."""
+    text = str(e) if isinstance(e, FrictrackError) else f"{type(e).__name__}: {e}"
+    return " ".join(text.split())
 
 
 def without_runs(study: Study, failed: Reasons) -> Study:
-    """The study without the runs that failed."""
+    """Return the study without the runs that failed."""
     return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
 
 
 def _measure_run(study: Study, name: str) -> str | None:
-    """Every stage of a run brought up to date; the reason where one fails."""
+    """Bring every stage of a run up to date; return the reason if one fails, else None."""
     pipeline = run_pipeline(study, _run(study, name))
     try:
         for stage in pipeline.stages:
@@ -123,7 +143,7 @@ def _run(study: Study, name: str) -> RunTable:
 
 
 def _outcome(path: Path, result: dict[str, Any], failed: Reasons) -> StudyOutcome:
-    """The lines of a study that was run."""
+    """Return the outcome of a study that was run."""
     fit, diagnosis = result["fit"], result["diagnose"]
     shared = {
         "verdict": diagnosis["verdict"],

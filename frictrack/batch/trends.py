@@ -1,11 +1,17 @@
-"""Trends over a series of studies, in the order in which they were named.
+"""Test parameters, noise and friction level for a trend over a series of studies.
 
-A value y_i with its own standard deviation s_i scatters by more than that from study to study:
+The studies are in the order in which the user named them. A value y_i with standard deviation s_i varies from study to
+study by more than s_i:
 
     y_i = a + b i + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
 
-tau is where the weighted squares come to their expectation n - 2 (Paule & Mandel 1982, J. Res. NBS 87, 377, with a
-slope), and b is tested by Student's t with n - 2 degrees of freedom.
+tau is the value at which the weighted sum of squares equals its expectation n - 2, and b is tested by Student's t with
+n - 2 degrees of freedom.
+
+References
+----------
+Paule & Mandel (1982), J. Res. NBS 87, 377 (tau, here with a slope).
+
 """
 
 from __future__ import annotations
@@ -21,24 +27,43 @@ from scipy.stats import t as student
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.records import Array
 
-MIN_POINTS = 4  # points that a slope is told from
-ALPHA = 0.01  # of all trends of one batch together
+MIN_POINTS = 4  # needed to fit a slope
+ALPHA = 0.01  # for all trends of one batch together
 
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """One quantity over the series."""
+    """The trend of one quantity over the series.
+
+    Attributes
+    ----------
+    name, unit
+        The quantity.
+    at
+        Positions in the series, from 1, (n,).
+    value, std
+        Values and their standard deviations, NaN where unknown, (n,).
+    slope, slope_std
+        Change per position, and its standard deviation.
+    p
+        p-value of no slope, multiplied by the number of trends (Bonferroni).
+    scatter
+        Standard deviation tau from study to study.
+    axis
+        What a position is: "study" or "run".
+
+    """
 
     name: str
     unit: str
-    at: Array  # place in the series, from 1
+    at: Array
     value: Array
-    std: Array  # nan where none is known
-    slope: float  # per place
+    std: Array
+    slope: float
     slope_std: float
-    p: float  # of no slope; multiplied by the number of trends
-    scatter: float  # tau
-    axis: str = "study"  # what the places are of
+    p: float
+    scatter: float
+    axis: str = "study"
 
     @property
     def holds(self) -> bool:
@@ -47,7 +72,7 @@ class Trend:
 
     @property
     def change(self) -> float:
-        """From the first to the last place."""
+        """Change from the first to the last position."""
         return self.slope * float(self.at[-1] - self.at[0])
 
     @property
@@ -56,37 +81,50 @@ class Trend:
         return self.slope_std * float(self.at[-1] - self.at[0])
 
     def drawn(self) -> dict[str, Any]:
-        """All of it, for the page."""
-        told = ("holds", "change", "change_std")
-        return {**vars(self), **{key: getattr(self, key) for key in told}}
+        """Return everything that the page draws."""
+        keys = ("holds", "change", "change_std")
+        return {**vars(self), "along": self.axis, **{key: getattr(self, key) for key in keys}}
 
     def summary(self) -> dict[str, Any]:
-        """As JSON has it."""
-        told = ("name", "unit", "along", "slope", "slope_std", "change", "change_std", "scatter", "p", "holds")
-        return {"n": len(self.at), **{key: getattr(self, key) for key in told}}
+        """Return the trend as JSON."""
+        keys = ("slope", "slope_std", "change", "change_std", "scatter", "p", "holds")
+        head = {"n": len(self.at), "name": self.name, "unit": self.unit, "along": self.axis}
+        return {**head, **{key: getattr(self, key) for key in keys}}
 
 
-def find_trends(done: Sequence[StudyOutcome]) -> list[Trend]:
-    """Trends of every parameter and of the noise over the studies, and of the friction level over all their runs."""
-    first = [next((row for row in one.rows if row.get("verdict")), {}) for one in done]
-    units = {name: unit for one in done for name, unit in one.units.items()}
+def find_trends(outcomes: Sequence[StudyOutcome]) -> list[Trend]:
+    """Test every parameter, the noise and the friction level for a trend.
+
+    Parameters
+    ----------
+    outcomes
+        The studies in order.
+
+    Returns
+    -------
+    list of Trend
+        Those of quantities with enough values; `p` is corrected for their number.
+
+    """
+    first = [next((row for row in one.rows if row.get("verdict")), {}) for one in outcomes]
+    units = {name: unit for one in outcomes for name, unit in one.units.items()}
     found = [_trend(name, unit, _column(first, name), _deviations(first, name)) for name, unit in units.items()]
-    noise = [_mean(_column(one.rows, "noise_um")) for one in done]
+    noise = [_mean(_column(one.rows, "noise_um")) for one in outcomes]
     found.append(_trend("noise of the displacement", "µm", np.array(noise)))
-    fitted = [row for one in done for row in one.rows if row.get("role") == "fit"]
+    fitted = [row for one in outcomes for row in one.rows if row.get("role") == "fit"]
     found.append(_trend("friction level of the run", "1", _column(fitted, "level"), axis="run"))
     known = [one for one in found if one is not None]
     return [replace(one, p=min(1.0, one.p * len(known))) for one in known]
 
 
 def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
-    """Standard deviations of a parameter, with what the law misses where it was rejected."""
+    """Return standard deviations of a parameter; if the model was rejected, those that include the misfit."""
     wider = _column(rows, f"{name} std_misfit")
     return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
 
 
 def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> Trend | None:
-    """The trend of values y (n,) with standard deviations s (n,); None for too few values, or for a constant."""
+    """Return the trend of values y (n,) with standard deviations s (n,); None for too few values or a constant."""
     known = np.isfinite(y)
     if np.count_nonzero(known) < MIN_POINTS or np.ptp(y[known]) == 0.0:
         return None
@@ -97,7 +135,31 @@ def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "
 
 
 def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
-    """Slope of y (n,) with standard deviations s (n,) over `at`: slope, its standard deviation, scatter tau, p."""
+    """Fit a straight line to values that scatter by more than their standard deviations.
+
+    Parameters
+    ----------
+    at
+        Positions, (n,).
+    y, s
+        Values and their standard deviations, (n,).
+
+    Returns
+    -------
+    slope, slope_std, tau, p : float
+        The slope, its standard deviation, the additional scatter, and the p-value of no slope.
+
+    References
+    ----------
+    Paule & Mandel (1982), J. Res. NBS 87, 377.
+
+    Examples
+    --------
+    >>> slope, _, tau, p = fit_slope(np.arange(6.0), np.array([0.0, 1.1, 1.9, 3.0, 4.1, 5.0]), np.full(6, 0.1))
+    >>> round(slope, 2), tau, p < 0.001
+    (1.0, 0.0, True)
+
+    """
     n = len(y)
     unit = float(np.std(y)) or 1.0
     z, e, x = (y - np.mean(y)) / unit, s / unit, (at - np.mean(at)) / float(np.std(at))
@@ -119,12 +181,12 @@ def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float
 
 
 def _column(rows: Sequence[Mapping[str, Any]], key: str) -> Array:
-    """The numbers of a column (n,), nan where there is none."""
+    """Return the numbers of a column (n,), NaN where there are none."""
     found = (row.get(key) for row in rows)
     return np.array([value if isinstance(value, int | float) else np.nan for value in found], dtype=np.float64)
 
 
 def _mean(values: Array) -> float:
-    """Mean of what is known; nan where nothing is."""
+    """Return the mean of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(np.mean(known)) if len(known) else np.nan

@@ -1,4 +1,4 @@
-"""What else was seen of the runs: further targets of a film, and the accelerometer, at the frames of the mass."""
+"""Collect what else was measured during the runs: further targets of a film, and the accelerometer."""
 
 from __future__ import annotations
 
@@ -12,16 +12,26 @@ from frictrack.flow.pipeline import RunPipeline
 from frictrack.records import Array, Run, Track
 
 TIME_TOLERANCE_S = 1e-9  # s
-MIN_FRAMES = 8  # frames from which it is told what rides on the mass
-MIN_GAIN = 0.5  # of the way of the mass: what goes farther with it rides on it
-MAX_OTHER_MOTION = 0.02  # of its motion that may be another one
+MIN_FRAMES = 8  # frames needed to decide whether a target moves with the mass
+MIN_GAIN = 0.5  # displacement of the target per displacement of the mass, from which it may be fixed to the mass
+MAX_OTHER_MOTION = 0.02  # share of its squared motion that may be independent of the mass
 
 
 def auxiliary_signals(pipelines: Sequence[RunPipeline]) -> dict[str, dict[str, Array]]:
-    """By run and name: series (n,) at the frames of the displacement, NaN where unknown.
+    """Return the auxiliary signals of all fitted runs.
 
-    A target's picture is brought to metres by the scale of the mass, and not turned along the course: only its
-    likeness counts.
+    A target is scaled like the mass but not rotated into the course axis, because only the shape of its signal is used.
+
+    Parameters
+    ----------
+    pipelines
+        The runs, up to date up to "sensors" and "tracks".
+
+    Returns
+    -------
+    dict of str to dict of str to ndarray
+        By run and by name of the signal: values (n,) at the frames of the displacement, NaN where unknown.
+
     """
     out: dict[str, dict[str, Array]] = {}
     for pipeline in pipelines:
@@ -30,7 +40,7 @@ def auxiliary_signals(pipelines: Sequence[RunPipeline]) -> dict[str, dict[str, A
             continue
         found: dict[str, Array] = {}
         for name, track in (pipeline.get("tracks") if "tracks" in pipeline.stages else {}).items():
-            if name != BACKWARD:  # the mass once more
+            if name != BACKWARD:  # a second track of the mass
                 found |= _target_signals(name, track, record)
         felt = pipeline.get("sensors").a
         if felt is not None and len(felt) == len(record.displacement):
@@ -40,7 +50,7 @@ def auxiliary_signals(pipelines: Sequence[RunPipeline]) -> dict[str, dict[str, A
 
 
 def _target_signals(name: str, track: Track, record: Run) -> dict[str, Array]:
-    """Both directions of a target's picture, m (px where no scale is known); nothing of what rides on the mass."""
+    """Return both coordinates of a target, m (px without a scale); empty if it moves with the mass."""
     rows = _rows_of_run(track, record)
     if rows is None or not np.any(track.found[rows]):
         return {}
@@ -52,7 +62,7 @@ def _target_signals(name: str, track: Track, record: Run) -> dict[str, Array]:
 
 
 def _rows_of_run(track: Track, record: Run) -> NDArray[np.int64] | None:
-    """Rows of a track that are the frames of a run; None where the run's times are others."""
+    """Return the rows of a track that are the frames of a run; None if their times differ."""
     t = record.displacement.t
     if len(track) == len(t):
         return np.arange(len(t))
@@ -61,11 +71,11 @@ def _rows_of_run(track: Track, record: Run) -> NDArray[np.int64] | None:
 
 
 def _moves_with_mass(place: Array, x: Array) -> bool:
-    """Whether what is seen at `place` (n, 2) goes along with the mass at x (n,): its motion is that of the mass."""
+    """Return whether a target at positions (n, 2) moves with the mass, whose displacement is x (n,)."""
     known = np.isfinite(x) & np.all(np.isfinite(place), axis=1)
     if np.count_nonzero(known) < MIN_FRAMES:
         return False
     moved, own = place[known] - place[known].mean(axis=0), x[known] - x[known].mean()
-    along = own @ moved / max(float(own @ own), 1e-300)  # of the way of the mass, in both directions
-    left = moved - own[:, None] * along
-    return bool(np.linalg.norm(along) > MIN_GAIN and np.sum(left**2) < MAX_OTHER_MOTION * np.sum(moved**2))
+    gain = own @ moved / max(float(own @ own), 1e-300)  # (2,) least squares
+    other = moved - own[:, None] * gain
+    return bool(np.linalg.norm(gain) > MIN_GAIN and np.sum(other**2) < MAX_OTHER_MOTION * np.sum(moved**2))

@@ -1,4 +1,4 @@
-"""Keep a verdict open while the measured data contradict what was typed: one of the two is wrong, and so may it be."""
+"""Withhold the verdict of a diagnosis while measured data contradict a number in the study file."""
 
 from __future__ import annotations
 
@@ -7,31 +7,34 @@ from typing import Any
 
 from frictrack.plausibility import Finding
 
-# Effects that are what a finding is about: where one of them is in the law or named, the finding says no more.
+# Kind of finding -> effects with the same cause. If one of them is in the model or was found missing, the diagnosis
+# has dealt with the contradiction, and the verdict stands.
 SAME_CAUSE = {"fps": ("clock_rate",), "incline": ("slope",)}
 
 
 def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
-    """Return a diagnosis whose verdict is open while findings contradict what was typed.
+    """Return a diagnosis with the verdict "undetermined" if findings contradict the study file.
 
     Parameters
     ----------
     diagnosis
-        The JSON of `diagnose`.
+        JSON of `diagnose`.
     findings
-        What is implausible in the study.
+        Implausible numbers of the study.
 
     Returns
     -------
     dict
-        The same diagnosis where nothing is contradicted, or where an effect of the same cause is in the law or named;
-        else one with the verdict "undetermined", nothing missing, and the contradictions first of what is open.
+        The same diagnosis if nothing is contradicted, or if an effect of the same cause is in the model or missing.
+        Otherwise the verdict is "undetermined", nothing is missing, and the contradictions come first in
+        "undetermined".
 
     Examples
     --------
     >>> from frictrack.plausibility import Finding
-    >>> said = {"verdict": "missing", "missing": ["collision"], "model": ["coulomb"], "undetermined": []}
-    >>> doubted(said, [Finding("mass", "the mass is 10 times too large", run="a", contradicts=True)])["verdict"]
+    >>> diagnosis = {"verdict": "missing", "missing": ["collision"], "model": ["coulomb"], "undetermined": []}
+    >>> finding = Finding("mass", "the mass is 10 times too large", run="a", contradicts=True)
+    >>> withhold_verdict(diagnosis, [finding])["verdict"]
     'undetermined'
 
     """
@@ -46,6 +49,6 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) 
 
 
 def _undetermined_entry(finding: Finding) -> dict[str, Any]:
-    """A contradiction as an entry of `undetermined`."""
+    """Return a contradiction as an entry of "undetermined"."""
     what = f'run "{finding.run}"' if finding.run else "what was typed"
     return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -1,4 +1,4 @@
-"""Say which runs of a study are the same recording: by the content of their files, else by their values."""
+"""Find runs of a study that are the same recording, by the content of their files or by their values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
 
 
 def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
-    """A finding for every run that repeats an earlier one; `contents` are hashes of the files, where they are known."""
+    """Return a note for every run that repeats an earlier one.
+
+    Parameters
+    ----------
+    displacements
+        Displacement by name of the run.
+    contents
+        Hash of the film by name of the run, if it is known.
+
+    """
     names = list(displacements)
     pairs = [(names[i], names[j]) for i, j in copies(list(displacements.values()))]
     found: dict[str, str] = {}

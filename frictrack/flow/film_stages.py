@@ -1,4 +1,7 @@
-"""The stages that look at a film: recording, track, further tracks, displacement. One decoding serves them all."""
+"""Compute the stages of a film: recording, track, further tracks, displacement.
+
+A compressed film is decoded once for all tracks.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,19 @@ if TYPE_CHECKING:
     from frictrack.study import RunTable, Study
     from frictrack.tracking import TargetModel
 
-BACKWARD, REFERENCE = "backward", "reference"  # names of tracks beside the target's
+BACKWARD, REFERENCE = "backward", "reference"  # names of the tracks that frictrack adds
 REASON_COVERED = "the target passes over it"
-# What every reference that is found by itself shows. Less would be taken out of some films of a study and stay in
-# others, where the diagnosis then could not tell it from a vibration of the course.
+# Shake that every reference found automatically can show, px rms. If less were subtracted in some films of a study, it
+# would remain in the others, where the diagnosis could not distinguish it from a vibration of the course.
 MIN_SHAKE_PX = 0.02  # px, rms
 NOTE_NO_REFERENCE = (
-    "nothing was found in the picture that rests while the target moves, so that camera shake stays in the "
-    "displacement; reference = [x, y, width, height] names one"
+    "no fixed reference was found in the picture, so camera shake was not subtracted from the displacement; set "
+    "reference = [x, y, width, height] to name one"
 )
 
 
 def make_recording(pipeline: RunPipeline) -> RecordingInfo:
-    """What stays of the recording."""
+    """Return what is stored of the recording: clock, identity, first frame, audit of the time base."""
     rec = pipeline.recording
     return RecordingInfo(
         t=rec.t,
@@ -53,7 +56,10 @@ def make_recording(pipeline: RunPipeline) -> RecordingInfo:
 
 
 def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
-    """The target's track; a calibration that cannot serve is said before the film is gone through."""
+    """Track the target.
+
+    The calibration is checked before, as far as it needs no track: a wrong one is reported before the film is read.
+    """
     from frictrack.tracking import Areas, is_polygon, learn_target, track  # noqa: PLC0415 - tables do without OpenCV
     from frictrack.tracking.detection import resolve_target  # noqa: PLC0415
 
@@ -69,7 +75,22 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
-    """The fixed reference, further targets, the target once more backward; and the contact sheet of them all."""
+    """Track everything else in the film and draw the contact sheet.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    film, track
+        Results of the stages before.
+
+    Returns
+    -------
+    dict of str to Track
+        The further targets of the study file by name, the fixed reference ("reference"), and the target tracked from
+        the last frame to the first ("backward"); the latter two are missing if they cannot be tracked.
+
+    """
     from frictrack import tracking  # noqa: PLC0415
 
     found: dict[str, Track] = {}
@@ -85,7 +106,7 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
 
 
 def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) -> dict[str, Track]:
-    """The track of something fixed: what is named, or what is found; nothing where neither is there."""
+    """Track the fixed reference that the study file names, or the one that is found; empty if there is none."""
     from frictrack.tracking import find_reference, track  # noqa: PLC0415
     from frictrack.tracking.checks import moves_with  # noqa: PLC0415
 
@@ -107,7 +128,7 @@ def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) ->
 
 
 def _without_covered_frames(reference: Track, target: Track) -> Track:
-    """The reference without the frames in which the target passes over it: there it would move with the target."""
+    """Mark the frames as lost in which the target passes over the reference: there the reference would move with it."""
     assert reference.target is not None
     assert target.target is not None
     (x, y, w, h), (_, _, width, height) = reference.target, target.target
@@ -120,14 +141,14 @@ def _without_covered_frames(reference: Track, target: Track) -> Track:
     columns = {c: q + gone for c in MEASURED if (q := getattr(reference, c)) is not None}
     reason = np.where(over & reference.found, REASON_COVERED, reference.reason)
     note = (
-        f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, which tell nothing of shake; "
-        "choose a rectangle beside its path"
+        f"the target passes over the fixed reference in {np.count_nonzero(over)} frames, where camera shake is not "
+        "measured; choose a rectangle outside its path"
     )
     return replace(reference, **columns, reason=reason, notes=(*reference.notes, note))
 
 
 def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) -> dict[str, Track]:
-    """The target followed from the last frame that shows the whole of it, by what the film has taught."""
+    """Track the target from the last frame that shows it completely to the first one, with the learnt template."""
     from frictrack.tracking import Areas, track  # noqa: PLC0415
 
     assert forward.target is not None
@@ -149,7 +170,7 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
 
 
 def _learn_again(opened: Recording, track: Track) -> TargetModel:
-    """What a film teaches of the target of a track that was stored."""
+    """Learn the template again for a track that was stored by an earlier process."""
     from frictrack.tracking import Areas, learn_target  # noqa: PLC0415
 
     drawn = Areas(track.outline or track.target, track.exclude, track.obstacles)
@@ -157,7 +178,7 @@ def _learn_again(opened: Recording, track: Track) -> TargetModel:
 
 
 def _track_or_none(make: Callable[[], Track]) -> Track | None:
-    """What nobody asked for must not end the work."""
+    """Return a track, or None if it cannot be made: an optional track must not stop the run."""
     try:
         return make()
     except FrictrackError:
@@ -165,7 +186,19 @@ def _track_or_none(make: Callable[[], Track]) -> Track | None:
 
 
 def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
-    """The map to the course as far as it needs no track; None where it does, after all else was looked at."""
+    """Return the map from pixels to the course, as far as it needs no track.
+
+    Returns
+    -------
+    PlaneMap or None
+        None if the scale is given by the size of the target, or by a list; all parts are checked nevertheless.
+
+    Raises
+    ------
+    FrictrackError
+        If the calibration is wrong.
+
+    """
     run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
     of_target = [isinstance(one, dict) and "target" in one for one in several]
@@ -177,7 +210,10 @@ def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
 
 
 def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Track]) -> Displacement:
-    """The displacement from the first to the last frame that shows the target, without shake, on a true time base."""
+    """Compute the displacement from the first to the last frame that shows the target.
+
+    Camera shake is subtracted, and the times are corrected where frames are missing or doubled.
+    """
     from frictrack.tracking import aligned  # noqa: PLC0415
 
     run, anchor = pipeline.run, pipeline.anchor
@@ -204,17 +240,17 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
 
 
 def min_shake_px(run: RunTable) -> float:
-    """Shake below which it is left in, px rms."""
+    """Return the camera shake that is subtracted at least, px rms; smaller shake is left in."""
     return MIN_SHAKE_PX if run.reference == "auto" else 0.0
 
 
 def contact_sheet_path(study: Study, run: str) -> Path:
-    """Where the contact sheet of a run's film lies."""
+    """Return the path of the contact sheet of a run's film."""
     return study.output / f"{run}_track.png"
 
 
 def write_overlay(pipeline: RunPipeline) -> Path:
-    """Write the film with what was tracked in it, and say where."""
+    """Write the film with the tracked positions drawn into it; return its path."""
     from frictrack.tracking import overlay_video  # noqa: PLC0415
 
     with pipeline.open_film() as opened:
@@ -223,10 +259,10 @@ def write_overlay(pipeline: RunPipeline) -> Path:
 
 
 def overlay_path(pipeline: RunPipeline) -> Path:
-    """Where the overlay video of a film lies, when it was asked for."""
+    """Return the path of the overlay video; it exists only if it was asked for."""
     return pipeline.study.output / f"{pipeline.run.name}_overlay.avi"
 
 
 def tracks_to_draw(tracks: dict[str, Any]) -> tuple[Track, ...]:
-    """The tracks to be drawn beside the target's."""
+    """Return the tracks that are drawn besides the target's: all but the backward one."""
     return tuple(track for name, track in tracks.items() if name != BACKWARD)

@@ -1,4 +1,4 @@
-"""A study file opened: read, and checked for all that can be checked before any work."""
+"""Open a study file and check everything that can be checked before any computation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,33 @@ from frictrack.study import Study, load, write_study
 
 
 def open_study(path: str | Path, *, bare: bool = False) -> Study:
-    """Read a study file and check all that can be checked before any work: scales, model, effects.
+    """Read a study file and check it: keys, scales, model, effects.
 
-    A `bare` one may have no runs yet. Raises `FrictrackError` (usage) with every fault.
+    Parameters
+    ----------
+    path
+        The study file, or a folder with a ``study.toml``.
+    bare
+        Allow a study without runs.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) With all faults.
+
     """
     return check_study(load(path, bare=bare))
 
 
 def check_study(study: Study) -> Study:
-    """The same of a study that was read."""
+    """Check scales, model and effects of a study that was read; return the study.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) With all faults.
+
+    """
     faults = []
     for run in study.runs:
         if run.scale is not None:
@@ -36,9 +54,22 @@ def check_study(study: Study) -> Study:
 
 
 def start_study(path: Path, recordings: Sequence[Path], keys: Mapping[str, Any]) -> Study:
-    """Write the study file of bare recordings and open it; nothing is left behind when they cannot be used.
+    """Write the study file of some recordings and open it; it is removed again if a recording cannot be used.
 
-    Raises `FrictrackError`: (usage) where a study file is already, else what is wrong with a recording.
+    Parameters
+    ----------
+    path
+        Path of the new study file.
+    recordings
+        Films and tables.
+    keys
+        Known keys of ``[study]`` and ``[camera]``: mass, model, fps, scale.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If the study file exists or a recording is missing; otherwise what is wrong with a recording.
+
     """
     missing = [f"expected a recording {p} but there is no such file" for p in recordings if not p.exists()]
     if missing:

@@ -1,4 +1,4 @@
-"""Check the numbers of a study before work is spent on them: what the study file shows alone, each run, all runs."""
+"""Check the numbers of a study before any further computation: those in the study file, each run, all runs together."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from frictrack.study import RunTable, Study, read_toml
 LOG = logging.getLogger("frictrack")
 NUMBER_WITHOUT_UNIT = re.compile(
     r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
-)  # a text without a unit
-ENERGY_STORING_EFFECTS = ("spring", "bouc_wen")  # effects of the library that give back what they took
+)  # such as "0.35" or "0.35 +/- 1 %"
+ENERGY_STORING_EFFECTS = ("spring", "bouc_wen")  # effects that can accelerate the mass
 CHECKED_KEYS = ("mass", "scale", "fps", "incline")
-ACCEPTING_KEY = 'plausible = "checked"'  # what a study file says to end a finding
+ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 # Table of the study file that a run inherits a key from.
 TABLE_OF_INHERITED_KEY = {
     "mass": "study",
@@ -47,38 +47,58 @@ TABLE_OF_INHERITED_KEY = {
 
 
 class Findings:
-    """The findings of a study, in the order in which they were made; each is said once.
+    """Collect the implausible numbers of a study; each is reported once.
 
-    They are logged as warnings when they are made, before the work that they concern. One that cannot be right ends
-    the work, unless the study file says `plausible = "checked"`.
+    A finding is logged as a warning before the work that it concerns. One that cannot be right raises an error, unless
+    the study file says `plausible = "checked"`.
+
+    Parameters
+    ----------
+    study
+        The study.
+
     """
 
     def __init__(self, study: Study) -> None:
         self.study = study
         self._found: dict[str, Finding] = {}
-        self._checked: set[str] = set()  # what was checked already
+        self._checked: set[str] = set()  # names of the checks that were made
 
     @property
     def summary(self) -> list[dict[str, Any]]:
-        """The JSON."""
+        """The findings as JSON."""
         return [finding.to_dict() for finding in self._found.values()]
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The sentences."""
+        """The findings as sentences."""
         return tuple(self._found)
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
-        """Those in which the measured data contradict what was typed."""
+        """The findings in which measured data contradict the study file."""
         return tuple(finding for finding in self._found.values() if finding.contradicts)
 
     def check_study_file(self) -> None:
-        """What the study file shows by itself; what several runs inherit is said once."""
+        """Check the numbers in the study file; a number that several runs inherit is reported once.
+
+        Raises
+        ------
+        FrictrackError
+            If a number cannot be right.
+
+        """
         self._check_once("study", lambda: _study_file_findings(self.study))
 
     def check_runs(self, pipelines: Sequence[RunPipeline]) -> None:
-        """What the motion of each run shows, and of runs in both directions together."""
+        """Check the motion of each run, and runs in opposite directions against each other.
+
+        Raises
+        ------
+        FrictrackError
+            If a number cannot be right.
+
+        """
         if not _can_accelerate(self.study):
             self._check_once("inclines", lambda: implausible_inclines([pipeline.to_run() for pipeline in pipelines]))
             self._check_once(
@@ -87,24 +107,29 @@ class Findings:
         self._check_once("runs", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
 
     def check_all_runs(self, pipelines: Sequence[RunPipeline]) -> None:
-        """What the runs show together, those that the user has checked among them."""
-        tables = [
-            pipeline for pipeline in pipelines if pipeline.run.table
-        ]  # the clock of a film is judged with its header
+        """Check masses and clocks of all runs against each other, also of runs that the user has marked as checked.
+
+        Raises
+        ------
+        FrictrackError
+            If a number cannot be right.
+
+        """
+        tables = [one for one in pipelines if one.run.table]  # the clock of a film is checked with its header
         stated = {pipeline.run.name: pipeline.run.fps for pipeline in tables}
         self._check_once("all", lambda: implausible_masses([pipeline.to_run() for pipeline in pipelines]))
         self._check_once("clocks", lambda: implausible_clocks({w.run.name: w.to_run() for w in tables}, stated))
 
     def _check_once(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:
-        """Check one thing, once."""
+        """Make a check unless it was made before."""
         if what not in self._checked:
             self._add(find())
             self._checked.add(what)
 
     def _add(self, findings: Iterable[Finding]) -> None:
-        """Note the new ones of runs that the user has not checked. Raises `FrictrackError` with all errors."""
+        """Add findings on runs that the user has not marked as checked; raise one `FrictrackError` with all errors."""
         checked = {run.name for run in self.study.runs if run.plausible}
-        checked |= {""} if len(checked) == len(self.study.runs) else set()  # what concerns all runs
+        checked |= {""} if len(checked) == len(self.study.runs) else set()  # "": findings that concern all runs
         new = [f for f in findings if f.run not in checked and not self._is_known(f)]
         for finding in new:
             if finding.grade != ERROR and not self._is_known(finding):
@@ -113,38 +138,36 @@ class Findings:
         raise_faults(_error_messages([f for f in new if f.grade == ERROR]), self.study.path.name)
 
     def _is_known(self, finding: Finding) -> bool:
-        """Whether the same was found before, of that run or of all, and on as good grounds."""
+        """Return whether the same was found before, for this run or for all, and from evidence at least as strong."""
         same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
         return any(one.contradicts or not finding.contradicts for one in same)
 
 
 def _error_messages(errors: Sequence[Finding]) -> list[str]:
-    """Errors in words, those with the same correction in one sentence, and how to go on in spite of them.
-
-    An incline says the latter itself.
-    """
-    alike: dict[tuple[str, str], list[Finding]] = {}
+    """Return the messages of errors, one for all errors with the same correction, and how to accept the number."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
     for error in errors:
-        alike.setdefault((error.kind, error.correction or str(error)), []).append(error)
-    return [f"{first}{_same_in(more)}{_how_to_accept(first)}" for first, *more in alike.values()]
+        groups.setdefault((error.kind, error.correction or str(error)), []).append(error)
+    return [f"{first}{_same_in(more)}{_how_to_accept(first)}" for first, *more in groups.values()]
 
 
 def _same_in(more: Sequence[Finding]) -> str:
     names = ", ".join(f'"{error.run}"' for error in more)
-    return f"; likewise in {names}" if more else ""
+    return f"; the same in {names}" if more else ""
 
 
 def _how_to_accept(error: Finding) -> str:
-    return "" if error.kind == "incline" else f" (if it is right, {ACCEPTING_KEY} goes on)"
+    """Return how the user accepts the number; the message on an incline says it itself."""
+    return "" if error.kind == "incline" else f" (if it is right, set {ACCEPTING_KEY})"
 
 
 def slide_findings(pipeline: RunPipeline) -> list[Finding]:
-    """Findings on one run whose motion is made."""
+    """Return findings on the motion of one run."""
     return list(implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)))
 
 
 def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
-    """What a mass that speeds up, or slows down too little, has against the incline of its run."""
+    """Return findings on a run that speeds up, or slows down too little, for the incline of the study file."""
     record = pipeline.to_run()
     lacks = find_missing_incline(pipeline, record)
     if lacks is not None and not _has_free_section(record):
@@ -153,20 +176,20 @@ def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
 
 
 def _can_accelerate(study: Study) -> bool:
-    """Whether the law of a study has a force that may speed the mass up: a spring, or one of the user's own."""
+    """Return whether the model of a study can accelerate the mass: by a spring, or by an effect of the user."""
     law = study.model.split(",") if isinstance(study.model, str) else study.model
     own = {table.effect for table in study.effects if table.formula is not None}
     return any(name.strip() in own or name.strip() in ENERGY_STORING_EFFECTS for name in law)
 
 
 def find_missing_incline(pipeline: RunPipeline, record: Run) -> Finding | None:
-    """The incline that a run lacks, None where it lacks none."""
+    """Return a finding if the run needs an incline that the study file lacks, else None."""
     track: Track | None = pipeline.get("track") if "track" in pipeline.stages else None
     return missing_incline(record, None if track is None else path_angle(track))
 
 
 def _has_free_section(record: Run) -> bool:
-    """Whether there is something to be fitted as the run is described now."""
+    """Return whether the run has a free section as it is described now."""
     try:
         free_section(record)
     except FrictrackError:
@@ -175,7 +198,7 @@ def _has_free_section(record: Run) -> bool:
 
 
 def _study_file_findings(study: Study) -> Iterator[Finding]:
-    """Findings on the numbers in the study file; what runs inherit concerns all of them."""
+    """Find implausible numbers in the study file; what runs inherit concerns all of them."""
     raw = _raw_tables(study)
     tables = {_run_name(table): table for table in raw.get("run", [])}
     for run in (run for run in study.runs if not run.plausible):
@@ -187,7 +210,7 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
 
 
 def _entered_numbers(run: RunTable, bare: frozenset[str]) -> Typed:
-    """The numbers of a run."""
+    """Return the numbers of a run that are checked."""
     pitch = float("nan") if run.scale is None else parse_scale(run.scale)[0]
     return Typed(
         run=run.name,
@@ -200,15 +223,15 @@ def _entered_numbers(run: RunTable, bare: frozenset[str]) -> Typed:
 
 
 def _raw_tables(study: Study) -> dict[str, Any]:
-    """The tables of the study file as they were typed; none of a study that is not in a file."""
+    """Return the tables of the study file as the user wrote them; empty if there is no readable file."""
     try:
         return read_toml(study.path.name, study.path.read_text(encoding="utf-8"))
-    except (FrictrackError, OSError, UnicodeDecodeError):  # it was changed meanwhile
+    except (FrictrackError, OSError, UnicodeDecodeError):  # the file was changed meanwhile
         return {}
 
 
 def _run_name(table: dict[str, Any]) -> str:
-    """The name of a run; that of its recording where it has none."""
+    """Return the name of a run; without one, the stem of its recording."""
     return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
 
 

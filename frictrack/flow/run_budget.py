@@ -1,4 +1,4 @@
-"""What is known of one run beside its motion, brought together for the error budget."""
+"""Compute the error budget of one run from its displacement, its film and its sensors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,20 @@ if TYPE_CHECKING:
 
 
 def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The error budget of a run as JSON, nothing for a run whose mass nobody knows.
+    """Compute the error budget of the friction force of one run.
 
-    `known` is what the film says of its own measurement, where that is at hand.
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    known
+        `track_quality` of the film, if it was computed already.
+
+    Returns
+    -------
+    dict
+        JSON of the budget; empty without a mass and without measured friction.
+
     """
     run = pipeline.to_run()
     if run.mass is None and run.friction_N is None:
@@ -35,6 +46,6 @@ def _quality(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _residual_shake(pipeline: RunPipeline) -> dict[str, Any]:
-    """How much of a camera shake may still be in the displacement, px rms along x."""
+    """Return the camera shake that may be left in the displacement, px rms along x."""
     left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
     return {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))

@@ -1,4 +1,4 @@
-"""`frictrack plan`: what is known of a study before, or after its first films, and the page of its plan."""
+"""Plan which runs to film: collect what is known before or after the first films, and write the page of the plan."""
 
 from __future__ import annotations
 
@@ -17,28 +17,41 @@ from frictrack.study import Study
 
 
 def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
-    """Which runs to film so that the effects can be told apart: JSON of `frictrack plan`; the page is written.
+    """Plan which runs to film so that the effects can be told apart: JSON of `frictrack plan`.
 
-    Raises FrictrackError where mass, frame rate or scale are not known, or the folder cannot be written.
+    The page ``plan.html`` is written, too.
+
+    Parameters
+    ----------
+    study
+        A study; it may have no runs yet.
+    progress
+        Called as ``progress(done, total, what)``.
+
+    Raises
+    ------
+    FrictrackError
+        If mass, frame rate or scale are unknown, or the folder cannot be written.
+
     """
     from frictrack.report import write_plan  # noqa: PLC0415 - loads matplotlib
 
     setup = _setup_of_fit(study, progress) if study.runs else _setup_without_runs(study)
     run_plan = planning.choose_runs(setup, progress)
-    told = to_builtins({**planning.summarise_plan(run_plan), "name": study.name})
-    page = write_plan(told, study.output / "plan.html")
-    return {**told, "page": str(page), "output": str(study.output)}
+    summary = to_builtins({**planning.summarise_plan(run_plan), "name": study.name})
+    page = write_plan(summary, study.output / "plan.html")
+    return {**summary, "page": str(page), "output": str(study.output)}
 
 
 def _setup_without_runs(study: Study) -> planning.ExperimentSetup:
-    """The set-up of a study of which nothing was filmed: mass and camera, the rest assumed."""
+    """Return the set-up of a study without films: mass and camera are given, the rest is assumed."""
     faults = []
     if study.mass is None:
-        faults.append('expected a mass in [study] but got none; give mass = "0.35 kg", about is enough')
+        faults.append('expected a mass in [study] but got none; give mass = "0.35 kg" (roughly is enough)')
     if study.fps is None:
         faults.append("expected the frame rate in [camera] but got none; give fps = 4000")
     if study.scale is None:
-        faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px", about is enough')
+        faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px" (roughly is enough)')
     if faults:
         raise FrictrackError(f"{study.path.name}, plan: " + "; ".join(faults), usage=True)
     assert study.mass is not None
@@ -46,13 +59,14 @@ def _setup_without_runs(study: Study) -> planning.ExperimentSetup:
     pitch = parse_scale(study.scale)[0]
     if not np.isfinite(pitch):
         raise FrictrackError(
-            "expected a scale that can be told before filming but got one that needs a picture; give about what it "
-            'will be, scale = "0.5 mm/px"'
+            "expected a scale that is known before filming but got one that needs a picture; give its rough value, "
+            'scale = "0.5 mm/px"'
         )
     return planning.default_setup(study.mass[0], study.fps, pitch)
 
 
 def _setup_of_fit(study: Study, progress: Progress) -> planning.ExperimentSetup:
+    """Return the set-up as the current fit describes it."""
     session = Session(study, progress)
     session.bring_up_to("friction")
     fitted = session.models.fit(session.models.current()[0])

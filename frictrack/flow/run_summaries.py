@@ -1,4 +1,4 @@
-"""One row per run of what `track`, `motion` and `friction` came to: their JSON."""
+"""Summarise each run after `track`, `motion` or `friction`: one row of their JSON per run."""
 
 from __future__ import annotations
 
@@ -18,18 +18,33 @@ from frictrack.results import to_builtins
 
 
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
-    """The rows of all runs, after they were brought up to the stage; a table has no track and no row there."""
+    """Return the rows of all runs for one stage.
+
+    Parameters
+    ----------
+    pipelines
+        The runs, brought up to date up to the stage.
+    stage
+        ``"track"``, ``"motion"`` or ``"friction"``.
+
+    Returns
+    -------
+    list of dict
+        One row per run, as JSON; a table of positions has no row for ``"track"``.
+
+    """
     describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
     made: list[dict[str, Any]] = to_builtins(
         [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
     )
-    if stage == "track":  # what cannot be calibrated has no displacement to compare
+    if stage == "track":  # a track that cannot be calibrated has no displacement to compare
         return made
     twice = find_duplicate_runs(pipelines)
     return [{**row, "notes": [*row["notes"], *filter(None, [twice.get(row["run"])])]} for row in made]
 
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
+    """Describe how well a film was measured, and where its pictures are."""
     from frictrack.tracking import target_line  # noqa: PLC0415 - loads OpenCV; tables do without
 
     displacement, notes = _displacement_and_notes(pipeline)
@@ -45,7 +60,7 @@ def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _displacement_and_notes(pipeline: RunPipeline) -> tuple[Displacement | None, list[str]]:
-    """What was found on the way to metres; a track is shown even where it cannot be calibrated."""
+    """Return the displacement and its notes; a track that cannot be calibrated is described without displacement."""
     try:
         displacement: Displacement = pipeline.get("displacement")
     except FrictrackError as e:
@@ -54,6 +69,7 @@ def _displacement_and_notes(pipeline: RunPipeline) -> tuple[Displacement | None,
 
 
 def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
+    """Describe the motion: noise, cut-off, largest speed, vibrations, events."""
     motion: Motion = pipeline.get("motion")
     displacement: Displacement = pipeline.get("displacement")
     return {
@@ -74,7 +90,7 @@ def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
-    """What a plain low-pass would cost, in newtons where the mass is known, and what lies above its cut-off."""
+    """Describe what a plain low-pass would cost, in N if the mass is known, else in m/s^2."""
     found: CutoffTradeOff = pipeline.get("cutoff")
     mass = pipeline.run.mass[0] if isinstance(pipeline.run.mass, tuple) else None
     unit, factor = ("m/s^2", 1.0) if mass is None else ("N", mass)
@@ -91,7 +107,7 @@ def _cutoff_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _events_summary(pipeline: RunPipeline) -> dict[str, Any]:
-    """Release, impacts, stops, starts, reversals; and the noise that a resting mass shows."""
+    """List release, impacts, stops, starts and reversals, and the noise while the mass rests."""
     found: RunEvents = pipeline.get("events")
     noise = found.noise_at_rest
     return {
@@ -101,6 +117,7 @@ def _events_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _friction_summary(pipeline: RunPipeline) -> dict[str, Any]:
+    """Describe the friction force and the free section."""
     friction: Friction = pipeline.get("friction")
     motion: Motion = pipeline.get("motion")
     free = friction.free
@@ -118,13 +135,13 @@ def _friction_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _budget_summary(pipeline: RunPipeline) -> dict[str, Any]:
-    """Where the error of the friction force comes from, the total last, and what would make it smaller."""
+    """Return the error budget of the friction force, the total last, and what would make it smaller."""
     found = run_budget(pipeline)
     return {"budget": found["rows"], "budget_says": found["says"]} if found else {}
 
 
 def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
-    """What sensors and the blow say of the run, and all findings in words; no keys where there is nothing."""
+    """Return the summaries of sensors and impact, and all notes; empty summaries are left out."""
     rows = sensor_summary(pipeline)
     notes = [*pipeline.get("displacement").notes, *rows.pop("notes")]
     return {key: row for key, row in rows.items() if row} | {"notes": notes}

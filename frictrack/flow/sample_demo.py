@@ -1,4 +1,4 @@
-"""The whole loop on the sample study: the model fails, the missing effect is named, added, the error falls."""
+"""Run the demonstration on the sample study: fit, diagnose, add the missing effects, report."""
 
 from __future__ import annotations
 
@@ -13,9 +13,24 @@ MAX_EFFECTS_ADDED = 4  # effects that may be added before the demo gives up
 
 
 def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
-    """Run the sample study in `folder` (written there when it is missing): JSON of `demo`.
+    """Run the sample study in a folder; the study is written there if it is missing.
 
-    What is missing is added, best first, until the diagnosis finds nothing more.
+    The best candidate is added until the diagnosis finds nothing more.
+
+    Parameters
+    ----------
+    folder
+        Folder of the study.
+    seed
+        Seed of the diagnoses.
+    progress
+        Called as ``progress(done, total, what)``.
+
+    Returns
+    -------
+    dict
+        JSON of `frictrack demo`.
+
     """
     path = folder / "study.toml"
     if not path.exists():

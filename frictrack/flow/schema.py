@@ -1,6 +1,9 @@
-"""The page that tells others what is in a file, made from the declarations themselves.
+"""Write the page SCHEMA.md, which describes the HDF5 files, from the declarations in the code.
 
-python -m frictrack.flow.schema        writes frictrack/store/SCHEMA.md anew
+    python -m frictrack.flow.schema        writes frictrack/store/SCHEMA.md
+
+h5py and HDF5 tools can list a file, but not what a field means; the meaning stands only in the declarations, so this
+module stays ours.
 """
 
 from __future__ import annotations
@@ -22,13 +25,13 @@ from frictrack.store import Provenance
 
 PAGE = Path(store.__file__).parent / "SCHEMA.md"
 MODEL_MEMBERS = {
-    "current": ("bool", "the model in force"),
+    "current": ("bool", "whether this is the current model"),
     "equation": ("text", "the printed model"),
     "summary": ("JSON text", "what `frictrack fit --json` prints: parameters, deviations, errors, free runs"),
-    "state": ("group", "what rebuilds the fit without searching"),
+    "state": ("group", "what restores the fit without a new search"),
     "curves": ("group", "a group per run, `<number>_<run>`: measurement and model, table below"),
-    "motion": ("group", "a group per run: the motion that the model itself tells, table below"),
-    "certainty": ("group", "profiles and bootstrap, where they were asked for: `summary`, JSON text"),
+    "motion": ("group", "a group per run: the motion by the model, table below"),
+    "certainty": ("group", "profiles and bootstrap, if they were asked for: `summary`, JSON text"),
     "diagnosis": (
         "group",
         "`summary` (JSON of `frictrack diagnose`) and `figures`, its curves",
@@ -38,7 +41,7 @@ STUDY_GROUPS = {
     "runs": "a link per run to its file",
     "models": "a group per model in the order tried, `<number>_<name>`; `study_model` is the study file's (JSON)",
     "comparison": "`summary`: JSON of `frictrack compare`",
-    "diagnosis": "a link to the diagnosis of the model in force",
+    "diagnosis": "a link to the diagnosis of the current model",
     "papers": "a group like a model's: the papers' route, force domain and SGA",
 }
 _COMMENT = re.compile(r"^    (\w+): .*?  # (.*)$", re.MULTILINE)
@@ -53,31 +56,31 @@ Made by `python -m frictrack.flow.schema` from the declarations in the code; sch
 HDF5 in the format of its version 1.8, which h5py, MATLAB, HDFView and `h5dump` open without frictrack. All numbers
 are in SI units, pixels and grey values apart; NaN means "not measured in this frame".
 
-## How things are written
+## How values are written
 
 - A column is a dataset, (n,): one value per frame, with the attribute `unit`. It is compressed (gzip, shuffled) and
   carries HDF5's own Fletcher32 checksum. `bool` is HDF5's enum of FALSE and TRUE; text is UTF-8 of fixed length.
 - A single number or text is an attribute of the group; `<name>_unit` is its unit. A list is an attribute in JSON.
-  What is not known (also a column) is an empty attribute. A text above 16000 characters is a dataset.
+  An unknown value or column is an empty attribute. A text above 16000 characters is a dataset.
 - The file itself has the attributes `schema` ({schema}), `version` (of frictrack, last to write) and `sha256`.
-- A file is never changed in place. A new one takes its place in one step: who reads keeps the file that was opened, and
-  opens it again for the new one. Reading needs no lock; frictrack itself locks the folder (`.lock`) to write.
+- A file is never changed in place. The new file replaces it in one step: a reader keeps the version that it opened, and
+  opens the file again to see the new one. Reading needs no lock; frictrack locks the folder (`.lock`) to write.
 
 ## Checksums
 
 - The file: its first {room} bytes are text, which HDF5 skips (a user block). The second line is the SHA-256 of the
   first line and of all after byte {start}; `(head -n 1 v3.h5; tail -c +{after} v3.h5) | sha256sum` prints the same.
   The bytes between are HDF5's superblock, which has a checksum of HDF5's own.
-- The mark in the first line says that this user wrote the file: HMAC-SHA256 of all after byte {start} under a secret in
-  the user's own data folder. A file without it, of a colleague or of schema 1, is as good as any other, but on bytes
-  made to do harm HDF5 may crash or never return: frictrack first lets a process of its own go through it.
-- Every group and dataset: the attribute `sha256`, over what is read of it (kind, shape, values, attributes; of a group
-  the names and checksums of what lies in it, and the targets of links). It says which group a fault is in.
-- `frictrack verify PATH...` looks at both, at where results come from, and at the recordings.
+- The mark in the first line shows that this user wrote the file: HMAC-SHA256 of all after byte {start} under a secret
+  in the user's data folder. A file without the mark (of a colleague, or of schema 1) is equally valid. HDF5 may crash
+  or never return on malicious bytes, so frictrack reads such a file in a separate process first.
+- Every group and dataset: the attribute `sha256`, over its content (kind, shape, values, attributes; of a group the
+  names and checksums of its members, and the targets of links). It shows which group a fault is in.
+- `frictrack verify PATH...` checks both, the provenance of the results, and the recordings.
 
 A file of schema 1 has neither; it is read as it is, and gets both when something is written into it.
 
-## Where a group comes from
+## Provenance of a group
 
 Every group that a stage, a fit, a comparison or a diagnosis wrote has these attributes:
 
@@ -103,7 +106,7 @@ info = h5info('study.h5', '/models');            % names of the models: {{info.G
 ```
 
 In HDFView: *File, Open As Read-Only*; the columns are in the tree, units and provenance under *Object Attribute Info*.
-A file in which a viewer changed something is no longer what was written, and frictrack says so.
+If a viewer changes a file, its checksum is wrong, and frictrack reports it.
 
 ```sh
 h5ls -r {run}.h5
@@ -113,7 +116,7 @@ h5dump -d /motion/v {run}.h5
 
 
 def schema_page() -> str:
-    """The page, in Markdown."""
+    """Return the page as Markdown."""
     head = _HEAD.format(
         schema=store.SCHEMA, room=store.HEADER_BYTES, start=store.CHECKSUM_START, after=store.CHECKSUM_START + 1
     )
@@ -124,14 +127,14 @@ def schema_page() -> str:
         "\n## The study: `study.h5`\n\n",
         _table(("group", "what"), ((f"`/{k}`", v) for k, v in STUDY_GROUPS.items())),
     ]
-    model = ((f"`{name}`", *told) for name, told in MODEL_MEMBERS.items())
+    model = ((f"`{name}`", *description) for name, description in MODEL_MEMBERS.items())
     parts += ["\n### `/models/<number>_<name>`\n\n", _table(("name", "type", "what"), model)]
     parts += [_record_section("`curves/<number>_<run>`", Curve), _record_section("`motion/<run>`", ModelledMotion)]
     return "".join(parts) + _READ.format(run="v3")
 
 
 def _stage_section(name: str) -> str:
-    """One stage of a film, a table or both: what it is made from, and its record."""
+    """Describe one stage: what it is computed from, for a film, a table or both, and its record."""
     chains = {kind: chain[name] for kind, chain in (("film", FILM), ("table", TABLE)) if name in chain}
     made: dict[str, list[str]] = {}
     for kind, stage in chains.items():
@@ -147,7 +150,7 @@ def _stage_section(name: str) -> str:
 
 
 def _record_section(title: str, kind: Any, words: str = "") -> str:
-    """What a record becomes: datasets first, then attributes."""
+    """Describe a record: its datasets, then its attributes."""
     says = _field_comments(kind)
     rows = sorted(
         (_field_row(f) for f in fields(kind)), key=lambda row: ("dataset", "attribute", "group").index(row[1])
@@ -159,19 +162,19 @@ def _record_section(title: str, kind: Any, words: str = "") -> str:
 
 
 def _field_row(f: Field[Any]) -> tuple[str, str, str, str]:
-    """Name, kind of thing, type with shape, and unit of a field."""
-    unit, told = f.metadata.get("unit") or "", str(f.type)
-    or_empty = " or empty" if told.endswith("| None") else ""
+    """Return name, kind of object, type with shape, and unit of a field."""
+    unit, annotation = f.metadata.get("unit") or "", str(f.type)
+    or_empty = " or empty" if annotation.endswith("| None") else ""
     if f.metadata.get("column"):
         return f.name, "dataset", f"{_KINDS[np.dtype(f.metadata['kind']).kind]} (n,){or_empty}", unit
-    if told.startswith(("Array", "NDArray")):
+    if annotation.startswith(("Array", "NDArray")):
         return f.name, "dataset", f"array (h, w){or_empty}" if f.name == "picture" else f"float64 (n,){or_empty}", unit
-    what = _TYPES[re.split(r"\W", told)[0]]
+    what = _TYPES[re.split(r"\W", annotation)[0]]
     return f.name, "group" if what == "group" else "attribute", what + or_empty, unit
 
 
 def _field_comments(kind: Any) -> dict[str, str]:
-    """What stands beside the fields in the code."""
+    """Return the comments beside the fields in the source code."""
     assert is_dataclass(kind)
     return dict(_COMMENT.findall(inspect.getsource(kind)))  # type: ignore[arg-type]
 

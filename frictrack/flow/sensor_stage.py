@@ -1,4 +1,4 @@
-"""The stage of what was measured beside the motion: drive, acceleration, friction, each with a clock of its own."""
+"""Compute the stage of the sensors: drive, acceleration and friction force, brought to the camera's clock."""
 
 from __future__ import annotations
 
@@ -37,30 +37,61 @@ MIN_MASS_DIFFERENCE_SIGMAS = 3.0
 
 
 def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
-    """Drive, acceleration and friction that were measured, on the camera's clock at its frames.
+    """Read drive, acceleration and friction force of a run, at the frames of the camera.
 
-    Columns of the run's own table are taken as they are, their clock being the camera's. Raises FrictrackError when
-    a sensor was not running while it is needed.
+    Columns of the run's own table are used as they are, because their clock is the camera's.
+
+    Parameters
+    ----------
+    run
+        The ``[[run]]``.
+    displacement
+        Displacement of the run (n frames), to which the clocks are aligned.
+
+    Returns
+    -------
+    Sensors
+        Each quantity (n,), None if it was not measured.
+
+    Raises
+    ------
+    FrictrackError
+        If a sensor was not running while it is needed.
+
     """
-    beside = _SensorReader(displacement)
+    reader = _SensorReader(displacement)
     if run.table:
-        beside.own(with_even_clock(read_run_table(run)).data, run.table.name)
+        reader.add_own_columns(with_even_clock(read_run_table(run)).data, run.table.name)
     if run.drive is not None:
-        beside.drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
+        reader.add_drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
     if run.sensor is not None:
-        beside.sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
-    return Sensors(displacement.t, **beside.found, clocks=beside.clocks, notes=tuple(beside.notes))
+        reader.add_sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
+    return Sensors(displacement.t, **reader.found, clocks=reader.clocks, notes=tuple(reader.notes))
 
 
 def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
-    """The acceleration that is known beside the camera, if a sensor agrees with it."""
+    """Return the acceleration of the sensor for the smoother, without its gain and bias.
+
+    Returns
+    -------
+    KnownAcceleration or None
+        None without an accelerometer, or if it contradicts the camera.
+
+    """
     if sensors.known_a is None or sensors.sigma_known_a is None:
         return None
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
 def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
-    """What `motion` and `friction` tell of sensors and of the blow: `sensors`, `impact`, and `notes` in words."""
+    """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`.
+
+    Returns
+    -------
+    dict
+        "sensors" (alignment of every clock), "impact" (energy at release; None if not stated), "notes" (list of str).
+
+    """
     sensors: Sensors = pipeline.get("sensors")
     notes = [*sensors.notes, *_moved_mass_notes(pipeline.run, sensors)]
     impact = _impact_energy(pipeline)
@@ -70,12 +101,12 @@ def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def _drive_table(drive: Path | float) -> dict[str, Any]:
-    """A drive in the short form, written out."""
+    """Write a drive in the short form (a path or a force in N) as a table of keys."""
     return {"table": drive} if isinstance(drive, Path) else {"force": drive}
 
 
 class _SensorReader:
-    """What has been found of one run so far."""
+    """Collect what the sensors of one run measured."""
 
     def __init__(self, displacement: Displacement) -> None:
         self.displacement = displacement
@@ -83,8 +114,8 @@ class _SensorReader:
         self.clocks: dict[str, Any] = {}
         self.notes: list[str] = []
 
-    def own(self, data: TableData, name: str) -> None:
-        """Columns on the camera's clock."""
+    def add_own_columns(self, data: TableData, name: str) -> None:
+        """Take columns of the run's own table, whose clock is the camera's."""
         if data.drive is not None:
             self.found["drive"] = data.drive
         if data.friction is not None:
@@ -92,8 +123,8 @@ class _SensorReader:
         if data.a is not None:
             self._acceleration(SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
 
-    def drive(self, spec: dict[str, Any]) -> None:
-        """A force on the slider: constant or a table, perhaps only up to some time."""
+    def add_drive(self, spec: dict[str, Any]) -> None:
+        """Read a drive: a constant force or a table, perhaps only up to some time."""
         t, until = self.displacement.t, spec.get("until", np.inf)
         motion = None if "force" in spec and until != "release" else differentiate(low_pass(self.displacement))
         if until == "release":
@@ -107,11 +138,11 @@ class _SensorReader:
         assert motion is not None
         series = _drive_force(spec)
         found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
-        self._tell("drive", series, found)
-        self.found["drive"] = self._everywhere(series, found, acting)
+        self._note_alignment("drive", series, found)
+        self.found["drive"] = self._at_all_frames(series, found, acting)
 
-    def sensor(self, spec: dict[str, Any]) -> None:
-        """An accelerometer, a load cell that measures friction, or both."""
+    def add_sensor(self, spec: dict[str, Any]) -> None:
+        """Read an accelerometer, a load cell that measures friction, or both."""
         data = read_sensor_table(spec["table"], ("a", "friction"), spec.get("columns", {}))
         name = spec["table"].name
         if data.a is not None:
@@ -120,15 +151,15 @@ class _SensorReader:
             series = SensorRecord(data.t, data.friction, name)
             frames = second_differences(self.displacement)
             acting = [column[frames.centre] for column in (self.found.get("drive"),) if column is not None]
-            known = [column for column in acting if np.ptp(column) > 0.0]
-            beside = np.stack([*known, np.ones(len(frames.z))], axis=1)
-            found = align(AlignmentProblem(frames, series, beside), _offset(spec))
-            self._tell("friction_N", series, found)
+            varying = [column for column in acting if np.ptp(column) > 0.0]
+            regressors = np.stack([*varying, np.ones(len(frames.z))], axis=1)
+            found = align(AlignmentProblem(frames, series, regressors), _offset(spec))
+            self._note_alignment("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
-            self.found["friction_N"] = self._everywhere(series, found, everywhere)
+            self.found["friction_N"] = self._at_all_frames(series, found, everywhere)
 
     def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
-        """An accelerometer: aligned, compared, and known where both agree."""
+        """Align an accelerometer, compare it with the camera, and use it for fusion if both agree."""
         t = self.displacement.t
         frames = second_differences(self.displacement)
         problem = AlignmentProblem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
@@ -137,16 +168,16 @@ class _SensorReader:
         if not np.any(np.isfinite(values)):
             raise FrictrackError(_no_overlap(series, found, t))
         compared = compare_with_camera(problem, found, self.displacement.relative_scale_error)
-        self._tell("a", series, found, compared)
+        self._note_alignment("a", series, found, compared)
         self.found["a"] = values
         if compared.verdict == "consistent":
             fused = known_acceleration(series, found, t)
             self.found |= {"known_a": fused.a, "sigma_known_a": float(fused.sigma)}
 
-    def _tell(
+    def _note_alignment(
         self, what: str, series: SensorRecord, found: Alignment, compared: SensorComparison | None = None
     ) -> None:
-        """Keep the numbers of an alignment and say it in words."""
+        """Store the numbers of an alignment and describe it in a note."""
         self.clocks[what] = _alignment_to_dict(found, compared)
         if found.sigma_offset is not None:
             value = f"{1e3 * abs(found.offset):.4g} +/- {1e3 * found.sigma_offset:.2g} ms"
@@ -157,8 +188,8 @@ class _SensorReader:
         if compared is not None and compared.verdict != "not compared":
             self.notes.append(f"{series.name} {_describe_agreement(compared)}")
 
-    def _everywhere(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
-        """A force (n,) at all frames, 0 where it does not act, short gaps bridged."""
+    def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
+        """Return a force (n,) at all frames: 0 where it does not act, short gaps interpolated."""
         t = self.displacement.t
         h = float(np.median(np.diff(t)))
         values = series.average(t - found.lag(t), h)
@@ -171,7 +202,7 @@ class _SensorReader:
 
 
 def _drive_force(spec: dict[str, Any]) -> SensorRecord:
-    """The drive's table in N."""
+    """Read the table of a drive, N; a pressure is multiplied by the area."""
     area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
     data = read_sensor_table(path, ("drive",) if area is None else ("pressure",), columns)
     values = data.drive if area is None else np.asarray(data.pressure) * area
@@ -180,12 +211,13 @@ def _drive_force(spec: dict[str, Any]) -> SensorRecord:
 
 
 def _offset(spec: dict[str, Any]) -> float | None:
-    """The offset that is given, if one is."""
+    """Return the given clock offset, s; None if it is to be estimated."""
     given = spec.get("offset", "auto")
     return None if given == "auto" else float(given)
 
 
 def _no_overlap(series: SensorRecord, found: Alignment, t: Array) -> str:
+    """Describe a sensor that does not cover the run."""
     first, last = series.t[0] + found.offset, series.t[-1] + found.offset
     return (
         f"{series.name}: expected values over {t[0]:g} to {t[-1]:g} s, as long as the run, "
@@ -205,7 +237,7 @@ def _describe_agreement(compared: SensorComparison) -> str:
 
 
 def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
-    """An alignment and a comparison as the store and the JSON have them."""
+    """Return an alignment and a comparison as the store and the JSON have them."""
     numbers: dict[str, Any] = {
         "offset_s": found.offset,
         "sigma_offset_s": found.sigma_offset,
@@ -224,7 +256,7 @@ def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> d
 
 
 def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
-    """A note when the drive moves another mass than was weighed."""
+    """Return a note if the drive accelerates another mass than was weighed."""
     clock = sensors.clocks.get("drive", {})
     gain, spread = clock.get("gain"), clock.get("sigma_gain")
     if gain is None or spread is None or not isinstance(run.mass, tuple) or gain < MIN_MASS_DIFFERENCE_SIGMAS * spread:
@@ -240,7 +272,7 @@ def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
 
 
 def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
-    """The kinetic energy at release against `impact_energy`, where that is stated and the mass is known."""
+    """Compare the kinetic energy at release with `impact_energy`, if that is stated and the mass is known."""
     run = pipeline.run
     if run.impact_energy is None or not isinstance(run.mass, tuple):
         return None

@@ -18,18 +18,21 @@ from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, 
 from frictrack.results import RecordingInfo, Sensors
 from frictrack.study import RunTable, Study
 
-MASS_FIT_MODEL = "coulomb,viscous"  # beside which the drive tells a mass before anything else is fitted
+MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 
 def _make_displacement(pipeline: RunPipeline) -> Displacement:
+    """Compute the displacement of a table of positions."""
     return make_displacement_from_table(read_run_table(pipeline.run), pipeline.run)
 
 
 def _make_filtered(pipeline: RunPipeline, displacement: Displacement, sensors: Sensors) -> Filtered:
+    """Low-pass the displacement, with the acceleration of a sensor if it agrees with the camera."""
     return low_pass(displacement, pipeline.run.cutoff, acceleration=fused_acceleration(sensors))
 
 
 def _make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
+    """Compute the friction force; an unknown mass is estimated first."""
     run = make_run(pipeline.run, displacement, motion, sensors)
     if run.mass is not None or run.friction_N is not None:
         return _friction_or_missing_incline(pipeline, run)
@@ -39,7 +42,7 @@ def _make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Mo
 
 
 def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
-    """The friction of a run; where it has no free section, what is missing for one."""
+    """Compute the friction force of a run; if it has no free section because the incline is missing, say so."""
     try:
         return friction(run)
     except FrictrackError as e:
@@ -50,18 +53,18 @@ def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
 
 
 def _with_fitted_mass(run: Run) -> tuple[Run, str]:
-    """A run of unknown mass with the one that its drive tells beside dry and viscous friction, and words for it."""
+    """Return a run of unknown mass with the mass that its drive determines, and a sentence for the user."""
     from frictrack.fit import fit  # noqa: PLC0415 - a second that runs of known mass need not wait for
 
     found = fit(models.parse(MASS_FIT_MODEL), [run]).parameters["mass.m"]
     if found.value is None or found.std is None:
         raise FrictrackError(f'mass = "fit": {found.reason}')
-    says = f"mass {found.value:.4g} ± {found.std:.2g} kg as the drive tells beside Coulomb and viscous friction"
+    says = f"mass {found.value:.4g} ± {found.std:.2g} kg, fitted to the drive with Coulomb and viscous friction"
     return replace(run, mass=found.value, sigma_mass=found.std), says
 
 
 def _stage_table(*head: Stage) -> dict[str, Stage]:
-    """A table of stages: the head, and what every run goes through after its displacement."""
+    """Return a table of stages: the given ones, then those that every run has after its displacement."""
     tail = (
         Stage(
             "sensors",

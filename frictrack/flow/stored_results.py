@@ -1,8 +1,8 @@
-"""What a study has come to, read from its HDF5 files alone: nothing is measured, fitted or checked again.
+"""Read the results of a study from its HDF5 files alone: nothing is measured, fitted or checked again.
 
-    results = stored(open_study("study.toml"))
+    results = read_results(open_study("study.toml"))
 
-A run that was not measured to its end is left out, a model that was not diagnosed has no diagnosis.
+A run that was not measured completely is left out; a model that was not diagnosed has no diagnosis.
 """
 
 from __future__ import annotations
@@ -30,11 +30,23 @@ from frictrack.results import ModelResults, Results, RunResults, to_builtins
 from frictrack.study import Study
 from frictrack.version import __version__
 
-OPTIONAL_STAGES = ("cutoff", "friction", "events")  # stages that a fit does not need
+OPTIONAL_STAGES = ("cutoff", "friction", "events")  # not needed by a fit
 
 
 def read_results(study: Study) -> Results:
-    """Runs, models, comparison and diagnosis as they lie in the results folder, however old."""
+    """Read runs, models, comparison and diagnosis of a study as they are stored, even if they are outdated.
+
+    Parameters
+    ----------
+    study
+        The study.
+
+    Returns
+    -------
+    Results
+        Its `outdated` lists what has changed in the study file since.
+
+    """
     pipelines = [run_pipeline(study, run, stored_only=True) for run in study.runs]
     models = TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
     with store.snapshot(models.path, *(pipeline.path for pipeline in pipelines)):
@@ -57,33 +69,42 @@ def read_results(study: Study) -> Results:
 
 
 def _all_run_results(pipelines: list[RunPipeline]) -> tuple[RunResults, ...]:
-    """The runs, and which of them are the same recording."""
+    """Read all runs; a run that is the same recording as another one gets a note."""
     twice = find_duplicate_runs(pipelines)
     runs = [run_results(pipeline) for pipeline in pipelines]
     return tuple(replace(r, notes=(*r.notes, twice[r.name])) if r.name in twice else r for r in runs)
 
 
 def read_attempt(path: Path) -> ModelResults:
-    """The model of an attempt."""
+    """Read the model that `Session.attempt` wrote."""
     return model_results(path, store.names(path, "models")[0])
 
 
 def preview_motion(run: RunResults, cutoff: float) -> Array:
-    """What x, v and a (3, n) of a run would be with a plain low-pass at a cut-off, Hz; nothing is stored."""
-    along = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # across costs as much again
-    beside = None if run.sensors is None else fused_acceleration(run.sensors)
-    return derivatives(low_pass(along, cutoff, acceleration=beside))
+    """Return x, v and a (3, n) of a run with a plain low-pass; nothing is stored.
+
+    Parameters
+    ----------
+    run
+        A run.
+    cutoff
+        Cut-off frequency, Hz.
+
+    """
+    course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
+    acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
+    return derivatives(low_pass(course, cutoff, acceleration=acceleration))
 
 
 def _is_measured(pipeline: RunPipeline) -> bool:
-    """Whether all is there on which anything else rests."""
+    """Return whether all stages that a fit needs are stored."""
     return all(pipeline.is_current(name) for name in pipeline.stages if name not in OPTIONAL_STAGES)
 
 
 def _outdated_items(pipelines: list[RunPipeline], models: TriedModels) -> Iterator[str]:
-    """Keys of the runs that were made from others than the study file has now, and the model, where that holds for it.
+    """List keys of runs that have changed in the study file since the results were computed, and outdated models.
 
-    The files that they name are not opened: whether their content changed is only seen when the work is done again.
+    The files that the keys name are not opened: a change of their content is noticed when the work is done again.
     """
     runs: dict[str, list[str]] = {}
     for pipeline in pipelines:
@@ -101,7 +122,7 @@ def _summary(models: TriedModels, group: str) -> Any:
 
 
 def run_results(pipeline: RunPipeline) -> RunResults:
-    """Every stage of one run that was made, all that is known of it."""
+    """Read all stored stages of one run, with its notes, quality and error budget."""
     done = {name: pipeline.get(name) for name in pipeline.stages if pipeline.is_current(name)}
     seen = _quality(done)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
@@ -130,7 +151,7 @@ def run_results(pipeline: RunPipeline) -> RunResults:
 
 
 def _quality(done: dict[str, Any]) -> dict[str, Any]:
-    """What a film says of its own measurement; nothing for a table."""
+    """Return `track_quality` of a film; empty for a table of positions."""
     if "track" not in done:
         return {}
     found: dict[str, Any] = to_builtins(

@@ -1,4 +1,4 @@
-"""Read the table of a run onto an even clock: repeated stamps, jitter, doubled and missing samples, each named."""
+"""Compute the displacement of a table of positions: even clock, jitter, doubled and missing samples."""
 
 from __future__ import annotations
 
@@ -38,18 +38,31 @@ if TYPE_CHECKING:
     from frictrack.recording import Stamps
 
 Rows = NDArray[np.int64]
-MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is worth a word
+MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is reported
 DOUBLE_RESOLUTION = 8 * np.finfo(float).eps  # relative error of what a double holds
-MIN_JUMP_SIGMAS = 10.0  # times its noise: a smaller jump of a position is no missing sample
-MAX_GAP_FRAMES = 1000  # frames
+MIN_JUMP_SIGMAS = 10.0  # a smaller jump of a position, in its noise, is no missing sample
+MAX_GAP_FRAMES = 1000
 MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
-MIN_ROWS = 16  # rows that can show a fault of the clock
-MIN_JITTER_SHARE = 0.1  # of the noise at rest: less adds half a percent to a deviation
+MIN_ROWS = 16  # rows needed to find a fault of the clock
+MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class EvenTable:
-    """A table whose rows lie on an even clock, which of them hold a sample of their own, and findings in words."""
+    """A table whose rows lie on an even clock.
+
+    Attributes
+    ----------
+    data
+        The columns.
+    valid
+        Whether a row holds a sample of its own, (n,).
+    numbers
+        Number of each row in the file, from 0, (n,).
+    notes
+        What was corrected.
+
+    """
 
     data: TableData
     valid: Mask
@@ -58,13 +71,22 @@ class EvenTable:
 
 
 def read_run_table(run: RunTable) -> TableData:
-    """The table that a run is."""
+    """Read the table of a run."""
     assert run.table is not None
     return read_table(local_path(run.table), run.columns)
 
 
 def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement:
-    """A table is a displacement already; what it does not hold is NaN, and outliers are left out."""
+    """Return the displacement of a run from its table; missing columns are NaN, and outliers are marked as invalid.
+
+    Parameters
+    ----------
+    data
+        The table, as read.
+    run
+        The ``[[run]]``.
+
+    """
     table = with_even_clock(data, run.fps)
     data = table.data
     assert data.x is not None
@@ -90,7 +112,7 @@ def make_displacement_from_table(data: TableData, run: RunTable) -> Displacement
 
 
 def _with_jitter_noise(seen: Displacement) -> Displacement:
-    """A displacement whose samples may come unevenly under even stamps: then its deviations grow with the speed."""
+    """Return a displacement with larger standard deviations if its samples jitter although the time stamps are even."""
     if len(seen) < MIN_ROWS or not is_even(seen.t):
         return seen
     interval = float(np.median(np.diff(seen.t)))
@@ -111,7 +133,7 @@ def _with_jitter_noise(seen: Displacement) -> Displacement:
 
 
 def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
-    """What the noise of all tables together says of their samples: a run at nearly one speed cannot show its jitter."""
+    """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
     even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
     late = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
     if not late:
@@ -124,12 +146,12 @@ def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
 
 
 def _max_resolved_speed(seen: Displacement) -> float:
-    """Speed of half a pixel or half a step a sample, m/s: up to it the error of either grows with the speed."""
+    """Return the speed of half a pixel or half a step per sample, m/s; rounding errors grow with the speed below it."""
     return 0.5 * max(seen.pixel_pitch or 0.0, seen.resolution) / float(np.median(np.diff(seen.t)))
 
 
 def _table_sigma(seen: Displacement) -> Array:
-    """White noise of a displacement whose table states none; at least that of its last digit, or of its rounding."""
+    """Return the white noise (n,) of a table without standard deviations; at least that of rounding."""
     x = seen.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
@@ -138,7 +160,16 @@ def _table_sigma(seen: Displacement) -> Array:
 
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
-    """The same rows on an even clock; nothing is changed where nothing is found."""
+    """Return the rows of a table on an even clock; a table without faults is not changed.
+
+    Parameters
+    ----------
+    data
+        The table, as read.
+    fps
+        Frame rate of the study file, Hz, to be compared with the time stamps.
+
+    """
     n = len(data.t)
     rows = np.arange(n)
     if data.x is None or n < MIN_ROWS:
@@ -146,20 +177,20 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     clocked = not is_even(data.t)
     data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
     notes += _rate_note(data.t, fps)
-    if not _can_find_slips(data):  # the smoother says what is wrong with it
+    if not _can_find_slips(data):  # the smoother reports what is wrong
         return EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes)
     return _without_slips(EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes), clocked=clocked)
 
 
 def _can_find_slips(data: TableData) -> bool:
-    """Whether rows lie on an even clock without long gaps, and something moves."""
+    """Return whether the rows lie on an even clock without long gaps, and the target moves."""
     assert data.x is not None
     gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
     return is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
 
 
 def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
-    """A table of uneven stamps on an even clock, the numbers of its rows, and what was done."""
+    """Return a table with uneven time stamps on an even clock, its row numbers, and notes."""
     from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
     rows = np.arange(len(data.t))
@@ -181,7 +212,7 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
 
 
 def _without_jitter(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str, ...]]:
-    """A table whose rows are so many intervals after the first, on an even clock, and what was done."""
+    """Return a table whose rows are `ticks` intervals after the first one on an even clock, and notes."""
     assert data.x is not None
     if is_even(data.t):
         return data, ()
@@ -190,7 +221,7 @@ def _without_jitter(data: TableData, ticks: Rows) -> tuple[TableData, tuple[str,
 
 
 def _stamp_notes(read: Stamps) -> tuple[str, ...]:
-    """Stamps that were written twice, and wrong ones, in words."""
+    """Return notes on repeated and wrong time stamps."""
     notes: tuple[str, ...] = ()
     if len(read.doubled):
         notes += (
@@ -206,13 +237,13 @@ def _count(n: int) -> str:
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
-    """Frame numbers with those of corrupt stamps (-1) in their place."""
+    """Return frame numbers, with those of corrupt stamps (-1) interpolated."""
     known = ticks >= 0
     return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
 
 
 def _at_clock(data: TableData, clock: EvenClock) -> TableData:
-    """The table at the times of a clock, positions moved by how late they were sampled."""
+    """Return a table at the times of a clock; positions are shifted by the delay of their samples."""
     moved = {
         name: column - robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
         for name, column in (("x", data.x), ("y", data.y))
@@ -222,14 +253,14 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
 
 
 def _select_rows(data: TableData, rows: Rows) -> TableData:
-    """Some rows of a table."""
+    """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
     taken: dict[str, Any] = {name: None if column is None else column[rows] for name, column in columns.items()}
     return TableData(**taken)
 
 
 def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
-    """A rate that is given and that of the stamps, where they disagree."""
+    """Return a note if the given frame rate and that of the time stamps differ."""
     rate = 1.0 / float(np.median(np.diff(t)))
     if fps is None or abs(rate / fps - 1) <= MIN_RATE_DIFFERENCE:
         return ()
@@ -237,11 +268,11 @@ def _rate_note(t: Array, fps: float | None) -> tuple[str, ...]:
 
 
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
-    """The table without the samples that repeat the one before, and with gaps in time where samples are missing.
+    """Return the table without samples that repeat the one before, and with gaps in time where samples are missing.
 
-    Stamps that are not even were written by a clock: then they are believed, and only repeated samples are left out.
+    Uneven time stamps were written by a clock; they are used as they are, and only repeated samples are left out.
     """
-    found = find_slips(_course(table.data), held=True)
+    found = find_slips(_sampled_path(table.data), held=True)
     if not found:
         return table
     data = table.data
@@ -256,8 +287,8 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
-def _course(data: TableData) -> SampledPath:
-    """The positions of a table; only those that are the same to the last digit can repeat each other."""
+def _sampled_path(data: TableData) -> SampledPath:
+    """Return the positions of a table as a path; only identical positions can repeat each other."""
     assert data.x is not None
     x = data.x
     own = x[np.concatenate(([True], np.diff(x) != 0))]
@@ -270,7 +301,7 @@ def _course(data: TableData) -> SampledPath:
 
 
 def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
-    """Repeated and missing samples in words."""
+    """Return notes on repeated and missing samples."""
     again = [int(numbers[s.frame]) for s in found if s.doubled]
     lost = [s for s in found if not s.doubled]
     notes = []

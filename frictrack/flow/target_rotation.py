@@ -1,4 +1,4 @@
-"""Say that a target turns, and how fast, where its angle shows it beyond the noise of its place."""
+"""Report that a target rotates, if its angle shows it beyond the noise of its position."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ import numpy as np
 from frictrack.calibration import MIN_ROTATION
 from frictrack.records import Array, Mask, Track
 
-WINDOW_FRAMES = 9  # frames over which an angle is averaged
+WINDOW_FRAMES = 9  # over which an angle is averaged
 MIN_FRAMES = 3 * WINDOW_FRAMES  # frames with an angle that can show a turn
-MIN_SIGMAS = 5.0  # standard deviations
+MIN_SIGMAS = 5.0  # by which the rotation must exceed its standard deviation
 
 
 def rotation_note(track: Track) -> tuple[str, ...]:
-    """Return a finding on a target that turns; none where nothing stands out.
+    """Return a note on a target that rotates; empty if it does not.
+
+    A rotation counts if it moves the corners of the target by five standard deviations of its position.
 
     Parameters
     ----------
     track
-        Places and angles of the target. A turn counts that moves its corners by five deviations of its place.
+        Positions and angles of the target.
 
     Returns
     -------
@@ -44,9 +46,9 @@ def rotation_note(track: Track) -> tuple[str, ...]:
 
 
 def _range_std(track: Track, angle: Array, known: Mask, mean: Array) -> float:
-    """Standard deviation of the largest and the smallest running mean of the angle, together, rad.
+    """Return the standard deviation of the range of the averaged angle, rad.
 
-    It is the stated one, as far as neighbouring frames agree with that; a target half hidden has a poor angle.
+    The stated deviation is scaled to the scatter of neighbouring frames: a target that is half hidden has a poor angle.
     """
     sigma = np.ones(len(track.angle)) if track.sigma_angle is None else track.sigma_angle
     sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, np.inf)[known]
@@ -58,5 +60,5 @@ def _range_std(track: Track, angle: Array, known: Mask, mean: Array) -> float:
 
 
 def _running_mean(angle: Array) -> Array:
-    """Running means (n - `SPAN` + 1,) of angles (n,)."""
+    """Return the running mean (n - `WINDOW_FRAMES` + 1,) of angles (n,)."""
     return np.convolve(angle, np.full(WINDOW_FRAMES, 1.0 / WINDOW_FRAMES), mode="valid")

@@ -1,4 +1,4 @@
-"""How well a film was measured: its tracks are judged by themselves, in numbers and in words."""
+"""Correct the track of a film for camera shake and lost frames, and describe how well the film was measured."""
 
 from __future__ import annotations
 
@@ -18,22 +18,42 @@ if TYPE_CHECKING:
     from frictrack.samples import Slip
 
 Rows = NDArray[np.int64]
-MIN_STRETCHED_SHARE = 0.3  # share of the frames of a film that were put in: it was stretched
+MIN_STRETCHED_SHARE = 0.3  # of the frames that repeat the frame before; from here on the film was stretched
 NOTE_STRETCHED = (
-    "the film was stretched by showing pictures more than once; the frame rate is taken as that of the pictures: "
-    "if it is that of the stretched film, divide fps by how often a picture is shown (friction goes with its square)"
+    "the film was stretched by repeating frames; fps is taken as the rate of the original frames: if it is the rate "
+    "of the stretched film, divide fps by the number of repetitions (friction scales with its square)"
 )
-MIN_LOST_SHARE = 0.01  # of the frames of a path, that may be empty without a word
-MIN_DIRECTION_SIGMAS = 0.5  # standard deviations between forward and backward that are worth a word
+MIN_LOST_SHARE = 0.01  # of the frames of a path; fewer lost frames are not reported
+MIN_DIRECTION_SIGMAS = 0.5  # between forward and backward tracking, in standard deviations; less is not reported
 
 
 def correct_track(
     track: Track, tracks: dict[str, Track], *, clocked: bool, least: float = 0.0
 ) -> tuple[Track, tuple[str, ...], Rows]:
-    """The track without camera shake (of at least `least` px) and with true times, findings, and its frame numbers.
+    """Subtract camera shake from a track, correct its times and describe what was found.
 
-    Doubled frames are left out. Times are corrected by what the motion tells only where the camera did not write time
-    stamps (`clocked`): frames that are missing become gaps.
+    Times are corrected only if the camera wrote no time stamps.
+
+    Parameters
+    ----------
+    track
+        Track of the target (n frames).
+    tracks
+        The other tracks by name; see `make_further_tracks`.
+    clocked
+        Whether the camera wrote time stamps.
+    least
+        Smallest shake that is subtracted, px rms.
+
+    Returns
+    -------
+    track : Track
+        Without the doubled frames; missing frames are gaps in time.
+    notes : tuple of str
+        The findings.
+    rows : ndarray of int
+        Frame numbers of the remaining rows.
+
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
@@ -49,7 +69,7 @@ def correct_track(
 
 
 def lost_frames_note(track: Track) -> tuple[str, ...]:
-    """Return a finding on frames that are empty between the first and the last that show the target, at most one."""
+    """Return a note if frames are lost between the first and the last that show the target; at most one."""
     found = np.flatnonzero(track.found)
     if not len(found):
         return ()
@@ -66,9 +86,9 @@ def lost_frames_note(track: Track) -> tuple[str, ...]:
 def _corrected_track(
     track: Track, reference: Track | None, *, clocked: bool, least: float = 0.0
 ) -> tuple[Track, tuple[str, ...], tuple[Slip, ...]]:
-    """The track without shake and with true times, what was done about shake, and what the motion tells of the times.
+    """Return the track without shake and with true times, notes on shake, and the faults of the times.
 
-    That is sought first, with the reference as it was measured: a jump in time breaks the tones of a shake.
+    The faults are searched first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
     from frictrack.tracking.checks import slips  # noqa: PLC0415
 
@@ -81,7 +101,7 @@ def _corrected_track(
 
 
 def _minus_reference(track: Track, reference: Track | None) -> Track:
-    """The track less the reference as it was measured, where that shakes."""
+    """Return the track minus the reference as it was measured, if the reference shakes."""
     if reference is None or not estimate_shake(reference).detected:
         return track
     x, y = (np.nan_to_num(q - np.nanmean(q)) for q in (reference.x_px, reference.y_px))
@@ -95,20 +115,34 @@ def _minus_reference(track: Track, reference: Track | None) -> Track:
 
 
 def residual_shake(reference: Track | None, least: float) -> tuple[float, float, str] | None:
-    """What may be left of a camera shake: frequency in Hz, rms along x in px, and why; None without any."""
+    """Return the camera shake that may be left in the displacement.
+
+    Parameters
+    ----------
+    reference
+        Track of the fixed reference, if there is one.
+    least
+        Smallest shake that is subtracted, px rms.
+
+    Returns
+    -------
+    tuple of (float, float, str) or None
+        Frequency, Hz; rms along x, px; the reason. None without shake.
+
+    """
     if reference is None:
         return None
     used = estimate_shake(reference, least)
     if used.detected:
-        told = "error of the reference's movement, which was subtracted"
-        return used.frequency or 0.0, float(used.sigma[0]), told
+        reason = "error of the reference's movement, which was subtracted"
+        return used.frequency or 0.0, float(used.sigma[0]), reason
     if used.left_in:
         return estimate_shake(reference).frequency or 0.0, used.left_in, "too small to be subtracted, left in"
     return None
 
 
 def _forward_backward_note(forward: Track, backward: Track | None) -> tuple[str, ...]:
-    """What the same film tracked backward says, where the two differ."""
+    """Return a note if backward tracking differs from forward tracking; at most one."""
     from frictrack.tracking.checks import forward_backward  # noqa: PLC0415
 
     if backward is None:
@@ -118,14 +152,22 @@ def _forward_backward_note(forward: Track, backward: Track | None) -> tuple[str,
 
 
 def kept_rows(n: int, slips: Sequence[Slip]) -> Rows:
-    """Rows of a track of n frames that stay: doubled frames that were put in do not."""
+    """Return the rows (of n frames) that are kept: all but doubled frames that were inserted."""
     return np.setdiff1d(np.arange(n), [s.frame for s in slips if s.frames < 0])
 
 
 def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
-    """The track with gaps in time where frames are missing, and without doubled frames.
+    """Return the track with gaps in time where frames are missing, and without inserted doubled frames.
 
-    A doubled frame in place of a lost one is not found; one that was put in is left out.
+    A doubled frame that replaces a lost one keeps its row, and its position is NaN.
+
+    Parameters
+    ----------
+    track
+        The track.
+    slips
+        The faults of its times.
+
     """
     from frictrack.tracking.checks import correct_ticks  # noqa: PLC0415
 
@@ -149,7 +191,7 @@ def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
 
 
 def _overruled_slip_notes(slips: Sequence[Slip]) -> tuple[str, ...]:
-    """The same where the camera's own time stamps say otherwise."""
+    """Return notes on faults of the times that the camera's own time stamps contradict."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     believed = "the camera's time stamps say otherwise and are believed"
@@ -159,7 +201,7 @@ def _overruled_slip_notes(slips: Sequence[Slip]) -> tuple[str, ...]:
 
 
 def _corrected_slip_notes(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
-    """The faults of the time base and what was done about them."""
+    """Return notes on faults of the times that were corrected."""
     from frictrack.tracking.checks import timing_note  # noqa: PLC0415
 
     doubled = timing_note([s for s in slips if s.doubled])
@@ -170,7 +212,21 @@ def _corrected_slip_notes(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
 
 
 def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
-    """Numbers on one film's measurement; `pitch` is that of the displacement, m, None where there is none."""
+    """Return numbers that describe how well one film was measured.
+
+    Parameters
+    ----------
+    film, track, tracks
+        The recording, the track of the target and the other tracks.
+    pitch
+        Size of a pixel, m; None if it is unknown.
+
+    Returns
+    -------
+    dict
+        Keys of the JSON of `track`; None for what is unknown.
+
+    """
     from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
 
     found = track.found
@@ -201,13 +257,13 @@ def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], p
 
 
 def _median(values: Array | None) -> float | None:
-    """Median of the known values of a column; None without any."""
+    """Return the median of the finite values of a column; None if there are none."""
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else None
 
 
 def _reference_noise(track: Track | None, um: float | None) -> dict[str, Any]:
-    """The live noise floor: what a fixed reference does beyond camera shake."""
+    """Return the noise of the fixed reference beyond camera shake, and the shake."""
     if track is None:
         return dict.fromkeys(("reference", "noise_floor_px", "noise_floor_um", "shake_px", "shake_Hz"))
     found = estimate_shake(track)
@@ -222,7 +278,7 @@ def _reference_noise(track: Track | None, um: float | None) -> dict[str, Any]:
 
 
 def _high_speed(track: Track) -> float:
-    """Speed of the target, px/s, that is exceeded in one frame of a hundred."""
+    """Return the speed of the target that 1 % of the frames exceed, px/s."""
     step = np.hypot(np.diff(track.x_px), np.diff(track.y_px)) / np.diff(track.t)
     known = step[np.isfinite(step)]
     return float(np.quantile(known, 0.99)) if len(known) else float("nan")

@@ -1,8 +1,8 @@
-"""Whether results are still what was written, made from one another and from the recordings that lie there.
+"""Verify stored results: undamaged, computed from one another, and from the recordings that are there now.
 
-Four questions, each with its own kind of fault: `damage` (bytes changed since they were written), `missing` or
-`leftover` (a file that should be there, or should not), `changed` (a recording, a table or the study file is another
-one than was measured) and `outdated` (one result was made again, and what rests on it was not).
+Every fault has a kind: `damage` (bytes changed since they were written), `missing` or `leftover` (a file that should
+exist, or should not), `changed` (a recording, a table or the study file differs from what was measured) and `outdated`
+(a result was computed again, but not what depends on it).
 """
 
 from __future__ import annotations
@@ -27,14 +27,30 @@ from frictrack.study import Study, load, results_folder
 
 Provenances = Callable[[Path], dict[str, Provenance]]
 RUN_AGAIN = "run the study again"
-_GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # as `RunWork.inputs` and `Tried.inputs` name groups
+_GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # name of a group in `RunPipeline.inputs` and `TriedModels.inputs`
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
 
 
 def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str, Any]:
-    """Look at study files, folders of results, HDF5 files, or folders searched through: JSON of `verify`.
+    """Verify study files, folders of results or HDF5 files. Nothing is written.
 
-    Nothing is written. Raises `FrictrackError` (usage) for a path where there is nothing to verify.
+    Parameters
+    ----------
+    paths
+        The files; folders are searched.
+    progress
+        Called as ``progress(done, total, "files")``.
+
+    Returns
+    -------
+    dict
+        JSON of `frictrack verify`: "sound" (bool), "faults" (list), numbers of files and studies, ...
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a path contains nothing to verify.
+
     """
     files: dict[Path, Path] = {}
     studies: dict[Path, Path] = {}
@@ -46,7 +62,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
         studies |= {p.resolve(): p for p in named}
     faults, pipelines = _open_studies(studies.values())
     sound: set[Path] = set()
-    provenances = lru_cache(maxsize=256)(store.provenances)  # what is told of a file is asked for by those made from it
+    provenances = lru_cache(maxsize=256)(store.provenances)  # a file is asked for by every file computed from it
     for i, path in enumerate(files):
         progress(i, len(files), "files")
         found = store.check(files[path])
@@ -73,7 +89,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
 
 
 def _result_files(path: Path) -> list[Path]:
-    """The HDF5 files that a path stands for."""
+    """Return the HDF5 files of a path."""
     if path.suffix == ".toml" and path.is_file():
         path = _output_folder(path) or path
     if path.is_dir():
@@ -82,14 +98,14 @@ def _result_files(path: Path) -> list[Path]:
 
 
 def _study_files(path: Path) -> list[Path]:
-    """The study files that a path stands for: itself, those in a folder, or the one whose results the folder holds."""
+    """Return the study files of a path: itself, those in a folder, and those whose results the folder holds."""
     if path.suffix == ".toml" and path.is_file():
         return [path]
     if not path.is_dir():
         return []
     inside = [p for p in sorted(path.rglob("*.toml")) if _STUDY.search(p.read_text(encoding="utf-8", errors="replace"))]
-    beside = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output_folder(p) == path.absolute()]
-    return inside + beside
+    owners = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output_folder(p) == path.absolute()]
+    return inside + owners
 
 
 def _output_folder(path: Path) -> Path | None:
@@ -100,26 +116,26 @@ def _output_folder(path: Path) -> Path | None:
 
 
 def _open_studies(paths: Iterable[Path]) -> tuple[list[Fault], list[list[RunPipeline]]]:
-    """The runs of every study file, and what is wrong with those that cannot be read or have none."""
+    """Open the runs of every study file; return the faults of those that cannot be read, and the runs."""
     faults, pipelines = [], []
     for path in paths:
         try:
             study = load(path)
             pipelines.append([run_pipeline(study, run, stored_only=True) for run in study.runs])
         except FrictrackError as e:
-            faults.append(Fault(path, "", str(e), "put that right; its results are looked at all the same", "changed"))
+            faults.append(Fault(path, "", str(e), "correct it; its results are verified all the same", "changed"))
     return faults, pipelines
 
 
 def _existing_results(pipelines: list[RunPipeline]) -> list[Path]:
-    """The result files of a study that there are."""
+    """Return the result files of a study that exist."""
     return [
         p for p in (*(pipeline.path for pipeline in pipelines), pipelines[0].study.output / "study.h5") if p.exists()
     ]
 
 
 def _study_faults(pipelines: list[RunPipeline], sound: set[Path]) -> Iterator[Fault]:
-    """What disagrees with the study file and the recordings that it names; of damaged files nothing is told twice."""
+    """Find differences between results and the study file with its recordings; damaged files are skipped."""
     files = _existing_results(pipelines)
     for pipeline in pipelines if files else ():
         if pipeline.path not in files:
@@ -131,7 +147,7 @@ def _study_faults(pipelines: list[RunPipeline], sound: set[Path]) -> Iterator[Fa
 
 
 def _run_faults(pipeline: RunPipeline) -> Iterator[Fault]:
-    """What the run's keys and files are now against what was measured."""
+    """Compare the keys and files of a run with those that its results were computed from."""
     for name, provenance in ((n, s) for n in pipeline.stages if (s := store.provenance(pipeline.path, n)) is not None):
         then, now = json.loads(provenance.settings), pipeline.settings(name)
         if changed := [key for key in now if then.get(key) != now[key]]:
@@ -142,7 +158,7 @@ def _run_faults(pipeline: RunPipeline) -> Iterator[Fault]:
 
 
 def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> Iterator[Fault]:
-    """Whether the files that a stage read still hold the same."""
+    """Find files that a stage read and that have changed since."""
     then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
         now = {
@@ -150,19 +166,19 @@ def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> I
             for path in pipeline.input_files(pipeline.stages[name])
         }
     except (FrictrackError, OSError) as e:
-        words = f"what it was made from cannot be read ({e})"
-        yield Fault(pipeline.path, f"/{name}", words, "put it back; these results still stand", "missing")
+        words = f"its input cannot be read ({e})"
+        yield Fault(pipeline.path, f"/{name}", words, "restore the input; these results are still valid", "missing")
         return
     other = [file for file in then if now.get(file) != then[file]]
     if not provenance.inputs and digest([found for _, found in pipeline.inputs(name)]) != provenance.input_hash:
-        other = list(now)  # schema 1 named no inputs one by one
+        other = list(now)  # schema 1 did not list the inputs
     if other:
         words = f"was made from {' and '.join(other)} as it was then, which has changed since; the results are sound"
         yield Fault(pipeline.path, f"/{name}", words, f"put the old one back, or {RUN_AGAIN}", "changed")
 
 
 def _model_faults(study: Study, pipelines: list[RunPipeline]) -> Iterator[Fault]:
-    """Models that were fitted to other runs, or under other words of the study file, than there are now."""
+    """Find models that were fitted to other runs, or with other settings, than today's."""
     models = TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
     for group in models.groups:
         if models.is_outdated(group):
@@ -171,15 +187,15 @@ def _model_faults(study: Study, pipelines: list[RunPipeline]) -> Iterator[Fault]
 
 
 def _file_provenance_faults(path: Path, provenances: Provenances) -> list[Fault]:
-    """What is wrong with the provenance of a file whose bytes are sound."""
+    """Find faults of provenance in a file whose bytes are sound."""
     try:
         return list(_group_provenance_faults(path, provenances))
     except (ValueError, TypeError, KeyError) as e:
-        return [Fault(path, "", f"its provenance is not that of frictrack ({e})", RUN_AGAIN)]
+        return [Fault(path, "", f"its provenance was not written by frictrack ({e})", RUN_AGAIN)]
 
 
 def _group_provenance_faults(path: Path, provenances: Provenances) -> Iterator[Fault]:
-    """Whether every result of a file tells where it comes from, and comes from what lies there."""
+    """Check that every result states its inputs, and was computed from those that are there."""
     for group, provenance in provenances(path).items():
         full = f"/{group}"
         if not (provenance.key and provenance.input_hash and provenance.version):
@@ -195,14 +211,14 @@ def _group_provenance_faults(path: Path, provenances: Provenances) -> Iterator[F
 
 
 def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances: Provenances) -> Iterator[Fault]:
-    """Whether the groups that one was made from are there, and were not made again since."""
+    """Check that the groups that a result was computed from exist, and were not computed again since."""
     for name, key in inputs:
         if found := _GROUP.fullmatch(name):
             other = path.parent / found[1] if found[1] else path
             try:
                 held = provenances(other).get(found[2]) if other.exists() else None
             except FrictrackError:
-                continue  # told of that file
+                continue  # reported for that file
             if held is None:
                 yield Fault(path, full, f"was made from {name}, which is not there", RUN_AGAIN, "missing")
             elif held.key != key:
@@ -210,16 +226,16 @@ def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances
 
 
 def _history_has_models(folder: Path) -> bool:
-    """Whether the log says that a model was fitted, and not forgotten since."""
+    """Return whether a model was fitted since the last restart, by the log."""
     there = False
-    with suppress(FrictrackError):  # told as damage
+    with suppress(FrictrackError):  # reported as damage
         for change in CommandHistory(folder).changes:
             there = change.command != "restart" and (there or "current" in change.after)
     return there
 
 
 def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
-    """What lies beside the HDF5 files: the log, the report, and what a writer that was killed has left."""
+    """Check what lies beside the HDF5 files: the log, the report, and leftovers of writers that were killed."""
     try:
         changes = CommandHistory(folder)
         changes.undo_stacks()

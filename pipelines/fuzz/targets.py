@@ -208,7 +208,7 @@ def lens(data: bytes, folder: Path) -> None:
     path = folder / "lens.yml"
     path.write_bytes(data)
     found = read_lens(path, (480, 640))
-    found.seen(np.zeros((1, 2)))
+    found.project_rays(np.zeros((1, 2)))
 
 
 # ---- results
