@@ -18,8 +18,8 @@ def frame_rate_error(film: RecordingInfo | None) -> tuple[float | None, str]:
     """Relative error of the frame rate.
 
     The rates given by the user, by the header and by the time stamps are compared with the one that is used; the
-    largest difference counts. Agreement of user and header without camera time stamps proves nothing: both state the setting,
-    and a container's stamps repeat its header.
+    largest difference counts. Agreement of user and header without camera time stamps proves nothing: both state the
+    setting, and a container's stamps repeat its header.
 
     Parameters
     ----------
