@@ -1,30 +1,43 @@
-"""What happens in a run: release, impacts, stops, starts, reversals; and its rests, which show the noise for free."""
+"""Find the events of a run: release, impacts, stops, starts and reversals; and its rests, which show the noise."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.friction import is_motion, is_moving, release_time
-from frictrack.records import Array, Run, RunEvents, stretches
+from frictrack.friction import is_motion, is_moving, release_time, split_by_direction
+from frictrack.records import Array, Run, RunEvents
 
-WAY = 5.0  # standard deviations of the position that a motion must cover
-SUDDEN = 5.0  # times what the usual acceleration would change the velocity by: an impact
-LEAST_REST = 12  # frames, fewer do not tell the noise
-EDGE = 3  # frames at either end of a rest that may still move
+MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
+MIN_IMPACT_RATIO = 5.0  # times what the usual acceleration would change the velocity by: an impact
+MIN_REST_FRAMES = 12  # frames, fewer do not tell the noise
+EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
 
 def happenings(run: Run) -> RunEvents:
-    """Release, impacts, stops, starts and reversals of a run, in order, and its rests.
+    """Find the events and the rests of a run.
 
-    A reversal is where the velocity crosses zero between two motions of opposite direction, a stop and a start where
-    the mass rests between. An impact changes the velocity at once by far more than the slide does in that time. The
-    noise at rest is that of the unfiltered displacement about the mean of each rest, a rest that creeps left out.
+    A reversal is where the velocity crosses zero between two motions of opposite direction. A stop and a start are
+    where the mass rests between motions. An impact changes the velocity by far more than friction does in that time.
+    The noise at rest is that of the unfiltered displacement about the mean of each rest, without rests that creep.
+
+    Parameters
+    ----------
+    run
+        A run with displacement and motion.
+
+    Returns
+    -------
+    RunEvents
+        Events in order as (kind, begin s, end s), rests as (begin s, end s), and the noise at rest, m.
+
     """
     t, v = run.motion.t, run.motion.v
-    motions = [s for s in _one_way(run) if is_motion(run, s) and _goes(run, s)]
+    motions = [
+        s
+        for s in split_by_direction(run, is_moving(run) | ~run.displacement.valid)
+        if is_motion(run, s) and _travels(run, s)
+    ]
     found: list[tuple[str, float, float]] = []
     if run.free is None and run.drive is None and run.friction_N is None:
         found += _release(run)
@@ -34,29 +47,21 @@ def happenings(run: Run) -> RunEvents:
             if ends < len(t) - 2:
                 found.append(("stop", float(t[ends]), float(t[ends + 1])))
             continue
-        turned = np.sign(v[ends]) != np.sign(v[after.start])
-        if turned and after.start - ends <= LEAST_REST:
+        reverses = np.sign(v[ends]) != np.sign(v[after.start])
+        if reverses and after.start - ends <= MIN_REST_FRAMES:
             found.append(("reversal", float(t[ends]), float(t[after.start])))
         else:
             found.append(("stop", float(t[ends]), float(t[ends + 1])))
             found.append(("start", float(t[after.start - 1]), float(t[after.start])))
-    if motions and motions[0].start > LEAST_REST:
+    if motions and motions[0].start > MIN_REST_FRAMES:
         found.append(("start", float(t[motions[0].start - 1]), float(t[motions[0].start])))
     found += _impacts(run, motions, found[0][1] if found[:1] and found[0][0] == "release" else -np.inf)
     rests = _rests(run, motions)
     return RunEvents(tuple(sorted(found, key=lambda e: e[1])), tuple(_span(t, s) for s in rests), _noise(run, rests))
 
 
-def _one_way(run: Run) -> list[slice]:
-    """Stretches of moving frames, cut where the direction changes from one frame to the next."""
-    out = []
-    for s in stretches(is_moving(run) | ~run.displacement.valid):
-        turns = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
-        out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *turns, s.stop])]
-    return out
-
-
 def _release(run: Run) -> list[tuple[str, float, float]]:
+    """The release, if it lies after the first frame."""
     try:
         at = release_time(run)
     except FrictrackError:
@@ -64,33 +69,37 @@ def _release(run: Run) -> list[tuple[str, float, float]]:
     return [("release", at, at)] if at > run.motion.t[0] else []
 
 
-def _goes(run: Run, s: slice) -> bool:
-    return float(np.ptp(run.motion.x[s])) > WAY * float(np.nanmedian(run.displacement.sigma_x))
+def _travels(run: Run, s: slice) -> bool:
+    """Whether a motion covers more than the noise of the position."""
+    return float(np.ptp(run.motion.x[s])) > MIN_DISTANCE_SIGMAS * float(np.nanmedian(run.displacement.sigma_x))
 
 
 def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, float, float]]:
-    """The smoother's events after the release that take speed away at once: those that are no stop, start or push."""
+    """The smoother's events after the release that reduce the speed abruptly and are no stop, start or push."""
     t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
     moving = np.zeros(len(t), dtype=bool)
     for s in motions:
         moving[s] = True
-    usual = float(np.median(a[moving])) if moving.any() else np.inf
+    typical = float(np.median(a[moving])) if moving.any() else np.inf
     out = []
     for first, last in run.motion.events:
-        i, j = max(first - EDGE, 0), min(last + EDGE, len(t) - 1)
+        i, j = max(first - EDGE_FRAMES, 0), min(last + EDGE_FRAMES, len(t) - 1)
         if not (moving[i] and moving[j]) or t[first] <= after:
             continue
         change = v[j] - v[i]
-        if change * v[i] < 0 and abs(change) > SUDDEN * usual * (t[j] - t[i]):
+        if change * v[i] < 0 and abs(change) > MIN_IMPACT_RATIO * typical * (t[j] - t[i]):
             out.append(("impact", float(t[first]), float(t[last])))
     return out
 
 
 def _rests(run: Run, motions: list[slice]) -> list[slice]:
-    """Stretches between the motions long enough to tell the noise."""
+    """Stretches between the motions that are long enough to show the noise."""
     edges = [0, *[k for s in motions for k in (s.start, s.stop)], len(run.motion)]
-    between = [slice(i + EDGE, max(j - EDGE, i + EDGE)) for i, j in zip(edges[::2], edges[1::2], strict=True)]
-    return [s for s in between if np.sum(run.displacement.valid[s]) >= LEAST_REST]
+    between = [
+        slice(i + EDGE_FRAMES, max(j - EDGE_FRAMES, i + EDGE_FRAMES))
+        for i, j in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return [s for s in between if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
 
 
 def _span(t: Array, s: slice) -> tuple[float, float]:

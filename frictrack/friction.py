@@ -182,6 +182,15 @@ def is_moving(run: Run) -> Mask:
     return np.asarray(np.abs(run.motion.v) > MOVING * run.motion.sigma_v)
 
 
+def split_by_direction(run: Run, frames: Mask) -> list[slice]:
+    """Return the stretches of some frames (n,), cut where the direction of motion changes between two frames."""
+    out = []
+    for s in stretches(frames):
+        reversals = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
+        out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *reversals, s.stop])]
+    return out
+
+
 def _section(run: Run) -> _Section:
     """The free section of a run that coasts or slides down an incline."""
     start, stop = _main_motion(run)

@@ -21,15 +21,15 @@ from frictrack.flow import Session, open_study
 from frictrack.motion import differentiate, low_pass
 from frictrack.plausibility import (
     ERROR,
-    Typed,
-    implausible,
+    EnteredValues,
+    estimate_slide,
     implausible_clocks,
+    implausible_entries,
     implausible_inclines,
     implausible_masses,
     implausible_slide,
     missing_incline,
     path_angle,
-    slide_of,
     wrong_incline,
 )
 from frictrack.records import GRAVITY, Array, Displacement, Run, Track
@@ -89,13 +89,13 @@ def slid(degrees: float, mu: float, seconds: float = 0.4, rest: float = 0.1) -> 
         ({"mass": 3.5e-7}, "a mass of 3.5e-07 kg lies outside 0.0001 to 1000 kg", 'mass = "0.00035 kg"'),
         ({"pitch": 0.5, "bare": {"scale"}}, "scale = 0.5 has no unit and was read as 0.5 m/px", 'scale = "0.5 mm/px"'),
         ({"pitch": 0.5}, "1000 px would be 500 m wide", 'scale = "0.5 mm/px"'),
-        ({"fps": 4.0}, "fps = 4 lies outside 5 to 1e+07 frames a second", "fps = 4000"),
+        ({"fps": 4.0}, "fps = 4 lies outside 5 to 1e+07 frames per second", "fps = 4000"),
         ({"fps": 4e9}, "fps = 4e+09 lies outside", ""),
-        ({"incline": 1.2, "bare": {"incline"}}, "was read as rad, which are 68.8 deg", 'incline = "1.2 deg"'),
+        ({"incline": 1.2, "bare": {"incline"}}, "was read as rad, that is 68.8 deg", 'incline = "1.2 deg"'),
     ],
 )
 def test_a_mistyped_number_is_named_with_its_correction(typed, said, correction):
-    (finding,) = implausible(Typed("a", **{**typed, "bare": frozenset(typed.get("bare", ()))}))
+    (finding,) = implausible_entries(EnteredValues("a", **{**typed, "bare": frozenset(typed.get("bare", ()))}))
     assert said in finding.words
     assert finding.correction == correction
     assert correction in finding.words
@@ -116,7 +116,7 @@ def test_a_mistyped_number_is_named_with_its_correction(typed, said, correction)
     ],
 )
 def test_right_numbers_are_not_doubted(typed):
-    assert implausible(Typed("a", **{**typed, "bare": frozenset(typed.get("bare", ()))})) == ()
+    assert implausible_entries(EnteredValues("a", **{**typed, "bare": frozenset(typed.get("bare", ()))})) == ()
 
 
 # --- one run: units
@@ -159,7 +159,7 @@ def test_scale_and_frame_rate_of_a_film_are_recognised(scale, fps, said, grade):
 @pytest.mark.parametrize("mu", [0.05, 0.3, 2.33, 4.0])
 def test_friction_of_a_struck_slide_is_found_and_not_doubted(mu):
     run = run_of(*struck(mu))
-    slide = slide_of(run)
+    slide = estimate_slide(run)
     assert slide is not None
     assert slide.friction == pytest.approx(mu, rel=0.02)
     assert slide.speed == pytest.approx(2.0, rel=0.1)
@@ -180,7 +180,7 @@ def test_a_blow_of_too_much_energy_names_the_mass():
 
 def test_a_driven_run_has_no_friction_to_be_judged():
     t, x = struck(mu=0.3)
-    slide = slide_of(run_of(1e3 * t, x, drive=np.ones(len(t))))
+    slide = estimate_slide(run_of(1e3 * t, x, drive=np.ones(len(t))))
     assert slide is not None
     assert slide.friction is None
 
@@ -272,7 +272,7 @@ def test_a_course_on_which_runs_speed_up_one_way_ends_the_work():
     (finding,) = implausible_inclines(both_ways(25.0, 0.3))
     assert finding.grade == ERROR
     assert "runs toward -x speed up by" in finding.words
-    assert 'plausible = "checked" goes on' in finding.words
+    assert 'set plausible = "checked"' in finding.words
 
 
 def test_friction_that_is_the_same_both_ways_or_is_driven_tells_no_incline():
@@ -381,7 +381,7 @@ def test_one_mass_that_is_a_power_of_ten_off_is_named(wrong, right):
     (finding,) = implausible_masses(family(0.4, {"quick": wrong}))
     assert finding.run == "quick"
     assert finding.correction == f'mass = "{right} kg"'
-    assert "the friction that goes with the speed slows it as it would slow 0.35" in finding.words
+    assert "friction that depends on the speed slows it as it would slow 0.35" in finding.words
     assert finding.grade == ERROR
     assert finding.contradicts
 

@@ -17,10 +17,10 @@ from frictrack.flow.pipeline import RunPipeline
 from frictrack.friction import free_section
 from frictrack.plausibility import (
     ERROR,
+    EnteredValues,
     Finding,
-    Typed,
-    implausible,
     implausible_clocks,
+    implausible_entries,
     implausible_inclines,
     implausible_masses,
     implausible_slide,
@@ -205,14 +205,14 @@ def _study_file_findings(study: Study) -> Iterator[Finding]:
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
         held = {key: _inherited(raw, key) if own[key] is None else own[key] for key in CHECKED_KEYS}
         bare = frozenset(key for key, value in held.items() if _lacks_unit(value))
-        for found in implausible(_entered_numbers(run, bare)):
+        for found in implausible_entries(_entered_numbers(run, bare)):
             yield found if own[found.kind] is not None else replace(found, run="")
 
 
-def _entered_numbers(run: RunTable, bare: frozenset[str]) -> Typed:
+def _entered_numbers(run: RunTable, bare: frozenset[str]) -> EnteredValues:
     """Return the numbers of a run that are checked."""
     pitch = float("nan") if run.scale is None else parse_scale(run.scale)[0]
-    return Typed(
+    return EnteredValues(
         run=run.name,
         mass=run.mass[0] if isinstance(run.mass, tuple) else None,
         pitch=pitch if np.isfinite(pitch) else None,

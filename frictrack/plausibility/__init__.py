@@ -1,31 +1,32 @@
-"""Check that what was typed is plausible: mass, scale, frame rate, units, incline; before minutes are spent on it.
+"""Check that the numbers of a study are plausible: mass, scale, frame rate, units and incline.
 
-`implausible` looks at the study file alone, `implausible_slide`, `missing_incline` and `wrong_incline` at one measured
-run, `implausible_inclines`, `implausible_masses` and `implausible_clocks` at all runs together. Every finding says what
-was read, why it is implausible, and what to type instead. The ranges stand in `ranges`, each with its source.
+`implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
+measured run; `implausible_inclines`, `implausible_masses` and `implausible_clocks` check all runs together. Every
+finding states what was read, why it is implausible, and what to enter instead. The plausible ranges and their sources
+are in `ranges`.
 """
 
 from frictrack.plausibility.clocks import implausible_clocks
-from frictrack.plausibility.entered_values import Typed, implausible
+from frictrack.plausibility.entered_values import EnteredValues, implausible_entries
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import missing_incline, path_angle, wrong_incline
 from frictrack.plausibility.incline_consistency import implausible_inclines
 from frictrack.plausibility.masses import implausible_masses
-from frictrack.plausibility.slide import Slide, implausible_slide, slide_of
+from frictrack.plausibility.slide import SlideEstimate, estimate_slide, implausible_slide
 
 __all__ = [
     "ERROR",
     "WARNING",
+    "EnteredValues",
     "Finding",
-    "Slide",
-    "Typed",
-    "implausible",
+    "SlideEstimate",
+    "estimate_slide",
     "implausible_clocks",
+    "implausible_entries",
     "implausible_inclines",
     "implausible_masses",
     "implausible_slide",
     "missing_incline",
     "path_angle",
-    "slide_of",
     "wrong_incline",
 ]

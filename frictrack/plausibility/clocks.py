@@ -1,4 +1,4 @@
-"""Check the frame rates of runs: what their time stamps say against what was stated, and against the other runs."""
+"""Check the frame rates of runs: time stamps against the stated rate, and against the other runs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ import numpy as np
 from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.records import Run
 
-DISAGREE = 0.01  # relative: forces are then off by twice as much
-OTHER_CAMERA = 0.35  # relative: a larger difference between runs is another setting, and no wrong clock
-UNITS = {1e3: ("ms", "t (ms)"), 1e6: ("us", "t (us)"), 1 / 60: ("minutes", "t (min)")}  # by stated over stamped rate
+MAX_RELATIVE_DIFFERENCE = 0.01  # relative: forces are then off by twice as much
+MIN_OTHER_SETTING = 0.35  # relative: a larger difference between runs is another setting, and no wrong clock
+TIME_UNITS = {
+    1e3: ("ms", "t (ms)"),
+    1e6: ("us", "t (us)"),
+    1 / 60: ("minutes", "t (min)"),
+}  # by stated over stamped rate
 
 
 def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | None]) -> tuple[Finding, ...]:
@@ -37,46 +41,48 @@ def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | Non
 
     """
     found = tuple(
-        _found({name: 1.0 / float(np.median(np.diff(run.displacement.t))) for name, run in runs.items()}, stated)
+        _check_rates({name: 1.0 / float(np.median(np.diff(run.displacement.t))) for name, run in runs.items()}, stated)
     )
     if len(found) == len(runs) > 1 and len({f.words for f in found}) == 1:
         return (replace(found[0], run=""),)
     return found
 
 
-def _found(rates: Mapping[str, float], stated: Mapping[str, float | None]) -> Iterator[Finding]:
-    usual = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
+def _check_rates(rates: Mapping[str, float], stated: Mapping[str, float | None]) -> Iterator[Finding]:
+    median_rate = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
     for name, rate in rates.items():
         given = stated.get(name)
-        if given is not None and (unit := _unit(given / rate)):
-            yield _in_unit(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", unit)
-        elif given is not None and abs(rate / given - 1) > DISAGREE:
-            yield _stated(name, rate, given, usual)
-        elif DISAGREE < abs(rate / usual - 1) < OTHER_CAMERA:
-            yield _clock(name, f"the time stamps say {rate:.5g} Hz where the other runs have {usual:.5g} Hz")
+        if given is not None and (unit := _time_unit(given / rate)):
+            yield _unit_finding(name, f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given", unit)
+        elif given is not None and abs(rate / given - 1) > MAX_RELATIVE_DIFFERENCE:
+            yield _stated_finding(name, rate, given, median_rate)
+        elif MAX_RELATIVE_DIFFERENCE < abs(rate / median_rate - 1) < MIN_OTHER_SETTING:
+            yield _clock_finding(
+                name, f"the time stamps say {rate:.5g} Hz where the other runs have {median_rate:.5g} Hz"
+            )
 
 
-def _unit(ratio: float) -> tuple[str, str] | None:
-    """The unit of time in which stamps and stated rate agree, and the head of its column; None where none is."""
-    return next((unit for size, unit in UNITS.items() if abs(ratio / size - 1) <= DISAGREE), None)
+def _time_unit(ratio: float) -> tuple[str, str] | None:
+    """The unit of time with which stamps and stated rate agree, and its column heading; None if there is none."""
+    return next((unit for size, unit in TIME_UNITS.items() if abs(ratio / size - 1) <= MAX_RELATIVE_DIFFERENCE), None)
 
 
-def _in_unit(run: str, words: str, unit: tuple[str, str]) -> Finding:
+def _unit_finding(run: str, words: str, unit: tuple[str, str]) -> Finding:
     name, head = unit
     line = f'columns = {{t = "{head}"}}'
     advice = f'the table\'s times are in {name}: head that column "{head}" and give {line}'
     return Finding("fps", f"{words}; {advice}", line, run, ERROR, contradicts=True)
 
 
-def _stated(run: str, rate: float, given: float, usual: float) -> Finding:
-    """A stated rate and another one in the stamps: which is right, where the other runs (`usual`, or NaN) tell."""
+def _stated_finding(run: str, rate: float, given: float, median_rate: float) -> Finding:
+    """Finding on a stated rate that differs from the stamps; the median of the other runs may show which is right."""
     words = f"the time stamps say {rate:.5g} Hz but fps = {given:.5g} is given"
-    if abs(given / usual - 1) <= DISAGREE:
+    if abs(given / median_rate - 1) <= MAX_RELATIVE_DIFFERENCE:
         likely = f"{words}, which the other runs have: its times are probably to be multiplied by {rate / given:.5g}"
-        return _clock(run, likely)
-    return _clock(run, words, f"fps = {rate:.5g}")
+        return _clock_finding(run, likely)
+    return _clock_finding(run, words, f"fps = {rate:.5g}")
 
 
-def _clock(run: str, words: str, correction: str = "") -> Finding:
+def _clock_finding(run: str, words: str, correction: str = "") -> Finding:
     advice = "one of the two is wrong and every force goes with its square; give the true times or frame rate"
     return Finding("fps", f"{words}; {advice}", correction, run, contradicts=True)

@@ -1,4 +1,4 @@
-"""Check what stands in the study file by itself, before any recording is opened: mass, scale, frame rate, incline."""
+"""Check the values of a study file before any recording is opened: mass, scale, frame rate and incline."""
 
 from __future__ import annotations
 
@@ -11,8 +11,19 @@ from frictrack.plausibility.ranges import BARE_MASS, BARE_PITCH, FPS, INCLINE, M
 
 
 @dataclass(frozen=True)
-class Typed:
-    """The numbers of one run in SI, None where there is none, and which of them were typed without a unit."""
+class EnteredValues:
+    """Values of one run as entered, in SI; None if not given.
+
+    Parameters
+    ----------
+    run
+        Name of the run.
+    mass, pitch, fps, incline
+        Mass kg, pixel pitch m/px, frame rate 1/s, incline rad.
+    bare
+        Which of "mass", "scale" and "incline" were entered without a unit.
+
+    """
 
     run: str = ""
     mass: float | None = None
@@ -24,9 +35,10 @@ class Typed:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """One quantity of a study file: its key and SI unit, the unit that a bare number may have meant, what is plausible.
+    """One quantity of a study file, its units and its plausible ranges.
 
-    `shown` is the unit of a proposal and how many of it are one of SI.
+    `meant` is the unit that a bare number may have meant, called `called`; `bare` is the range of a bare number;
+    `shown` is the unit of a proposed correction and its number per SI unit.
     """
 
     key: str
@@ -39,83 +51,84 @@ class _Quantity:
     why: Callable[[float], str] = lambda value: ""
 
 
-WEIGHT = _Quantity("mass", "kg", "g", "grams", MASS, BARE_MASS, (1.0, "kg"))
-SCALE = _Quantity(
+MASS_ENTRY = _Quantity("mass", "kg", "g", "grams", MASS, BARE_MASS, (1.0, "kg"))
+SCALE_ENTRY = _Quantity(
     *("scale", "m/px", "mm/px", "mm"),
     *(PITCH, BARE_PITCH, (1e3, "mm/px")),
     why=lambda pitch: f": 1000 px would be {1e3 * pitch:g} m wide",
 )
 
 
-def implausible(typed: Typed) -> tuple[Finding, ...]:
-    """Warnings on numbers of a run that no laboratory has, each with the likely correction.
+def implausible_entries(entered: EnteredValues) -> tuple[Finding, ...]:
+    """Find values that no laboratory has, each with the likely correction.
 
     Parameters
     ----------
-    typed
-        The numbers as the study file has them.
+    entered
+        The values of one run.
 
     Returns
     -------
     tuple of Finding
-        At most one for each number.
+        At most one warning per value.
 
     Examples
     --------
-    >>> from frictrack.plausibility import Typed, implausible
-    >>> print(*implausible(Typed(mass=350.0, bare=frozenset({"mass"}))))
+    >>> print(*implausible_entries(EnteredValues(mass=350.0, bare=frozenset({"mass"}))))
     mass = 350 has no unit and was read as 350 kg; if grams were meant give mass = "350 g", else mass = "350 kg"
 
     """
-    return tuple(_found(typed))
+    return tuple(_found(entered))
 
 
-def _found(typed: Typed) -> Iterator[Finding]:
-    if typed.mass is not None:
-        yield from _number(typed, WEIGHT, typed.mass)
-    if typed.pitch is not None:
-        yield from _number(typed, SCALE, typed.pitch)
-    if typed.fps is not None and typed.fps not in FPS:
-        thousand = f"; if kHz were meant give fps = {1e3 * typed.fps:g}" if typed.fps < FPS.low else ""
-        words = f"fps = {typed.fps:g} lies outside {FPS.low:g} to {FPS.high:g} frames a second{thousand}; {_confirm()}"
-        yield Finding("fps", words, f"fps = {1e3 * typed.fps:g}" if thousand else "", typed.run)
-    if typed.incline is not None and "incline" in typed.bare and abs(typed.incline) > INCLINE.high:
-        line = f'incline = "{typed.incline:g} deg"'
+def _found(entered: EnteredValues) -> Iterator[Finding]:
+    if entered.mass is not None:
+        yield from _check_number(entered, MASS_ENTRY, entered.mass)
+    if entered.pitch is not None:
+        yield from _check_number(entered, SCALE_ENTRY, entered.pitch)
+    if entered.fps is not None and entered.fps not in FPS:
+        thousand = f"; if kHz were meant give fps = {1e3 * entered.fps:g}" if entered.fps < FPS.low else ""
+        outside = f"fps = {entered.fps:g} lies outside {FPS.low:g} to {FPS.high:g} frames per second"
+        words = f"{outside}{thousand}; {_confirm_text()}"
+        yield Finding("fps", words, f"fps = {1e3 * entered.fps:g}" if thousand else "", entered.run)
+    if entered.incline is not None and "incline" in entered.bare and abs(entered.incline) > INCLINE.high:
+        line = f'incline = "{entered.incline:g} deg"'
         words = (
-            f"incline = {typed.incline:g} has no unit and was read as rad, which are {degrees(typed.incline):.3g} deg; "
-            f'if degrees were meant give {line}, else incline = "{typed.incline:g} rad"'
+            f"incline = {entered.incline:g} has no unit and was read as rad, "
+            f"that is {degrees(entered.incline):.3g} deg; "
+            f'if degrees were meant give {line}, else incline = "{entered.incline:g} rad"'
         )
-        yield Finding("incline", words, line, typed.run)
+        yield Finding("incline", words, line, entered.run)
 
 
-def _number(typed: Typed, of: _Quantity, value: float) -> Iterator[Finding]:
-    """What is implausible in one quantity: a number without a unit, or one that no laboratory has."""
-    if of.key in typed.bare and value > of.bare.high:
-        line = f'{of.key} = "{value:g} {of.meant}"'
+def _check_number(entered: EnteredValues, quantity: _Quantity, value: float) -> Iterator[Finding]:
+    """Find a bare number that probably means another unit, or a value out of range."""
+    if quantity.key in entered.bare and value > quantity.bare.high:
+        line = f'{quantity.key} = "{value:g} {quantity.meant}"'
         words = (
-            f"{of.key} = {value:g} has no unit and was read as {value:g} {of.si}; if {of.called} were meant give "
-            f'{line}, else {of.key} = "{value:g} {of.si}"'
+            f"{quantity.key} = {value:g} has no unit and was read as {value:g} {quantity.si}; "
+            f"if {quantity.called} were meant give "
+            f'{line}, else {quantity.key} = "{value:g} {quantity.si}"'
         )
-        yield Finding(of.key, words, line, typed.run)
-    elif of.key in typed.bare and of.plausible.low <= value < of.bare.low:
-        line, small = f'{of.key} = "{1e3 * value:g} {of.si}"', f"{1e3 * value:g} {of.meant}"
+        yield Finding(quantity.key, words, line, entered.run)
+    elif quantity.key in entered.bare and quantity.plausible.low <= value < quantity.bare.low:
+        line, small = f'{quantity.key} = "{1e3 * value:g} {quantity.si}"', f"{1e3 * value:g} {quantity.meant}"
         words = (
-            f"{of.key} = {value:g} has no unit and was read as {value:g} {of.si}, which are {small}; if "
-            f'{1e3 * value:g} {of.si} were meant give {line}, else {of.key} = "{small}"'
+            f"{quantity.key} = {value:g} has no unit and was read as {value:g} {quantity.si}, which are {small}; if "
+            f'{1e3 * value:g} {quantity.si} were meant give {line}, else {quantity.key} = "{small}"'
         )
-        yield Finding(of.key, words, line, typed.run)
-    elif value not in of.plausible:
-        likely = value * (1e-3 if value > of.plausible.high else 1e3)
-        line = f'{of.key} = "{likely * of.shown[0]:g} {of.shown[1]}"'
-        words = (
-            f"a {of.key} of {value:g} {of.si} lies outside {_span(of)}{of.why(value)}; was {line} meant? {_confirm()}"
-        )
-        yield Finding(of.key, words, line, typed.run)
+        yield Finding(quantity.key, words, line, entered.run)
+    elif value not in quantity.plausible:
+        likely = value * (1e-3 if value > quantity.plausible.high else 1e3)
+        line = f'{quantity.key} = "{likely * quantity.shown[0]:g} {quantity.shown[1]}"'
+        outside = f"a {quantity.key} of {value:g} {quantity.si} lies outside {_range_text(quantity)}"
+        words = f"{outside}{quantity.why(value)}; was {line} meant? {_confirm_text()}"
+        yield Finding(quantity.key, words, line, entered.run)
 
 
-def _span(of: _Quantity) -> str:
-    return f"{of.plausible.low:g} to {of.plausible.high:g} {of.si}"
+def _range_text(quantity: _Quantity) -> str:
+    return f"{quantity.plausible.low:g} to {quantity.plausible.high:g} {quantity.si}"
 
 
-def _confirm() -> str:
-    return 'if it is right, plausible = "checked" ends this remark'
+def _confirm_text() -> str:
+    return 'if it is right, set plausible = "checked"'

@@ -1,4 +1,4 @@
-"""A finding about what was typed: what was read, why it is implausible, and what to type instead."""
+"""Describe a finding: what was read, why it is implausible, and what to enter instead."""
 
 from __future__ import annotations
 
@@ -40,5 +40,5 @@ class Finding:
         return f'run "{self.run}": {self.words}' if self.run else self.words
 
     def to_dict(self) -> dict[str, Any]:
-        """Entry of the JSON."""
+        """Return the JSON of the finding."""
         return {**asdict(self), "words": str(self)}

@@ -1,7 +1,8 @@
-"""Find an incline that is missing or has the wrong sign by runs in both directions, which gravity slows differently.
+"""Find an incline that is missing or has the wrong sign from runs in both directions, which gravity slows differently.
 
-A mass that slides freely has a = -g sin(theta) - s (f + c |v| / m) toward +x, s being its direction of motion, f and c
-its dry and viscous friction. Runs in both directions tell the pull of gravity, even where each of them slows down.
+A freely sliding mass has a = -g sin(theta) - s (f + c |v| / m) toward +x, where s is its direction of motion and f and
+c are dry friction over mass and viscous friction. Runs in both directions determine the pull of gravity, even if each
+of them decelerates.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from frictrack.plausibility.finding import ERROR, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MAX_PULL_RATIO, sign_error
-from frictrack.plausibility.strokes import MIN_SIGMAS, Leg, legs_of
+from frictrack.plausibility.strokes import MIN_SIGMAS, Stroke, find_strokes
 from frictrack.records import GRAVITY, Run
 
 MIN_LEGS = 5  # slides for three numbers and their scatter
@@ -24,8 +25,8 @@ MAX_DIRECTION_RATIO = 2.0
 
 
 @dataclass(frozen=True)
-class _Pull:
-    """The pull toward +x that runs show beyond what was stated, m/s^2, and how they slow each way."""
+class _ExtraPull:
+    """Acceleration toward +x beyond the stated one, and the mean deceleration in each direction, all m/s^2."""
 
     value: float
     sigma: float
@@ -33,18 +34,18 @@ class _Pull:
     back: float
 
     @property
-    def certain(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it differs from 0."""
         return abs(self.value) > MIN_SIGMAS * self.sigma
 
     @property
     def words(self) -> str:
-        """How the runs differ."""
-        return f"runs toward +x {_changes(self.forth)} and runs toward -x {_changes(self.back)}"
+        """How the runs of both directions differ."""
+        return f"runs toward +x {_change_text(self.forth)} and runs toward -x {_change_text(self.back)}"
 
 
-def _changes(slows: float) -> str:
-    return f"{'slow down' if slows > 0 else 'speed up'} by {abs(slows):.2g} m/s^2"
+def _change_text(deceleration: float) -> str:
+    return f"{'slow down' if deceleration > 0 else 'speed up'} by {abs(deceleration):.2g} m/s^2"
 
 
 def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
@@ -71,56 +72,64 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     stated = {run.incline for run in free}
     if len(stated) != 1:
         return ()
-    pull = _pull(free)
-    if pull is None or not pull.certain:
+    pull = _fit_pull(free)
+    if pull is None or not pull.is_significant:
         return ()
     incline = stated.pop()
     if any(run.has_incline for run in free):
-        return _against(incline, pull)
+        return _contradicts_stated(incline, pull)
     ratio = max(pull.forth, pull.back) / max(min(pull.forth, pull.back), 1e-300)
-    return (_missing(pull),) if ratio > MAX_DIRECTION_RATIO and abs(pull.value) < GRAVITY else ()
+    return (_missing_incline(pull),) if ratio > MAX_DIRECTION_RATIO and abs(pull.value) < GRAVITY else ()
 
 
-def _pull(runs: Sequence[Run]) -> _Pull | None:
-    """What the slides of all runs say by least squares; None where they do not go both ways, or are too few."""
-    slides = [(run, leg) for run in runs for leg in legs_of(run) if leg.certain and _slides(leg)]
-    s = np.array([leg.direction for _, leg in slides])
+def _fit_pull(runs: Sequence[Run]) -> _ExtraPull | None:
+    """Fit the extra pull to the strokes of all runs; None if they do not go both ways, or are too few."""
+    slides = [
+        (run, stroke)
+        for run in runs
+        for stroke in find_strokes(run)
+        if stroke.is_significant and _is_free_slide(stroke)
+    ]
+    s = np.array([stroke.direction for _, stroke in slides])
     if len(slides) < MIN_LEGS or abs(np.sum(s)) == len(slides):
         return None
-    a = np.array([leg.a + GRAVITY * sin(run.incline) for run, leg in slides])
-    speed = np.array([_rate(run, leg) for run, leg in slides])
+    a = np.array([stroke.a + GRAVITY * sin(run.incline) for run, stroke in slides])
+    speed = np.array([_speed_over_mass(run, stroke) for run, stroke in slides])
     design = np.stack([np.ones_like(s), -s, -s * speed], axis=1)
     found, _, rank, _ = np.linalg.lstsq(design, a, rcond=1e-9)
     if rank < design.shape[1]:
         return None
     left = float(np.sum((a - design @ found) ** 2) / (len(a) - design.shape[1]))
     sigma = float(np.sqrt(left * np.linalg.inv(design.T @ design)[0, 0]))
-    slows = [float(np.mean([-leg.gains for _, leg in slides if leg.direction == way])) for way in (1.0, -1.0)]
-    return _Pull(float(found[0]), sigma, *slows)
+    deceleration = [
+        float(np.mean([-stroke.speed_gain for _, stroke in slides if stroke.direction == distance]))
+        for distance in (1.0, -1.0)
+    ]
+    return _ExtraPull(float(found[0]), sigma, *deceleration)
 
 
-def _slides(leg: Leg) -> bool:
-    """Whether nothing pushes the mass: it slows down, or what speeds it up goes on to the end."""
-    return not leg.speeding or leg.partner < MAX_PARTNER_SHARE * leg.way
+def _is_free_slide(stroke: Stroke) -> bool:
+    """Whether nothing pushes the mass: it decelerates, or its acceleration lasts to the end."""
+    return not stroke.is_accelerating or stroke.partner_distance < MAX_PARTNER_SHARE * stroke.distance
 
 
-def _rate(run: Run, leg: Leg) -> float:
+def _speed_over_mass(run: Run, stroke: Stroke) -> float:
     """Speed over mass, to which viscous friction over mass is proportional."""
     assert run.mass is not None
-    return leg.usual_speed / run.mass
+    return stroke.mid_speed / run.mass
 
 
-def _against(incline: float, pull: _Pull) -> tuple[Finding, ...]:
-    """What runs in both directions have against a stated incline."""
+def _contradicts_stated(incline: float, pull: _ExtraPull) -> tuple[Finding, ...]:
+    """Finding if runs in both directions contradict a stated incline."""
     stated = -GRAVITY * sin(incline)
-    total = stated + pull.value
-    if stated * total >= 0 or abs(total) < abs(stated) / MAX_PULL_RATIO:
+    total_pull = stated + pull.value
+    if stated * total_pull >= 0 or abs(total_pull) < abs(stated) / MAX_PULL_RATIO:
         return ()
     return (sign_error(incline, pull.words),)
 
 
-def _missing(pull: _Pull) -> Finding:
-    """The incline that runs in both directions suggest."""
+def _missing_incline(pull: _ExtraPull) -> Finding:
+    """Finding with the incline that runs in both directions suggest."""
     angle = degrees(asin(-pull.value / GRAVITY))
     line = f'incline = "{angle:.2g} deg"'
     rises = "rises" if angle > 0 else "falls"
@@ -130,5 +139,5 @@ def _missing(pull: _Pull) -> Finding:
     )
     if min(pull.forth, pull.back) > 0:
         return Finding("incline", words, line, contradicts=True)
-    words = f'{words} (if it is free on a level course, plausible = "checked" goes on)'  # no friction speeds a mass up
+    words = f'{words} (if it is free on a level course, set plausible = "checked")'  # no friction speeds a mass up
     return Finding("incline", words, line, grade=ERROR, contradicts=True)

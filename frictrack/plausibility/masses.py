@@ -1,13 +1,14 @@
-"""Find the run whose mass (or load, scale, frame rate) was mistyped by a power of ten, by what the other runs show.
+"""Find a mass (or load, scale, frame rate) that is wrong by a power of ten, by comparison with the other runs.
 
-Friction that goes with the weight slows all masses alike: a = -mu g, so a wrong mass is absorbed. What tells it:
+Friction proportional to the weight decelerates all masses alike, a = -mu g, so it hides a wrong mass. Three things show
+it:
 
-- a stated normal load: friction over load is the same for all runs, F = m a, so it is off by the mass' own factor,
-- friction that goes with the speed and not with the load: its part of the deceleration goes with 1/m, so that its
-  coefficient is the same for all runs and a wrong mass shows in it by its own factor,
+- a stated normal load: friction over load is the same for all runs, F = m a, so it is wrong by the factor of the mass;
+- friction that depends on the speed and not on the load: its part of the deceleration goes with 1/m, so its coefficient
+  is wrong by the factor of the mass;
 - a measured drive: D = m a + F.
 
-Without any of these, a mass that is an exact power of ten of all others, which agree, is remarked only.
+Without these, a mass that differs from all others by an exact power of ten only gives a warning.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from frictrack.friction import is_moving
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
-from frictrack.plausibility.slide import Slide, slide_of
+from frictrack.plausibility.slide import SlideEstimate, estimate_slide
 from frictrack.plausibility.strokes import CORRELATION_FACTOR, MIN_SIGMAS
 from frictrack.records import GRAVITY, Array, Run
 
@@ -33,8 +34,8 @@ UNIT_POWERS = (3, 6)  # of ten: steps from a unit to its thousandth, and their s
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """What one run says of its mass: typed (kg), and seen in several ways; None where it cannot be seen.
+class MassEvidence:
+    """What one run shows of its mass.
 
     Parameters
     ----------
@@ -43,183 +44,193 @@ class Weighed:
     slide
         Its speed and friction.
     rate
-        By how much the deceleration rises with the speed, 1/s: friction over mass that goes with the speed.
+        Rise of the deceleration with the speed, 1/s: viscous friction over mass; None if not significant.
 
     """
 
     run: Run
-    slide: Slide
+    slide: SlideEstimate
     rate: float | None
 
     @property
     def mass(self) -> float:
-        """The typed mass, kg."""
+        """The entered mass, kg."""
         return float(self.run.mass or np.nan)
 
     @property
-    def by_speed(self) -> tuple[float, float] | None:
-        """Coefficient of friction that goes with the speed (N s/m), and with its square (N s^2/m^2), by this mass."""
+    def viscous_coefficients(self) -> tuple[float, float] | None:
+        """Coefficients of friction proportional to v (N s/m) and to v^2 (N s^2/m^2); None if not significant."""
         return None if self.rate is None else (self.rate * self.mass, self.rate * self.mass / self.slide.speed)
 
 
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
-    """Findings on runs that disagree with all others by a power of ten, each with the number that would agree.
+    """Find runs that disagree with all others by a power of ten.
 
     Parameters
     ----------
     runs
-        All runs of a study; fewer than three struck or pushed ones cannot disagree with each other.
+        All runs of a study; fewer than three undriven runs cannot disagree with each other.
 
     Returns
     -------
     tuple of Finding
-        At most one per run; an error where the motion shows the power of ten by which the number differs.
+        At most one per run, with the value that would agree; an error if the motion shows the power of ten.
 
     """
-    driven = (_of_drive(run) for run in runs if run.drive is not None and run.mass is not None)
-    slides = [weighed for run in runs if (weighed := _weighed(run)) is not None]
-    return (*(found for found in driven if found), *_among(slides))
+    driven = (_check_against_drive(run) for run in runs if run.drive is not None and run.mass is not None)
+    slides = [weighed for run in runs if (weighed := _mass_evidence(run)) is not None]
+    return (*(found for found in driven if found), *_compare_runs(slides))
 
 
-def _weighed(run: Run) -> Weighed | None:
+def _mass_evidence(run: Run) -> MassEvidence | None:
     if run.drive is not None or run.friction_N is not None or run.mass is None:
         return None
-    slide = slide_of(run)
-    return None if slide is None or slide.friction is None else Weighed(run, slide, _rate(run))
+    slide = estimate_slide(run)
+    return None if slide is None or slide.friction is None else MassEvidence(run, slide, _viscous_rate(run))
 
 
-def _among(slides: Sequence[Weighed]) -> Iterator[Finding]:
-    """What each run has against all others."""
+def _compare_runs(slides: Sequence[MassEvidence]) -> Iterator[Finding]:
+    """Compare each run with all others."""
     for i, one in enumerate(slides):
         others = [*slides[:i], *slides[i + 1 :]]
-        found = (_by_load(one, others) or _by_mass(one, others)) if len(slides) >= MIN_RUNS else None
+        found = (
+            (_check_against_load(one, others) or _check_against_masses(one, others))
+            if len(slides) >= MIN_RUNS
+            else None
+        )
         if found is not None:
             yield found
 
 
-def _by_load(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
-    """A friction coefficient that is a power of ten off that of the others, which agree."""
-    own, common = one.slide.friction, _common([w.slide.friction for w in others])
-    power = _power(own, common)
+def _check_against_load(one: MassEvidence, others: Sequence[MassEvidence]) -> Finding | None:
+    """Find a friction coefficient that differs by a power of ten from that of the others, which agree."""
+    own, common = one.slide.friction, _agreed_median([w.slide.friction for w in others])
+    power = _power_of_ten(own, common)
     if not power:
         return None
     why = f"the friction coefficient comes out {own:.2g} where the other runs have {common:.2g}"
     grade = ERROR if abs(power) in UNIT_POWERS else WARNING
     if one.run.normal_load is not None:
-        line = _line(one.mass, power)
-        words = f"{why}; the mass of {one.mass:g} kg, or its normal load, is {_times(power)}: probably {line}"
+        line = _correction_line(one.mass, power)
+        words = f"{why}; the mass of {one.mass:g} kg, or its normal load, is {_times_text(power)}: probably {line}"
         return Finding("mass", words, line, one.run.name, grade, contradicts=True)
     filmed = one.run.pixel_pitch is not None
     unit = "its scale" if filmed else "its unit of length"
-    clock = f", or its {'fps' if filmed else 'unit of time'} {_times(power // 2)}" if power % 2 == 0 else ""
-    words = f"{why}; probably {unit} is {_times(power)}{clock}"
+    clock = f", or its {'fps' if filmed else 'unit of time'} {_times_text(power // 2)}" if power % 2 == 0 else ""
+    words = f"{why}; probably {unit} is {_times_text(power)}{clock}"
     return Finding("scale", words, "", one.run.name, grade, contradicts=True)
 
 
-def _by_mass(one: Weighed, others: Sequence[Weighed]) -> Finding | None:
-    """A mass that is a power of ten off: by friction that goes with the speed, else by the masses of the others."""
-    usual = _usual([w.mass for w in others])
-    power = _exact_power(one.mass, usual)
-    off = _off_by_speed(one, others)
-    if off is not None:
-        return _by_viscous(one, others, power if power and abs(off - power) < abs(off) else _whole(off))
+def _check_against_masses(one: MassEvidence, others: Sequence[MassEvidence]) -> Finding | None:
+    """Find a mass that is wrong by a power of ten, from viscous friction or from the masses of the others."""
+    shared = _shared_mass([w.mass for w in others])
+    power = _exact_power(one.mass, shared)
+    decades = _decades_off_by_speed(one, others)
+    if decades is not None:
+        return _check_against_viscous(
+            one, others, power if power and abs(decades - power) < abs(decades) else _whole_decades(decades)
+        )
     if not power:
         return None
-    line = _line(one.mass, power)
+    line = _correction_line(one.mass, power)
     words = (
-        f"a mass of {one.mass:g} kg is that of the other runs ({usual:g} kg) with the decimal point elsewhere, and "
+        f"a mass of {one.mass:g} kg is that of the other runs ({shared:g} kg) with the decimal point elsewhere, and "
         f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
-        'plausible = "checked" ends this'
+        'set plausible = "checked"'
     )
     return Finding("mass", words, line, one.run.name)
 
 
-def _off_by_speed(one: Weighed, others: Sequence[Weighed]) -> float | None:
-    """Decades by which the friction of one run that goes with the speed is off that of the others; None if unknown.
+def _decades_off_by_speed(one: MassEvidence, others: Sequence[MassEvidence]) -> float | None:
+    """Decades by which the viscous friction of one run differs from that of the others; None if unknown.
 
-    It may go with the speed or with its square: that counts in which the others agree better.
+    It may go with the speed or with its square: the one on which the others agree better is used.
     """
-    known = [w.by_speed for w in others if w.by_speed is not None]
-    if one.by_speed is None or not known:
+    known = [w.viscous_coefficients for w in others if w.viscous_coefficients is not None]
+    if one.viscous_coefficients is None or not known:
         return None
-    found = [(own, each) for own, *each in zip(one.by_speed, *known, strict=True) if _common(each) is not None]
+    found = [
+        (own, each)
+        for own, *each in zip(one.viscous_coefficients, *known, strict=True)
+        if _agreed_median(each) is not None
+    ]
     if not found:
         return None
     own, each = min(found, key=lambda pair: np.ptp(np.log10(pair[1])))
     return float(np.log10(own / np.median(each)))
 
 
-def _by_viscous(one: Weighed, others: Sequence[Weighed], power: int) -> Finding | None:
-    """A mass with which the friction that goes with the speed comes out a power of ten off that of the others.
+def _check_against_viscous(one: MassEvidence, others: Sequence[MassEvidence], power: int) -> Finding | None:
+    """Find a mass with which viscous friction differs by a power of ten from that of the others.
 
-    Certain where that is a step of units, or the mass differs from one of the others by the same power of ten.
+    It is an error if that is a step of units, or if the mass differs from one of the others by the same power of ten.
     """
     if not power:
         return None
-    line = _line(one.mass, power)
+    line = _correction_line(one.mass, power)
     words = (
-        f"mass = {one.mass:g} kg is {_times(power)}: the friction that goes with the speed slows it as it would slow "
+        f"mass = {one.mass:g} kg is {_times_text(power)}: friction that depends on the speed slows it as it would slow "
         f"{one.mass / 10.0**power:.4g} kg in the other runs; give {line}"
     )
-    certain = abs(power) in UNIT_POWERS or any(_exact_power(one.mass, w.mass) == power for w in others)
-    return Finding("mass", words, line, one.run.name, ERROR if certain else WARNING, contradicts=True)
+    is_significant = abs(power) in UNIT_POWERS or any(_exact_power(one.mass, w.mass) == power for w in others)
+    return Finding("mass", words, line, one.run.name, ERROR if is_significant else WARNING, contradicts=True)
 
 
-def _line(mass: float, power: int) -> str:
-    """What to type instead of a mass that is a power of ten off."""
+def _correction_line(mass: float, power: int) -> str:
+    """What to enter instead of a mass that is wrong by a power of ten."""
     return f'mass = "{mass / 10.0**power:g} kg"'
 
 
-def _usual(masses: Sequence[float]) -> float | None:
-    """The mass that most runs share; None where less than half of them, or fewer than two, do."""
+def _shared_mass(masses: Sequence[float]) -> float | None:
+    """The mass of most runs; None if less than half of them, or fewer than two, share one."""
     shared = [[m for m in masses if abs(np.log10(m / one)) < EXACT_DECADES] for one in masses]
-    most = max(shared, key=len, default=[])
-    return float(np.median(most)) if len(most) >= max(MIN_RUNS - 1, len(masses) / 2) else None
+    largest = max(shared, key=len, default=[])
+    return float(np.median(largest)) if len(largest) >= max(MIN_RUNS - 1, len(masses) / 2) else None
 
 
 def _exact_power(own: float, other: float | None) -> int:
-    """The power of ten by which two weighings differ; 0 where they do not differ by one exactly."""
-    power = _power(own, other)
+    """Power of ten by which two masses differ; 0 if they do not differ by one exactly."""
+    power = _power_of_ten(own, other)
     return power if power and other and abs(np.log10(own / other) - power) < EXACT_DECADES else 0
 
 
-def _times(power: int) -> str:
+def _times_text(power: int) -> str:
     return f"{10**power:g} times too large" if power > 0 else f"{10**-power:g} times too small"
 
 
-def _common(values: Sequence[float | None]) -> float | None:
-    """The median of values that are all known and agree; None where they do not, or are fewer than two."""
+def _agreed_median(values: Sequence[float | None]) -> float | None:
+    """Median of values that are all known and agree; None if they do not, or are fewer than two."""
     known = np.array([v for v in values if v is not None and v > 0])
     if len(known) < max(len(values), MIN_RUNS - 1) or np.ptp(np.log10(known)) > MAX_SPREAD_DECADES:
         return None
     return float(np.median(known))
 
 
-def _power(own: float | None, common: float | None) -> int:
-    """The power of ten, other than 0, by which two numbers differ; 0 where they do not differ by one."""
+def _power_of_ten(own: float | None, common: float | None) -> int:
+    """Power of ten by which two numbers differ; 0 if they do not differ by one."""
     if own is None or common is None or own <= 0:
         return 0
-    return _whole(float(np.log10(own / common)))
+    return _whole_decades(float(np.log10(own / common)))
 
 
-def _whole(decades: float) -> int:
-    """The whole number that decades are; 0 where they are none."""
+def _whole_decades(decades: float) -> int:
+    """Nearest whole number of decades; 0 if none is near."""
     power = round(decades)
     return power if abs(decades - power) < MAX_SPREAD_DECADES else 0
 
 
-def _rate(run: Run) -> float | None:
-    """How fast the deceleration rises with the speed, 1/s, over the slowing part; None where it is not certain.
+def _viscous_rate(run: Run) -> float | None:
+    """Rise of the deceleration with the speed, 1/s, while the mass decelerates; None if not significant.
 
-    x = x0 + v0 t - f int int s - c int int v, by least squares: with v the smoothed velocity, the integral of an
-    integral of it is known far better than its derivative.
+    It is fitted as x = x0 + v0 t - f int int s - c int int v. The double integral of the smoothed velocity is far less
+    noisy than its derivative.
     """
-    rows = _slowing(run)
+    rows = _decelerating_frames(run)
     if len(rows) < MIN_FRAMES:
         return None
     t, x, v = run.motion.t[rows], run.displacement.x[rows], run.motion.v[rows]
     u = t - t[0]
-    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -_twice(u, v)], axis=1)
+    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -_integrate_twice(u, v)], axis=1)
     scale = np.abs(design).max(axis=0)
     solution = np.linalg.lstsq(design / scale, x, rcond=None)[0]
     left = float(np.sum((x - design / scale @ solution) ** 2) / (len(u) - 4))
@@ -228,8 +239,8 @@ def _rate(run: Run) -> float | None:
     return rate if rate > MIN_SIGMAS * std else None
 
 
-def _slowing(run: Run) -> Array:
-    """Rows of the longest stretch after the highest speed."""
+def _decelerating_frames(run: Run) -> Array:
+    """Frames of the longest stretch after the highest speed."""
     moving = run.displacement.valid & is_moving(run)
     speed = np.where(moving, np.abs(run.motion.v), 0.0)
     first = int(np.argmax(speed))
@@ -240,15 +251,15 @@ def _slowing(run: Run) -> Array:
     return np.arange(begin, last)
 
 
-def _twice(t: Array, v: Array) -> Array:
-    """The integral of the integral of a velocity (n,), from the first frame."""
+def _integrate_twice(t: Array, v: Array) -> Array:
+    """Double integral of a velocity (n,) from the first frame (trapezoidal rule)."""
     step = np.diff(t)
     once = np.concatenate([[0.0], np.cumsum(step * (v[1:] + v[:-1]) / 2)])
     return np.concatenate([[0.0], np.cumsum(step * (once[1:] + once[:-1]) / 2)])
 
 
-def _of_drive(run: Run) -> Finding | None:
-    """A mass that the measured drive contradicts: D = m a + F s + c v + k x + b, by least squares."""
+def _check_against_drive(run: Run) -> Finding | None:
+    """Find a mass that a measured drive contradicts: D = m a + F s + c v + k x + b by least squares."""
     assert run.drive is not None
     assert run.mass is not None
     moving = run.displacement.valid & is_moving(run)
@@ -261,15 +272,19 @@ def _of_drive(run: Run) -> Finding | None:
     solution = np.linalg.lstsq(design / scale, drive, rcond=None)[0]
     left = float(np.sum((drive - design / scale @ solution) ** 2) / max(len(v) - 5, 1))
     covariance = left * np.linalg.pinv((design / scale).T @ (design / scale))
-    seen, std = float(solution[0] / scale[0]), CORRELATION_FACTOR * float(np.sqrt(covariance[0, 0])) / float(scale[0])
-    power = _power(run.mass, seen) if seen > 0 and std < MAX_RELATIVE_STD * seen else 0
+    fitted_mass, std = (
+        float(solution[0] / scale[0]),
+        CORRELATION_FACTOR * float(np.sqrt(covariance[0, 0])) / float(scale[0]),
+    )
+    power = _power_of_ten(run.mass, fitted_mass) if fitted_mass > 0 and std < MAX_RELATIVE_STD * fitted_mass else 0
     if not power:
         return None
-    line = _line(run.mass, power)
+    line = _correction_line(run.mass, power)
     unit = f", or {UNITS[power]}" if power in UNITS and run.pixel_pitch is None else ""
     words = (
-        f"the drive moves it as a mass of {seen:.3g} kg, but mass = {run.mass:g} kg; probably {line}, or the drive is "
-        f"{_times(-power)}{unit}"
+        f"the drive accelerates it like {fitted_mass:.3g} kg, but mass = {run.mass:g} kg; "
+        f"probably {line}, or the drive is "
+        f"{_times_text(-power)}{unit}"
     )
-    grade = ERROR if _exact_power(run.mass, seen) else WARNING
+    grade = ERROR if _exact_power(run.mass, fitted_mass) else WARNING
     return Finding("mass", words, line, run.name, grade, contradicts=True)

@@ -1,4 +1,4 @@
-"""The ranges of what is filmed and measured of sliding masses, each with its source."""
+"""Define the plausible ranges of quantities in friction measurements with sliding masses, each with its source."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Range:
-    """What a quantity plausibly is, ends included, and what it cannot exceed."""
+    """Plausible range of a quantity, ends included, with its source and the value that it cannot exceed.
+
+    Examples
+    --------
+    >>> 0.35 in MASS, 0.0 in MASS
+    (True, False)
+
+    """
 
     low: float
     high: float
@@ -35,5 +42,5 @@ FRICTION = Range(1e-4, 10.0, "1", "from an air bearing to ten times the weight; 
 USUAL_FRICTION = 0.3  # most pairs of solids, dry or with boundary lubrication, lie within a decade of it
 USUAL_SPEED = 1.0  # m/s
 USUAL_TRAVEL = Range(1e-4, 20.0, "m", "courses in a laboratory")
-BLOW = Range(0.0, 300.0, "J", "energy of a blow: the largest pendulum hammers in common use (ISO 148-1)")
+BLOW_ENERGY = Range(0.0, 300.0, "J", "energy of a blow: the largest pendulum hammers in common use (ISO 148-1)")
 INCLINE = Range(0.0, 0.8, "rad", "a number without a unit counts as rad: 0.8 rad are 46 degrees")

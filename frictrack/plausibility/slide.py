@@ -1,4 +1,4 @@
-"""Check speed, travel and friction coefficient of a measured slide, and find the unit in which they become usual."""
+"""Check speed, distance and friction coefficient of a run, and find the unit with which they become typical."""
 
 from __future__ import annotations
 
@@ -10,8 +10,16 @@ import numpy as np
 
 from frictrack.plausibility.finding import ERROR, WARNING, Finding
 from frictrack.plausibility.incline import MAX_PARTNER_SHARE, MIN_SHARE_EACH_WAY
-from frictrack.plausibility.ranges import BLOW, FRICTION, SPEED, TRAVEL, USUAL_FRICTION, USUAL_SPEED, USUAL_TRAVEL
-from frictrack.plausibility.strokes import Leg, legs_of, mean, total
+from frictrack.plausibility.ranges import (
+    BLOW_ENERGY,
+    FRICTION,
+    SPEED,
+    TRAVEL,
+    USUAL_FRICTION,
+    USUAL_SPEED,
+    USUAL_TRAVEL,
+)
+from frictrack.plausibility.strokes import Stroke, find_strokes, mean_acceleration, total_distance
 from frictrack.records import GRAVITY, Run
 
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
@@ -39,18 +47,18 @@ FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been
 
 
 @dataclass(frozen=True)
-class Slide:
-    """What a run shows of itself.
+class SlideEstimate:
+    """Speed, distance and friction of a run.
 
     Parameters
     ----------
     speed
         Highest speed, m/s.
     travel
-        Way of its longest leg, m.
+        Distance of its longest stroke, m.
     friction
-        Mean friction over the normal load while nothing but friction and gravity acts; None where that is not so.
-    slows
+        Mean friction over normal load while only friction and gravity act; None if never.
+    deceleration
         Mean deceleration by friction, m/s^2; None as above.
 
     """
@@ -58,79 +66,93 @@ class Slide:
     speed: float
     travel: float
     friction: float | None
-    slows: float | None
+    deceleration: float | None
 
-    def scaled(self, length: float, time: float) -> Slide:
-        """The same, had a length and a time been so many times as large; gravity is left out of it."""
+    def scaled(self, length: float, time: float) -> SlideEstimate:
+        """Return the estimate for lengths and times multiplied by factors; gravity is not changed."""
         by = length / time**2
         friction = None if self.friction is None else self.friction * by
-        slows = None if self.slows is None else self.slows * by
-        return Slide(self.speed * length / time, self.travel * length, friction, slows)
+        deceleration = None if self.deceleration is None else self.deceleration * by
+        return SlideEstimate(self.speed * length / time, self.travel * length, friction, deceleration)
 
     @property
-    def possible(self) -> bool:
-        """Whether a laboratory has such slides."""
-        rubbing = self.friction is None or self.friction in FRICTION
-        return rubbing and self.speed in SPEED and self.travel in USUAL_TRAVEL
+    def is_possible(self) -> bool:
+        """Whether such slides occur in a laboratory."""
+        friction_term = self.friction is None or self.friction in FRICTION
+        return friction_term and self.speed in SPEED and self.travel in USUAL_TRAVEL
 
     @property
     def rarity(self) -> float:
-        """Decades by which it is off a usual slide."""
-        rubbing = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
-        return rubbing + abs(log10(self.speed / USUAL_SPEED))
+        """Decades by which friction and speed differ from typical ones."""
+        friction_term = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
+        return friction_term + abs(log10(self.speed / USUAL_SPEED))
 
 
-def slide_of(run: Run) -> Slide | None:
-    """Speed, travel and friction of a run; None where nothing moves long enough."""
-    legs = legs_of(run)
-    if not legs:
-        return None
-    slows = _deceleration(run, legs)
-    load = run.load
-    friction = None if slows is None or not load or not run.mass else run.mass * slows / load
-    return Slide(max(leg.speed for leg in legs), max(leg.way for leg in legs), friction, slows)
-
-
-def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
-    """Findings on the speed, the friction coefficient and the energy of a run.
+def estimate_slide(run: Run) -> SlideEstimate | None:
+    """Estimate speed, distance and friction of a run.
 
     Parameters
     ----------
     run
-        A run after `differentiate`.
+        A run with displacement and motion.
+
+    Returns
+    -------
+    SlideEstimate or None
+        None if nothing moves long enough.
+
+    """
+    strokes = find_strokes(run)
+    if not strokes:
+        return None
+    deceleration = _deceleration(run, strokes)
+    load = run.load
+    friction = None if deceleration is None or not load or not run.mass else run.mass * deceleration / load
+    return SlideEstimate(
+        max(stroke.speed for stroke in strokes), max(stroke.distance for stroke in strokes), friction, deceleration
+    )
+
+
+def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
+    """Find an implausible speed, friction coefficient or energy of a run.
+
+    Parameters
+    ----------
+    run
+        A run with displacement and motion.
     film
         Whether it was filmed: then scale and fps may be wrong, else the units of the table.
 
     Returns
     -------
     tuple of Finding
-        An error is a speed that nothing on rails ever had, and what only a unit of another thousand makes possible.
+        An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand explains.
 
     """
-    slide = slide_of(run)
+    slide = estimate_slide(run)
     return () if slide is None else tuple(replace(f, run=run.name) for f in _found(run, slide, film=film))
 
 
-def _found(run: Run, slide: Slide, *, film: bool) -> Iterator[Finding]:
-    hint, correction, certain = _correction(slide, film=film)
-    grade = ERROR if certain else WARNING
-    yield from _measured(run)
+def _found(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
+    hint, correction, is_significant = _correction(slide, film=film)
+    grade = ERROR if is_significant else WARNING
+    yield from _check_measured_friction(run)
     if slide.speed not in SPEED:
         grade = ERROR if slide.speed > SPEED.limit else grade
         than = f"than anything on rails ({SPEED.limit:g} m/s)" if slide.speed > SPEED.limit else "than in a laboratory"
         why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
         yield Finding("speed", f"{why}; {hint}", correction, grade=grade)
     elif slide.friction is not None and slide.friction not in FRICTION:
-        yield Finding("friction", f"{_friction_words(run, slide)}; {hint}", correction, grade=grade)
+        yield Finding("friction", f"{_friction_text(run, slide)}; {hint}", correction, grade=grade)
     elif slide.friction is not None and slide.travel not in TRAVEL:
         words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
         yield Finding("scale", words, correction, grade=grade)
     elif run.drive is None and run.friction_N is None and not run.has_incline and run.mass is not None:
-        yield from _blow(run.mass, slide)
+        yield from _check_energy(run.mass, slide)
 
 
-def _measured(run: Run) -> Iterator[Finding]:
-    """What a measured friction force has against a stated load."""
+def _check_measured_friction(run: Run) -> Iterator[Finding]:
+    """Check a measured friction force against the stated load."""
     if run.friction_N is None or run.normal_load is None:
         return
     ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
@@ -143,62 +165,69 @@ def _measured(run: Run) -> Iterator[Finding]:
     yield Finding("friction", words, line)
 
 
-def _friction_words(run: Run, slide: Slide) -> str:
+def _friction_text(run: Run, slide: SlideEstimate) -> str:
     assert slide.friction is not None
-    assert slide.slows is not None
+    assert slide.deceleration is not None
     load = "normal load" if run.normal_load is not None else "weight"
-    out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.slows:.3g} m/s^2)"
+    out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.deceleration:.3g} m/s^2)"
     if slide.friction > FRICTION.high:
         pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
         return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
     return f"{out}, less than on an air bearing"
 
 
-def _correction(slide: Slide, *, film: bool) -> tuple[str, str, bool]:
-    """Which unit makes all of it usual, in words, and alone; and whether no smaller change of a unit does."""
+def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, bool]:
+    """Likely correction of the units, as a sentence and alone, and whether it must be a factor of a thousand."""
     units = FILM_UNITS if film else TABLE_UNITS
-    fitting = sorted((made.rarity, words, size) for made, words, size in _tried(slide, units) if made.possible)
+    fitting = sorted(
+        (made.rarity, words, size) for made, words, size in _in_other_units(slide, units) if made.is_possible
+    )
     if not fitting:
         return ("check scale and fps" if film else "check the units of the table's columns"), "", False
     words = fitting[0][1]
     return f"probably {words}", words, all(size >= UNIT_STEP for _, _, size in fitting)
 
 
-def _tried(slide: Slide, units: Sequence[tuple[float, float, str]]) -> Iterator[tuple[Slide, str, float]]:
-    """The slide in other units, which they are, and by what factor they differ."""
+def _in_other_units(
+    slide: SlideEstimate, units: Sequence[tuple[float, float, str]]
+) -> Iterator[tuple[SlideEstimate, str, float]]:
+    """The estimate in other units, with their description and factor."""
     for length, time, words in units:
         yield slide.scaled(length, time), words, max(length, 1 / length, time, 1 / time)
 
 
-def _blow(mass: float, slide: Slide) -> Iterator[Finding]:
+def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:
     energy = mass * slide.speed**2 / 2
-    if energy in BLOW or slide.friction is None:
+    if energy in BLOW_ENERGY or slide.friction is None:
         return
     grams = f'mass = "{mass:g} g"' if mass > 1.0 else ""
     likely = f"; if grams were meant give {grams}" if grams else ""
     words = (
         f"a mass of {mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
-        f"({BLOW.high:g} J){likely}; check mass, scale and fps"
+        f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
     )
     yield Finding("mass", words, grams)
 
 
-def _deceleration(run: Run, legs: tuple[Leg, ...]) -> float | None:
-    """Friction over mass while nothing else acts, m/s^2; None where it cannot be told.
+def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
+    """Deceleration by friction alone, m/s^2; None if it cannot be determined.
 
-    That is the slowing part of a struck run, or a slide down or up an incline, in one direction of motion.
+    It is taken from the decelerating part of a struck run, or from a slide on an incline, in one direction of motion.
     """
     if run.drive is not None or run.friction_N is not None:
         return None
-    direction = max(legs, key=lambda leg: leg.way).direction
-    one_way = tuple(leg for leg in legs if leg.direction == direction)
-    if total(one_way) < (1 - MIN_SHARE_EACH_WAY) * total(legs):
+    direction = max(strokes, key=lambda stroke: stroke.distance).direction
+    one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)
+    if total_distance(one_way) < (1 - MIN_SHARE_EACH_WAY) * total_distance(strokes):
         return None
     pull = -GRAVITY * sin(run.incline)
     free = tuple(
-        leg for leg in one_way if not leg.speeding or (run.has_incline and leg.partner < MAX_PARTNER_SHARE * leg.way)
+        stroke
+        for stroke in one_way
+        if not stroke.is_accelerating
+        or (run.has_incline and stroke.partner_distance < MAX_PARTNER_SHARE * stroke.distance)
     )
-    if not free or not any(leg.certain for leg in free):
+    if not free or not any(stroke.is_significant for stroke in free):
         return None
-    slows = direction * (pull - mean(free))
-    return slows if slows > 0 else None
+    deceleration = direction * (pull - mean_acceleration(free))
+    return deceleration if deceleration > 0 else None

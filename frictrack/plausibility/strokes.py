@@ -1,14 +1,13 @@
-"""Cut the motion of a run into legs of one direction and of speeding up or slowing down, each with its acceleration."""
+"""Divide the motion of a run into strokes: one direction, accelerating or decelerating, with a fitted acceleration."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from frictrack.friction import is_moving
-from frictrack.records import Array, Mask, Run, stretches
+from frictrack.friction import is_moving, split_by_direction
+from frictrack.records import Array, Mask, Run
 
 MIN_FRAMES = 10  # of a leg, below which a parabola tells nothing
 TRIMMED_SHARE = 0.1  # share of a leg at either end that is left out: smoothing reaches over a collision
@@ -18,47 +17,60 @@ MIN_SIGMAS = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
-class Leg:
+class Stroke:
     """A stretch of one direction between two collisions, stops or reversals, before or after its highest speed."""
 
-    way: float  # m, above 0
+    distance: float  # m, above 0
     direction: float  # 1 or -1
     a: float  # m/s^2 toward +x
     sigma_a: float
     speed: float  # m/s, the highest
-    usual_speed: float  # m/s, in its middle
+    mid_speed: float  # m/s, in its middle
     misfit: float  # rms of what a constant acceleration leaves beyond the noise, over the way
-    speeding: bool  # before the highest speed
-    partner: float  # m, way of the same stretch on the other side of its highest speed
+    is_accelerating: bool  # before the highest speed
+    partner_distance: float  # m, way of the same stretch on the other side of its highest speed
 
     @property
-    def gains(self) -> float:
+    def speed_gain(self) -> float:
         """Acceleration in the direction of motion, m/s^2."""
         return self.a * self.direction
 
     @property
-    def certain(self) -> bool:
-        """Whether the acceleration is known to differ from 0."""
+    def is_significant(self) -> bool:
+        """Whether the acceleration differs from 0."""
         return abs(self.a) > MIN_SIGMAS * self.sigma_a
 
 
-def legs_of(run: Run) -> tuple[Leg, ...]:
-    """The legs of a run, in order; frames that were not found, events and rests are in none."""
-    return tuple(leg for s in _one_way(run) for leg in _both_sides(run, s))
+def find_strokes(run: Run) -> tuple[Stroke, ...]:
+    """Find the strokes of a run, in order; they exclude frames not found, events and rests.
+
+    Parameters
+    ----------
+    run
+        A run with displacement and motion.
+
+    Returns
+    -------
+    tuple of Stroke
+
+    """
+    return tuple(stroke for s in split_by_direction(run, _free_frames(run)) for stroke in _split_at_top_speed(run, s))
 
 
-def total(legs: tuple[Leg, ...]) -> float:
-    """Way of all legs together, m."""
-    return float(sum(leg.way for leg in legs))
+def total_distance(strokes: tuple[Stroke, ...]) -> float:
+    """Distance of all strokes together, m."""
+    return float(sum(stroke.distance for stroke in strokes))
 
 
-def mean(legs: tuple[Leg, ...]) -> float:
-    """Acceleration of several legs, weighted by how well each is known, m/s^2."""
-    least = 1e-6 * max(leg.sigma_a for leg in legs) + 1e-300
-    return float(np.average([leg.a for leg in legs], weights=[(leg.sigma_a + least) ** -2.0 for leg in legs]))
+def mean_acceleration(strokes: tuple[Stroke, ...]) -> float:
+    """Mean acceleration of strokes, weighted by their variances, m/s^2."""
+    floor = 1e-6 * max(stroke.sigma_a for stroke in strokes) + 1e-300
+    return float(
+        np.average([stroke.a for stroke in strokes], weights=[(stroke.sigma_a + floor) ** -2.0 for stroke in strokes])
+    )
 
 
-def _free(run: Run) -> Mask:
+def _free_frames(run: Run) -> Mask:
     """Frames (n,) that were found, move, and lie in no event."""
     free = run.displacement.valid & is_moving(run)
     for first, last in run.motion.events:
@@ -66,44 +78,48 @@ def _free(run: Run) -> Mask:
     return np.asarray(free)
 
 
-def _one_way(run: Run) -> list[slice]:
-    """Stretches of free frames, cut where the direction changes."""
-    out = []
-    for s in stretches(_free(run)):
-        turns = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
-        out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *turns, s.stop])]
-    return out
-
-
-def _both_sides(run: Run, s: slice) -> list[Leg]:
-    """Up to two legs of a stretch: before and after its highest speed."""
+def _split_at_top_speed(run: Run, s: slice) -> list[Stroke]:
+    """Up to two strokes of a stretch: before and after its highest speed."""
     fastest = s.start + int(np.argmax(np.abs(run.motion.v[s])))
     x = run.motion.x
-    before, after = abs(float(x[fastest] - x[s.start])), abs(float(x[s.stop - 1] - x[fastest]))
-    parts = ((slice(s.start, fastest + 1), True, after), (slice(fastest, s.stop), False, before))
-    found = (_leg(run, part, speeding=speeding, partner=other) for part, speeding, other in parts)
-    return [leg for leg in found if leg is not None]
+    distance_before, distance_after = abs(float(x[fastest] - x[s.start])), abs(float(x[s.stop - 1] - x[fastest]))
+    parts = ((slice(s.start, fastest + 1), True, distance_after), (slice(fastest, s.stop), False, distance_before))
+    found = (
+        _fit_stroke(run, part, is_accelerating=is_accelerating, partner_distance=other)
+        for part, is_accelerating, other in parts
+    )
+    return [stroke for stroke in found if stroke is not None]
 
 
-def _leg(run: Run, s: slice, *, speeding: bool, partner: float) -> Leg | None:
-    """The leg of a slice, None where it is too short to tell anything."""
-    edge = int(TRIMMED_SHARE * (s.stop - s.start))
-    t, x = run.motion.t[s.start + edge : s.stop - edge], run.displacement.x[s.start + edge : s.stop - edge]
+def _fit_stroke(run: Run, s: slice, *, is_accelerating: bool, partner_distance: float) -> Stroke | None:
+    """Fit the stroke of a slice; None if it is too short."""
+    trimmed = int(TRIMMED_SHARE * (s.stop - s.start))
+    t, x = run.motion.t[s.start + trimmed : s.stop - trimmed], run.displacement.x[s.start + trimmed : s.stop - trimmed]
     if len(t) < MIN_FRAMES:
         return None
-    way = float(abs(x[-1] - x[0]))
-    if way <= 0.0:
+    distance = float(abs(x[-1] - x[0]))
+    if distance <= 0.0:
         return None
-    (slope, a), sigma_a, left = _parabola(t, x)
-    noise = float(np.median(run.displacement.sigma_x[s.start + edge : s.stop - edge]))
-    beyond = float(np.sqrt(max(left**2 - noise**2, 0.0)))
+    (slope, a), sigma_a, left = _fit_parabola(t, x)
+    noise = float(np.median(run.displacement.sigma_x[s.start + trimmed : s.stop - trimmed]))
+    excess = float(np.sqrt(max(left**2 - noise**2, 0.0)))
     half = abs(a) * float(t[-1] - t[0]) / 2
     direction = float(np.sign(x[-1] - x[0]))
-    return Leg(way, direction, a, sigma_a, abs(slope) + half, abs(slope), beyond / way, speeding, partner)
+    return Stroke(
+        distance,
+        direction,
+        a,
+        sigma_a,
+        abs(slope) + half,
+        abs(slope),
+        excess / distance,
+        is_accelerating,
+        partner_distance,
+    )
 
 
-def _parabola(t: Array, x: Array) -> tuple[tuple[float, float], float, float]:
-    """Velocity in the middle and acceleration, the deviation of the latter, and the rms that is left, m."""
+def _fit_parabola(t: Array, x: Array) -> tuple[tuple[float, float], float, float]:
+    """Mid velocity and acceleration, standard deviation of the latter, and rms residual, m."""
     u = t - (t[0] + t[-1]) / 2
     design = np.stack([np.ones_like(u), u, u**2 / 2], axis=1)
     solution = np.linalg.lstsq(design, x, rcond=None)[0]
